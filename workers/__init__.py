@@ -1,0 +1,27 @@
+"""The numerics of impact-atlas: what Dask's workers run. Depends on numpy, scipy and numba only.
+
+Two doors: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from workers.settings import Settings
+
+if TYPE_CHECKING:
+    from workers.tile import solve_tile
+    from workers.trace import trace
+
+SOLVER_VERSION = 1
+"""Raised whenever any number that solve_tile returns may change."""
+
+__all__ = ["SOLVER_VERSION", "Settings", "solve_tile", "trace"]
+
+_DOORS = {"solve_tile": "workers.tile", "trace": "workers.trace"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a door at its first use, so that reading a spec does not wait for numba."""
+    if name in _DOORS:
+        return getattr(import_module(_DOORS[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

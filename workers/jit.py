@@ -1,0 +1,50 @@
+"""The one way a kernel is compiled: no GIL, IEEE arithmetic, cached on disk under a key of the sources.
+
+Numba's cache does not notice an edit in another module, so its folder carries a hash of all sources of
+this package. NUMBA_CACHE_DIR is respected where set; a folder that cannot be written means no cache.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from numba import config, njit
+
+__all__ = ["kernel"]
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def _cache_root() -> Path:
+    """The user's cache folder: NUMBA_CACHE_DIR, else XDG_CACHE_HOME or ~/.cache."""
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return Path(os.environ["NUMBA_CACHE_DIR"])
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "impact-atlas" / "numba"
+
+
+def _prepare_cache() -> bool:
+    """Point numba at a folder of these sources alone; False, said in one line, where it cannot be written."""
+    folder = _cache_root() / f"workers-{_source_hash()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        print(
+            f"impact-atlas: kernels are compiled anew, {folder} cannot be written ({error.strerror})", file=sys.stderr
+        )
+        return False
+    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    return True
+
+
+kernel = njit(nogil=True, error_model="numpy", cache=_prepare_cache())
+"""Decorator of every kernel."""

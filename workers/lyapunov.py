@@ -1,0 +1,120 @@
+"""Lyapunov exponents as averages over forcing periods, with their error bars, and the law of their sum."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.jit import kernel
+from workers.oscillator import Oscillator
+from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, advance, reset_frame
+
+LEVELS = 40
+COUNT, MEAN, SQUARES, PENDING = range(4)
+
+FEWEST_BLOCKS = 32
+"""Blocks that a level of the blocking analysis needs before its error bar counts."""
+
+
+class Averages(NamedTuple):
+    """Running averages of the growth of the first tangent vector per period.
+
+    levels   (LEVELS, 4)  count, mean, sum of squared deviations and pending value of blocks of 2^k periods
+    weighted (2,)         sum of w g and of w over the latest stretch, w the weight of Birkhoff averaging
+    """
+
+    levels: NDArray[np.float64]
+    weighted: NDArray[np.float64]
+
+
+def no_averages() -> Averages:
+    """Averages of nothing yet."""
+    return Averages(np.zeros((LEVELS, 4)), np.zeros(2))
+
+
+@kernel
+def add_to_blocks(levels, x):
+    """Add one value to the blocking analysis (Flyvbjerg & Petersen 1989): pairs move up as their mean."""
+    for k in range(LEVELS):
+        levels[k, COUNT] += 1.0
+        deviation = x - levels[k, MEAN]
+        levels[k, MEAN] += deviation / levels[k, COUNT]
+        levels[k, SQUARES] += deviation * (x - levels[k, MEAN])
+        if levels[k, COUNT] % 2.0 == 1.0:
+            levels[k, PENDING] = x
+            return
+        x = 0.5 * (levels[k, PENDING] + x)
+
+
+@kernel
+def standard_error(levels):
+    """Standard error of the mean with correlations: the largest over all block lengths with enough blocks.
+
+    Independent values give sigma / sqrt(N) at every level; correlated ones rise to sqrt(sigma^2 tau / N).
+    NaN with fewer than FEWEST_BLOCKS values.
+    """
+    error = np.nan
+    for k in range(LEVELS):
+        count = levels[k, COUNT]
+        if count < FEWEST_BLOCKS:
+            return error
+        here = math.sqrt(levels[k, SQUARES] / (count - 1.0) / count)
+        error = here if not here < error else error
+    return error
+
+
+@kernel
+def average(osc, motion, periods, averages, sections):
+    """Advance by so many periods, averaging the growth of the frame; returns the periods completed.
+
+    Every period ends with an orthonormal frame (Li & Tan 2011). Besides the plain mean, averages.weighted
+    takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))), which converges faster
+    than any power of their number on a torus (Das et al. 2017). sections (K, n, 2) takes the last K states.
+    """
+    first = periods - sections.shape[0]
+    averages.weighted[:] = 0.0
+    for k in range(periods):
+        before = motion.growth[0] if motion.growth.shape[0] > 0 else 0.0
+        advance(osc, motion)
+        if motion.tally[STATUS] != RUNNING:
+            return k
+        reset_frame(osc, motion)
+        if motion.growth.shape[0] > 0:
+            growth = motion.growth[0] - before
+            u = (k + 0.5) / periods
+            weight = math.exp(-1.0 / (u * (1.0 - u)))
+            averages.weighted[0] += weight * growth
+            averages.weighted[1] += weight
+            add_to_blocks(averages.levels, growth)
+        if k >= first:
+            sections[k - first] = motion.h
+    return periods
+
+
+def sum_of_exponents(osc: Oscillator, impacts_per_period: float) -> float:
+    """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) <impacts per period>; R > 0."""
+    loss = 2.0 * math.log(osc.R) * impacts_per_period if impacts_per_period else 0.0
+    return -osc.trace * osc.period + loss
+
+
+def sum_law_holds(osc: Oscillator, motion: Motion) -> bool:
+    """Whether the motion has kept its volume law: nothing stuck and no impact with R = 0 on the way."""
+    return bool(motion.tally[LOST] == 0.0 and motion.tally[STUCK] == 0.0)
+
+
+def impacts(motion: Motion) -> float:
+    """Impacts counted so far, at both stops."""
+    return float(motion.tally[UPPER] + motion.tally[LOWER])
+
+
+def free_exponents(osc: Oscillator) -> NDArray[np.float64]:
+    """Exponents (2n,) of motion without impact: -eta_j T twice per underdamped block, -(eta -+ w) T else."""
+    rates: list[float] = []
+    for eta, lam in zip(osc.gap.eta, osc.gap.lam, strict=True):
+        if eta * eta <= lam:
+            rates += [eta, eta]
+        else:
+            fast = eta + math.sqrt(eta * eta - lam)
+            rates += [lam / fast, fast]
+    return -np.sort(rates) * osc.period

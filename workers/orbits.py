@@ -1,0 +1,239 @@
+"""Periodic orbits: Newton on the period map, Floquet exponents without forming the product, symmetry.
+
+Where the gap is symmetric every orbit is sought as one of the half-period map G, G o G = P: period m under G
+with m odd is a symmetric orbit of period m, m even an asymmetric one of period m / 2.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.jit import kernel
+from workers.oscillator import Oscillator
+from workers.section import (
+    LOST,
+    RUNNING,
+    STATUS,
+    Motion,
+    advance,
+    half_advance,
+    motion_at,
+    reset_frame,
+)
+
+Array = NDArray[np.float64]
+
+NEWTON_STEPS = 12
+CYCLES = 60
+"""Turns of the orbit that the Floquet frame may take to settle."""
+
+SETTLED = 1e-13
+"""Coupling below which the Floquet frame has split into invariant subspaces."""
+
+NARROW = 2.0
+"""Log-spread of multipliers up to which their block's product may be formed: loses no digit that counts."""
+
+
+class Orbit(NamedTuple):
+    """A closed orbit of m steps of the map, with all that its multipliers tell.
+
+    h (n, 2), contact   section state on it
+    steps, half         m, and whether a step is half a period (map G)
+    exponents           (2n,) ln|mu| / period, largest first; -infinity where structurally lost
+    residual            |F(h) - h| in the energy norm
+    digits              error of the exponents as far as rounding tells
+    """
+
+    h: Array
+    contact: int
+    steps: int
+    half: bool
+    exponents: Array
+    residual: float
+    digits: float
+
+    @property
+    def period(self) -> int:
+        """Forcing periods per orbit."""
+        return self.steps // 2 if self.half and self.steps % 2 == 0 else self.steps
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether (x, t) -> (-x, t + period / 2) maps the orbit to itself."""
+        return self.half and self.steps % 2 == 1
+
+
+@kernel
+def step_many(osc, motion, steps, half):
+    """Take so many steps of the map, half periods or whole ones; returns the steps completed."""
+    for k in range(steps):
+        if half:
+            half_advance(osc, motion)
+        else:
+            advance(osc, motion)
+        if motion.tally[STATUS] != RUNNING:
+            return k
+    return steps
+
+
+def energy_norm(osc: Oscillator, h: Array) -> float:
+    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
+    return float(np.sqrt(np.sum(np.array(osc.gap.lam) * h[:, 0] ** 2 + h[:, 1] ** 2)))
+
+
+def framed_motion(osc: Oscillator, h: Array, contact: int, frame: Array) -> Motion:
+    """A motion from h with tangent vectors frame (m, n, 2) that also collects the triangle of its growth."""
+    motion = motion_at(osc, h, contact)
+    m = len(frame)
+    return motion._replace(V=frame.copy(), growth=np.zeros(m), triangle=np.eye(m))
+
+
+def map_with_jacobian(osc: Oscillator, h: Array, contact: int, steps: int, half: bool) -> tuple[Motion, Array] | None:
+    """The motion after so many steps from h, and the Jacobian (2n, 2n) of the map; None if it cannot get there."""
+    size = h.size
+    motion = framed_motion(osc, h, contact, np.eye(size).reshape(size, *h.shape))
+    if step_many(osc, motion, steps, half) < steps:
+        return None
+    reset_frame(osc, motion)
+    with np.errstate(over="ignore", invalid="ignore"):
+        J = motion.V.reshape(size, size).T @ (np.exp(motion.growth)[:, None] * motion.triangle)
+    return (motion, J) if np.all(np.isfinite(J)) else None
+
+
+class Fixed(NamedTuple):
+    """A fixed point of so many steps of the map: block state, contact, Jacobian and |F(h) - h|."""
+
+    h: Array
+    contact: int
+    jacobian: Array
+    residual: float
+    spent: int
+
+
+def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float) -> Fixed | None:
+    """The fixed point of the map near a motion, to rounding, or None where Newton finds none.
+
+    h <- h - (J - I)^-1 (F(h) - h) until the residual stops falling; it must end below 1e-10 of ``scale``.
+    """
+    h, contact = start.h.copy(), int(start.contact[0])
+    best: Fixed | None = None
+    for spent in range(1, NEWTON_STEPS + 1):
+        mapped = map_with_jacobian(osc, h, contact, steps, half)
+        if mapped is None or mapped[0].contact[0] != contact:
+            break
+        motion, J = mapped
+        difference = motion.h - h
+        residual = energy_norm(osc, difference)
+        if best is not None and residual > 0.5 * best.residual:
+            break
+        best = Fixed(h, contact, J, residual, spent)
+        if residual > 0.3 * scale or residual < 1e-15 * scale:
+            break
+        try:
+            change = np.linalg.solve(J - np.eye(h.size), -difference.ravel())
+        except np.linalg.LinAlgError:
+            break
+        h = h + change.reshape(h.shape)
+    return best if best is not None and best.residual < 1e-10 * scale else None
+
+
+def floquet(osc: Oscillator, point: Fixed, steps: int, half: bool) -> tuple[Array, float, int] | None:
+    """(log moduli of the multipliers per turn, their rounding error, turns), largest first; None if unresolved.
+
+    A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
+    kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
+    multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity.
+    """
+    frame = np.eye(point.h.size).reshape(point.h.size, *point.h.shape)
+    weights = np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
+    for turn in range(1, CYCLES + 1):
+        motion = framed_motion(osc, point.h, point.contact, frame)
+        if step_many(osc, motion, steps, half) < steps:
+            return None
+        reset_frame(osc, motion)
+        rank = point.h.size - int(motion.tally[LOST])
+        before = (frame * weights).reshape(len(frame), -1)[:rank]
+        after = (motion.V * weights).reshape(len(frame), -1)[:rank]
+        frame = motion.V[:rank].copy()
+        if turn == 1:
+            continue
+        rotation = before @ after.T
+        blocks = _blocks(rotation)
+        logs = motion.growth[:rank]
+        spread = max((float(np.ptp(logs[b])) for b in blocks), default=0.0)
+        if spread < NARROW or turn == CYCLES:
+            moduli = [_block_moduli(rotation[b, b], logs[b], motion.triangle[b, b]) for b in blocks]
+            found = np.sort(np.concatenate([*moduli, np.zeros(0)]))[::-1]
+            lost = np.full(point.h.size - rank, -np.inf)
+            rounding = 1e-15 * (1.0 + float(np.max(np.abs(found), initial=0.0))) * math.exp(min(spread, 700.0))
+            return np.concatenate([found, lost]), rounding, turn
+    return None
+
+
+def _blocks(rotation: Array) -> list[slice]:
+    """The diagonal blocks into which an orthogonal matrix falls apart."""
+    cuts = [0]
+    for i in range(1, len(rotation)):
+        if np.max(np.abs(rotation[i:, :i])) < SETTLED:
+            cuts.append(i)
+    return [slice(a, b) for a, b in zip(cuts, [*cuts[1:], len(rotation)], strict=True) if b > a]
+
+
+def _block_moduli(rotation: Array, logs: Array, triangle: Array) -> Array:
+    """ln|eigenvalues| of rotation diag(exp(logs)) triangle, scaled so that nothing under- or overflows."""
+    top = float(np.max(logs))
+    product = rotation @ (np.exp(logs - top)[:, None] * triangle)
+    with np.errstate(divide="ignore"):
+        return top + np.log(np.abs(np.linalg.eigvals(product)))
+
+
+def settle(osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float) -> tuple[Orbit | None, int]:
+    """The stable orbit of so many steps that the motion is provably falling into, if any, and the steps spent.
+
+    Proved: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
+    the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
+    one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
+    """
+    point = newton(osc, motion, steps, half, scale)
+    if point is None:
+        return None, NEWTON_STEPS * steps
+    spent = point.spent * steps
+    for divisor in range(1, steps):
+        if steps % divisor == 0:
+            trial = motion_at(osc, point.h, point.contact)
+            step_many(osc, trial, divisor, half)
+            spent += divisor
+            if energy_norm(osc, trial.h - point.h) < 1e-6 * scale:
+                return None, spent
+    multipliers = floquet(osc, point, steps, half)
+    if multipliers is None:
+        return None, spent + CYCLES * steps
+    logs, rounding, turns = multipliers
+    spent += turns * steps
+    if not logs[0] < 0.0:
+        return None, spent
+    away = motion.h - point.h
+    distance = energy_norm(osc, away)
+    if distance > 1e-9 * scale:
+        trial = motion_at(osc, motion.h, int(motion.contact[0]))
+        step_many(osc, trial, steps, half)
+        spent += steps
+        unexplained = trial.h - point.h - (point.jacobian @ away.ravel()).reshape(away.shape)
+        if not energy_norm(osc, unexplained) < 0.5 * -math.expm1(logs[0]) * distance:
+            return None, spent
+    periods = steps / 2 if half else steps
+    orbit = Orbit(point.h, point.contact, steps, half, logs / periods, point.residual, rounding / periods)
+    return orbit, spent
+
+
+def recurrence(osc: Oscillator, sections: Array, scale: float, longest: int) -> list[int]:
+    """Periods p <= longest after which the last section (K, n, 2) nearly returned: at most three, shortest first.
+
+    Near is within 1e-2 of ``scale`` in the energy norm; settle() finds out whether it means anything.
+    """
+    weights = np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
+    back = (sections[-2::-1][:longest] - sections[-1]) * weights
+    distance = np.sqrt(np.sum(back**2, axis=(1, 2)))
+    return [int(p) + 1 for p in np.flatnonzero(distance < 1e-2 * scale)[:3]]

@@ -1,0 +1,91 @@
+"""What a cell's solution consists of: the one table of result variables and of regimes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from workers.settings import Settings
+
+
+@dataclass(frozen=True)
+class Regime:
+    """A class of motion: its code in the data, its name, and the colour that pictures give it."""
+
+    code: int
+    name: str
+    color: str
+
+
+PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED = range(-1, 7)
+
+REGIMES = (
+    Regime(PENDING, "pending", "#ffffff"),
+    Regime(NO_IMPACT, "no_impact", "#dddddd"),
+    Regime(PERIODIC, "periodic", "#4477aa"),
+    Regime(QUASIPERIODIC, "quasiperiodic", "#228833"),
+    Regime(CHAOTIC, "chaotic", "#cc3311"),
+    Regime(UNDETERMINED, "undetermined", "#ccbb44"),
+    Regime(INVALID, "invalid", "#777777"),
+    Regime(FAILED, "failed", "#000000"),
+)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One result array: name, numpy type, value of a cell without a result, CF long_name and units.
+
+    ``extra`` names dimensions after the cell's own: "exponent" (2n), "state" (2n), "sample" (section_samples).
+    """
+
+    name: str
+    dtype: str
+    fill: float | int | bool
+    long_name: str
+    units: str
+    extra: tuple[str, ...] = ()
+
+
+_NAN = float("nan")
+_PER_PERIOD = "1/period"
+
+LARGEST = Variable("largest", "float64", _NAN, "largest Lyapunov exponent per forcing period", _PER_PERIOD)
+ERROR = Variable("error", "float64", _NAN, "error of the largest Lyapunov exponent", _PER_PERIOD)
+SPECTRUM = Variable(
+    "spectrum", "float64", _NAN, "Lyapunov exponents per forcing period, largest first", _PER_PERIOD, ("exponent",)
+)
+SUM_LAW_DEFECT = Variable("sum_law_defect", "float64", _NAN, "sum of the exponents minus its exact value", _PER_PERIOD)
+SECTION = Variable("section", "float64", _NAN, "last section states", "1", ("sample", "state"))
+
+_ALWAYS = (
+    Variable("period", "int32", 0, "forcing periods per orbit; 0 unless periodic or without impact", "1"),
+    Variable("impacts_upper", "int32", 0, "impacts at the upper stop per orbit period; -1 where it sticks", "1"),
+    Variable("impacts_lower", "int32", 0, "impacts at the lower stop per orbit period; -1 where it sticks", "1"),
+    Variable("impacts_per_period", "float64", _NAN, "mean number of impacts per forcing period", _PER_PERIOD),
+    Variable("symmetric", "bool", False, "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known", "1"),
+    Variable("sticks", "bool", False, "the mass rests on a stop for part of the time; false unless known", "1"),
+    Variable("stuck_fraction", "float64", _NAN, "share of the time at rest on a stop", "1"),
+    Variable("min_impact_speed", "float64", _NAN, "slowest impact seen on the attractor; 0 where it sticks", "1"),
+    Variable("periods_used", "int32", 0, "forcing periods simulated", "1"),
+    Variable("state", "float64", _NAN, "physical section state on the attractor", "1", ("state",)),
+)
+REGIME = Variable("regime", "int8", PENDING, "regime of motion", "1")
+
+
+def result_variables(settings: Settings) -> tuple[Variable, ...]:
+    """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written."""
+    chosen: list[Variable] = []
+    if settings.exponents != "none":
+        chosen += [LARGEST, ERROR]
+    if settings.exponents == "spectrum":
+        chosen += [SPECTRUM, SUM_LAW_DEFECT]
+    chosen += _ALWAYS
+    if settings.section_samples:
+        chosen.append(SECTION)
+    return (*chosen, REGIME)
+
+
+def empty_results(
+    variables: tuple[Variable, ...], shape: tuple[int, ...], sizes: dict[str, int]
+) -> dict[str, np.ndarray]:
+    """Arrays of the given cell shape, each filled with its variable's value for a cell without a result."""
+    return {v.name: np.full(shape + tuple(sizes[dim] for dim in v.extra), v.fill, dtype=v.dtype) for v in variables}

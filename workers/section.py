@@ -1,0 +1,306 @@
+"""The stroboscopic map: ``advance`` takes one cell through one forcing period, the only hot kernel.
+
+Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.flight import (
+    ON_STOP_AT_REST,
+    ON_STOP_MOVING,
+    ON_STOP_RELEASED,
+    evaluate,
+    flow_with_tangent,
+    next_crossing,
+)
+from workers.frame import orthonormalise
+from workers.impact import LEAVE, REST, kick, load_on_stop, outcome, rest_projection, saltation, stay_on_stop, to_held
+from workers.jit import kernel
+from workers.oscillator import Oscillator
+
+FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
+"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
+
+UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(10)
+"""What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, directions lost,
+log-spread of the frame since it was last orthonormal, impacts recorded, status."""
+
+RUNNING, MARCH_GAVE_UP, TOO_MANY_IMPACTS, NOT_FINITE = range(4)
+"""Status: fine, or why a cell cannot go on."""
+
+MAX_IMPACTS = 20000
+"""Impacts in one forcing period after which a cell is given up."""
+
+MAX_SPREAD = 5.0
+"""Log-spread at which the frame is made orthonormal again: keeps 12 digits of the most contracted direction."""
+
+
+class Motion(NamedTuple):
+    """One cell on its way, everything that ``advance`` changes.
+
+    h        (n, 2)     block coordinates, forced response taken off
+    contact  (1,)       FREE, or +-HELD, +-AT_REST with the side's sign
+    V        (m, n, 2)  tangent vectors, m = 0 for none
+    growth   (m,)       log of the growth taken out of each so far
+    triangle (m, m)     what orthonormalisation took out, see there; (0, 0) if not wanted
+    tally    (TALLIES,) counts, see UPPER...
+    impacts  (K, 3)     the first K impacts: time after the section, side, speed before it; K = 0 for none
+    scratch  (n, 2)
+    """
+
+    h: NDArray[np.float64]
+    contact: NDArray[np.int64]
+    V: NDArray[np.float64]
+    growth: NDArray[np.float64]
+    triangle: NDArray[np.float64]
+    tally: NDArray[np.float64]
+    impacts: NDArray[np.float64]
+    scratch: NDArray[np.float64]
+
+
+def motion_at(
+    osc: Oscillator, h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0
+) -> Motion:
+    """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
+    n = len(osc.gap_row)
+    V = np.zeros((vectors, n, 2))
+    for i in range(vectors):
+        V[i, i // 2, i % 2] = 1.0
+    tally = np.zeros(TALLIES)
+    tally[MIN_SPEED] = math.inf
+    return Motion(
+        h=np.array(h),
+        contact=np.array([contact], dtype=np.int64),
+        V=V,
+        growth=np.zeros(vectors),
+        triangle=np.zeros((0, 0)),
+        tally=tally,
+        impacts=np.zeros((record, 3)),
+        scratch=np.zeros((n, 2)),
+    )
+
+
+def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at physical section state (x..., v...).
+
+    Its contact is the one that the state is: on a stop with v = 0 held or about to leave, BEYOND outside.
+    """
+    n = len(osc.gap_row)
+    h = physical_to_blocks(osc, state)
+    y, v = float(np.dot(osc.gap_row, state[:n])), float(np.dot(osc.gap_row, state[n:]))
+    return motion_at(osc, h, _contact(osc, h, y, v), vectors, record)
+
+
+def physical_to_blocks(osc: Oscillator, state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Block coordinates (n, 2), forced response taken off, of a physical section state (2n,)."""
+    n = len(osc.gap_row)
+    full = np.array(osc.to_blocks) @ np.column_stack([state[:n], state[n:]])
+    return full - _forced_blocks(osc)
+
+
+def _forced_blocks(osc: Oscillator) -> NDArray[np.float64]:
+    """Forced response (n, 2) of the blocks at a section."""
+    return np.array(osc.forced) @ [math.sin(osc.tau), math.cos(osc.tau)]
+
+
+def blocks_to_physical(osc: Oscillator, motion: Motion) -> NDArray[np.float64]:
+    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there.
+
+    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
+    """
+    x, v = (np.array(osc.to_physical) @ (motion.h + _forced_blocks(osc))).T
+    row = np.array(osc.gap_row)
+    row_per_unit = row / (row @ row)
+    y = float(row @ x)
+    stop = min(max(y, -osc.b_lower), osc.b_upper)
+    contact = int(motion.contact[0])
+    if contact:
+        stop = osc.b_upper if contact > 0 else -osc.b_lower
+        v = v - row_per_unit * (row @ v)
+    if stop != y:
+        x = x + row_per_unit * (stop - y)
+    return np.concatenate([x, v])
+
+
+def _contact(osc: Oscillator, h: NDArray[np.float64], y: float, v: float) -> int:
+    """Contact of a bare section state with gap coordinate y and velocity v."""
+    if y > osc.b_upper or y < -osc.b_lower:
+        return BEYOND
+    if v != 0.0 or -osc.b_lower < y < osc.b_upper:
+        return FREE
+    side = 1 if y == osc.b_upper else -1
+    u = np.zeros((len(osc.held.static), 2))
+    to_held(osc, h, osc.tau, side, u)
+    return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
+
+
+@kernel
+def block_spread(eta, lam):
+    """Difference of the contraction rates inside one block: zero where underdamped."""
+    return 2.0 * math.sqrt(max(eta * eta - lam, 0.0))
+
+
+@kernel
+def spread_rate(signal):
+    """How fast a flight spreads the frame, per time: largest minus smallest contraction rate of the blocks."""
+    low, high = np.inf, 0.0
+    for j in range(len(signal.eta)):
+        half = 0.5 * block_spread(signal.eta[j], signal.lam[j])
+        low = min(low, signal.lam[j] / (signal.eta[j] + half) if half > 0.0 else signal.eta[j])
+        high = max(high, signal.eta[j] + half)
+    return high - low
+
+
+@kernel
+def fly(osc, motion, s, rate):
+    """Move the state and the frame on by s in free flight; the frame in pieces that stay well conditioned."""
+    pieces = 1
+    if motion.V.shape[0] > 1 and s * rate > MAX_SPREAD:
+        pieces = math.ceil(s * rate / MAX_SPREAD)
+    for _ in range(pieces):
+        flow_with_tangent(osc.gap, s / pieces, motion.h, motion.V)
+        motion.tally[SPREAD] += s / pieces * rate
+        if motion.tally[SPREAD] > MAX_SPREAD:
+            reset_frame(osc, motion)
+
+
+@kernel
+def reset_frame(osc, motion):
+    """Make the frame orthonormal and count its growth."""
+    m, n = motion.V.shape[0], motion.V.shape[1]
+    if m > 0:
+        rank = 2 * n - int(motion.tally[LOST])
+        orthonormalise(osc.gap.lam, motion.V, motion.growth, motion.triangle, rank)
+    motion.tally[SPREAD] = 0.0
+
+
+@kernel
+def record_impact(motion, t, side, speed):
+    """Count an impact and, while there is room, write it down."""
+    tally = motion.tally
+    tally[UPPER if side > 0 else LOWER] += 1.0
+    tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
+    row = int(tally[RECORDED])
+    if row < motion.impacts.shape[0]:
+        motion.impacts[row, 0] = t
+        motion.impacts[row, 1] = side
+        motion.impacts[row, 2] = speed
+        tally[RECORDED] += 1.0
+
+
+@kernel
+def meet_stop(osc, motion, t, side, remaining):
+    """The impact at time t: changes state and frame; returns what follows (REBOUND, REST, LEAVE)."""
+    tally = motion.tally
+    phase = osc.tau + osc.gap.omega * t
+    y, v, a, scale = evaluate(osc.gap, motion.h, 0.0, phase, 0.0)
+    next_motion = outcome(osc, motion.h, side, v, a, scale + abs(y), remaining)
+    if next_motion == REST:
+        kick(osc, motion.h, -v)
+        rest_projection(osc, motion.V)
+        return REST
+    record_impact(motion, t, side, abs(v))
+    kick(osc, motion.h, -(1.0 + osc.R) * v)
+    if motion.V.shape[0] > 0:
+        saltation(osc, motion.V, a / v)
+        if next_motion == LEAVE:
+            tally[LOST] = max(tally[LOST], 1.0)
+        tally[SPREAD] += 2.0 * math.log(1.0 + abs(a / v) / math.sqrt(osc.gap.lam[0]))
+        if next_motion == LEAVE or tally[SPREAD] > MAX_SPREAD:
+            reset_frame(osc, motion)
+    elif next_motion == LEAVE:
+        tally[LOST] = max(tally[LOST], 1.0)
+    return next_motion
+
+
+@kernel
+def leave_stop(osc, motion, t, contact, duration):
+    """Rest on a stop from time t until release or ``duration``; True if released in between."""
+    phase = osc.tau + osc.gap.omega * t
+    s, released, evaluations = stay_on_stop(osc, motion.h, motion.V, phase, contact, duration - t)
+    motion.tally[STUCK] += s
+    motion.tally[EVALUATIONS] += evaluations
+    motion.tally[LOST] = 2.0
+    motion.tally[MIN_SPEED] = 0.0
+    reset_frame(osc, motion)
+    if released == 0:
+        motion.contact[0] = contact
+    if released == 2:
+        motion.tally[STATUS] = MARCH_GAVE_UP
+    return t + s, released == 1
+
+
+@kernel
+def travel(osc, motion, duration):
+    """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
+
+    Stops early with tally[STATUS] set if it cannot be completed.
+    """
+    tally = motion.tally
+    contact = motion.contact[0]
+    motion.contact[0] = FREE
+    rate = spread_rate(osc.gap)
+    own, kind = 0, ON_STOP_MOVING
+    if abs(contact) == AT_REST:
+        own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
+    t = 0.0
+    for _ in range(MAX_IMPACTS):
+        if contact != FREE:
+            t, released = leave_stop(osc, motion, t, contact, duration)
+            if not released:
+                return
+            own, kind = contact, ON_STOP_RELEASED
+        phase = osc.tau + osc.gap.omega * t
+        s, side, evaluations = next_crossing(
+            osc.gap, motion.h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, motion.scratch
+        )
+        tally[EVALUATIONS] += evaluations
+        fly(osc, motion, s, rate)
+        if side == 0:
+            return
+        if side == 2:
+            tally[STATUS] = MARCH_GAVE_UP
+            return
+        t += s
+        following = meet_stop(osc, motion, t, side, duration - t)
+        own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
+        contact = side if following == REST else FREE
+    tally[STATUS] = TOO_MANY_IMPACTS
+
+
+@kernel
+def advance(osc, motion):
+    """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
+    travel(osc, motion, osc.period)
+
+
+@kernel
+def half_advance(osc, motion):
+    """The half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G is the stroboscopic map."""
+    travel(osc, motion, 0.5 * osc.period)
+    motion.contact[0] = -motion.contact[0]
+    for j in range(len(osc.kick)):
+        for k in range(2):
+            motion.h[j, k] = -motion.h[j, k]
+            for i in range(motion.V.shape[0]):
+                motion.V[i, j, k] = -motion.V[i, j, k]
+
+
+@kernel
+def run(osc, motion, periods, sections):
+    """Advance by so many periods, or until one cannot be completed; returns the number completed.
+
+    The last K block states are left in sections (K, n, 2), newest last; K = 0 for none.
+    """
+    first = periods - sections.shape[0]
+    for k in range(periods):
+        advance(osc, motion)
+        if motion.tally[STATUS] != RUNNING:
+            return k
+        if k >= first:
+            sections[k - first] = motion.h
+    return periods

@@ -1,0 +1,363 @@
+"""One cell from its start to its class: the adaptive method and the paper's fixed schedule."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.flight import derivative_bounds
+from workers.lyapunov import (
+    Averages,
+    average,
+    free_exponents,
+    impacts,
+    no_averages,
+    standard_error,
+    sum_law_holds,
+    sum_of_exponents,
+)
+from workers.orbits import Orbit, energy_norm, recurrence, settle
+from workers.oscillator import Oscillator
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, QUASIPERIODIC, UNDETERMINED
+from workers.section import (
+    BEYOND,
+    FREE,
+    LOST,
+    LOWER,
+    MARCH_GAVE_UP,
+    MAX_IMPACTS,
+    MIN_SPEED,
+    NOT_FINITE,
+    RUNNING,
+    STATUS,
+    STUCK,
+    TOO_MANY_IMPACTS,
+    UPPER,
+    Motion,
+    blocks_to_physical,
+    motion_at,
+    motion_from,
+    run,
+)
+from workers.settings import Settings
+
+Array = NDArray[np.float64]
+
+REASONS = {
+    MARCH_GAVE_UP: "the march to the next impact gave up",
+    TOO_MANY_IMPACTS: f"more than {MAX_IMPACTS} impacts in one period",
+    NOT_FINITE: "the state is no longer finite",
+}
+
+FIRST_STRETCH = 32
+"""Periods before a cell is first looked at; each further stretch is as long as all before it."""
+
+TANGENT_AFTER = 256
+"""Periods without a sign of periodicity after which tangent vectors are carried along."""
+
+WARM_UP = 64
+"""Periods in which the tangent frame turns into the right directions before its growth counts."""
+
+CLEAR = 4.0
+"""Standard errors above zero from which an exponent is called positive."""
+
+GROWN = 15.0
+"""Total log-growth from which a positive exponent counts: a deviation of rounding has become visible."""
+
+TORUS_LIMIT = 1e-5
+"""Largest modulus of the weighted averages of two stretches that counts as an exponent zero."""
+
+
+@dataclass
+class Cell:
+    """What is known of one cell: the result variables (see results.py) and, if it failed, the reason."""
+
+    largest: float = math.nan
+    error: float = math.nan
+    spectrum: Array | None = None
+    sum_law_defect: float = math.nan
+    regime: int = UNDETERMINED
+    period: int = 0
+    impacts_upper: int = 0
+    impacts_lower: int = 0
+    impacts_per_period: float = math.nan
+    symmetric: bool = False
+    sticks: bool = False
+    stuck_fraction: float = math.nan
+    min_impact_speed: float = math.nan
+    periods_used: int = 0
+    state: Array | None = None
+    section: Array | None = None
+    reason: str = field(default="", compare=False)
+
+
+def solve_cell(osc: Oscillator, start: Array, settings: Settings) -> Cell:
+    """The solution of one cell that starts at physical section state ``start`` (2n,)."""
+    motion = motion_from(osc, start)
+    if motion.contact[0] == BEYOND:
+        return Cell(regime=INVALID, reason="the initial state lies beyond a stop")
+    cell = _fixed(osc, motion, settings) if settings.method == "fixed" else _adaptive(osc, motion, settings)
+    if cell.spectrum is not None and settings.exponents != "spectrum":
+        cell.spectrum = None
+    if settings.exponents == "none":
+        cell.largest = cell.error = cell.sum_law_defect = math.nan
+    return cell
+
+
+def vectors_for(settings: Settings, osc: Oscillator) -> int:
+    """Tangent vectors that the asked exponents need: none, one or all 2n."""
+    return {"none": 0, "largest": 1, "spectrum": 2 * len(osc.kick)}[settings.exponents]
+
+
+def with_frame(motion: Motion, vectors: int) -> Motion:
+    """The same motion with so many tangent vectors, along the block axes."""
+    frame = np.eye(motion.h.size).reshape(motion.h.size, *motion.h.shape)[:vectors].copy()
+    return motion._replace(V=frame, growth=np.zeros(vectors), tally=motion.tally)
+
+
+def restart_counts(motion: Motion) -> None:
+    """Count from here on: impacts, slowest impact, time at rest and growth; lost directions stay lost."""
+    lost = motion.tally[LOST]
+    motion.tally[:] = 0.0
+    motion.tally[LOST] = lost
+    motion.tally[MIN_SPEED] = math.inf
+    motion.growth[np.isfinite(motion.growth)] = 0.0
+
+
+def impact_free(osc: Oscillator, motion: Motion) -> bool:
+    """Whether no impact is possible from this section on: the bound of |y| stays inside both stops."""
+    reach = derivative_bounds(osc.gap, motion.h)[0] * (1.0 + 1e-12)
+    return bool(motion.contact[0] == FREE and reach < osc.b_upper and reach < osc.b_lower)
+
+
+def scale_of(osc: Oscillator, motion: Motion) -> float:
+    """Energy norm that deviations of this motion are measured against: its own and its forced response's."""
+    forced = np.array(osc.forced)
+    return energy_norm(osc, motion.h) + energy_norm(osc, np.hypot(forced[..., 0], forced[..., 1]))
+
+
+def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
+    """Look at ever longer stretches until the class is certain or the budget spent.
+
+    Each stretch may end in a proof of no impact or of a stable orbit. Meanwhile, once that looks unlikely,
+    tangent vectors are averaged: clearly positive ends at the asked tolerance; zero on two stretches is a torus.
+    """
+    no_sections = np.empty((0, *motion.h.shape))
+    vectors = vectors_for(settings, osc)
+    used, stretch = 0, FIRST_STRETCH
+    averages: Averages | None = None
+    weighted = math.nan
+    while True:
+        if impact_free(osc, motion):
+            return _no_impact(osc, motion, settings, used)
+        length = min(stretch, settings.max_periods - used)
+        if length <= 0:
+            return _undecided(osc, motion, settings, used, averages)
+        if averages is None and vectors and used >= TANGENT_AFTER and length > WARM_UP:
+            motion = with_frame(motion, vectors)
+            averages = no_averages()
+            used += average(osc, motion, WARM_UP, no_averages(), no_sections)
+            length -= WARM_UP
+            restart_counts(motion)
+        sections = np.empty((min(length, settings.max_period + 1), *motion.h.shape))
+        if averages is None:
+            used += run(osc, motion, length, sections)
+        else:
+            used += average(osc, motion, length, averages, sections)
+        failed = _failure(motion, used)
+        if failed is not None:
+            return failed
+        orbit, spent = _settled(osc, motion, sections, settings)
+        used += spent
+        if orbit is not None:
+            return _periodic(osc, orbit, settings, used)
+        stretch = used
+        if averages is None:
+            continue
+        mean, error, count = _mean(averages)
+        if _clearly_positive(mean, error, count):
+            if error <= settings.tolerance:
+                return _chaotic(osc, motion, settings, used, averages)
+            missing = count * ((error / settings.tolerance) ** 2 - 1.0)
+            stretch = int(min(used, max(1.05 * missing, 256)))
+        previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
+        if abs(previous) < TORUS_LIMIT and abs(weighted) < TORUS_LIMIT:
+            return _quasiperiodic(osc, motion, settings, used, averages, weighted, abs(weighted - previous))
+
+
+def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
+    """The paper's schedule: a transient, then plain averages over so many periods."""
+    sections = np.empty((min(settings.periods, settings.max_period + 1), *motion.h.shape))
+    motion = with_frame(motion, vectors_for(settings, osc))
+    averages = no_averages()
+    used = average(osc, motion, settings.transient_periods, no_averages(), sections[:0])
+    failed = _failure(motion, used)
+    if failed is not None:
+        return failed
+    restart_counts(motion)
+    used += average(osc, motion, settings.periods, averages, sections)
+    failed = _failure(motion, used)
+    if failed is not None:
+        return failed
+    cell = _averaged(osc, motion, settings, used, averages)
+    if impact_free(osc, motion):
+        known = _no_impact(osc, motion, settings, used)
+    else:
+        orbit, _ = _settled(osc, motion, sections, settings)
+        if orbit is None:
+            mean, error, count = _mean(averages)
+            cell.regime = CHAOTIC if _clearly_positive(mean, error, count) else UNDETERMINED
+            return cell
+        known = _periodic(osc, orbit, settings, used)
+    known.largest, known.error, known.spectrum = cell.largest, cell.error, cell.spectrum
+    known.sum_law_defect, known.state, known.section = cell.sum_law_defect, cell.state, cell.section
+    return known
+
+
+def _failure(motion: Motion, used: int) -> Cell | None:
+    """The failed cell if the motion could not go on, else None."""
+    status = int(motion.tally[STATUS])
+    if status == RUNNING and not np.all(np.isfinite(motion.h)):
+        status = NOT_FINITE
+    return None if status == RUNNING else Cell(regime=FAILED, periods_used=used, reason=REASONS[status])
+
+
+def _settled(osc: Oscillator, motion: Motion, sections: Array, settings: Settings) -> tuple[Orbit | None, int]:
+    """The stable orbit that the motion falls into, if its last sections recur, and the periods spent to see."""
+    scale = scale_of(osc, motion)
+    symmetric_gap = osc.b_upper == osc.b_lower
+    spent = 0.0
+    for p in recurrence(osc, sections, scale, settings.max_period):
+        for half in (True, False):
+            if half and not (symmetric_gap and p % 2):
+                continue
+            orbit, steps = settle(osc, motion, p, half, scale)
+            spent += steps / 2 if half else steps
+            if orbit is not None:
+                return orbit, math.ceil(spent)
+    return None, math.ceil(spent)
+
+
+def _mean(averages: Averages) -> tuple[float, float, int]:
+    """Mean growth per period of the first vector, its standard error, periods averaged."""
+    return float(averages.levels[0, 1]), float(standard_error(averages.levels)), int(averages.levels[0, 0])
+
+
+def _clearly_positive(mean: float, error: float, count: int) -> bool:
+    return mean > CLEAR * error and mean * count > GROWN
+
+
+def _no_impact(osc: Oscillator, motion: Motion, settings: Settings, used: int) -> Cell:
+    exponents = free_exponents(osc)
+    steady = motion_at(osc, np.zeros_like(motion.h) if osc.trace > 0.0 else motion.h)
+    return Cell(
+        largest=float(exponents[0]),
+        error=abs(float(exponents[0])) * 1e-15,
+        spectrum=exponents,
+        sum_law_defect=float(np.sum(exponents)) - sum_of_exponents(osc, 0.0),
+        regime=NO_IMPACT,
+        period=1,
+        impacts_per_period=0.0,
+        stuck_fraction=0.0,
+        periods_used=used,
+        state=blocks_to_physical(osc, steady),
+        section=_sections(osc, steady, settings, 1),
+    )
+
+
+def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> Cell:
+    """A proved orbit: one turn of it counts impacts and rest; its exponents are the Floquet exponents."""
+    turn = motion_at(osc, orbit.h, orbit.contact)
+    run(osc, turn, orbit.period, np.empty((0, *turn.h.shape)))
+    sticks = bool(turn.tally[STUCK] > 0.0)
+    hits = impacts(turn) / orbit.period
+    exponents = orbit.exponents
+    holds = sum_law_holds(osc, turn)
+    start = motion_at(osc, orbit.h, orbit.contact)
+    return Cell(
+        largest=float(exponents[0]),
+        error=orbit.digits,
+        spectrum=exponents,
+        sum_law_defect=float(np.sum(exponents)) - sum_of_exponents(osc, hits) if holds else math.nan,
+        regime=PERIODIC,
+        period=orbit.period,
+        impacts_upper=-1 if sticks else int(turn.tally[UPPER]),
+        impacts_lower=-1 if sticks else int(turn.tally[LOWER]),
+        impacts_per_period=math.nan if sticks else hits,
+        symmetric=orbit.symmetric,
+        sticks=sticks,
+        stuck_fraction=float(turn.tally[STUCK]) / (orbit.period * osc.period),
+        min_impact_speed=_slowest(turn),
+        periods_used=used + orbit.period,
+        state=blocks_to_physical(osc, start),
+        section=_sections(osc, start, settings, orbit.period),
+    )
+
+
+def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages | None) -> Cell:
+    """What averages tell of a motion, its class left open. Counts and growth must span the same periods."""
+    cell = Cell(periods_used=used, state=blocks_to_physical(osc, motion))
+    count = 0
+    if averages is not None:
+        mean, error, count = _mean(averages)
+        if motion.growth.size:
+            cell.largest, cell.error = mean, error
+            cell.spectrum = np.sort(motion.growth / count)[::-1]
+    elif settings.method == "fixed":
+        count = settings.periods
+    if count:
+        sticks = bool(motion.tally[STUCK] > 0.0)
+        cell.sticks = sticks
+        cell.stuck_fraction = float(motion.tally[STUCK]) / (count * osc.period)
+        cell.impacts_per_period = math.nan if sticks else impacts(motion) / count
+        cell.min_impact_speed = _slowest(motion)
+        if motion.growth.size == motion.h.size and sum_law_holds(osc, motion):
+            cell.sum_law_defect = float(np.sum(motion.growth)) / count - sum_of_exponents(osc, impacts(motion) / count)
+    cell.section = _sections(osc, motion, settings, 0)
+    return cell
+
+
+def _chaotic(osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages) -> Cell:
+    cell = _averaged(osc, motion, settings, used, averages)
+    cell.regime = CHAOTIC
+    return cell
+
+
+def _quasiperiodic(
+    osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages, weighted: float, spread: float
+) -> Cell:
+    cell = _averaged(osc, motion, settings, used, averages)
+    cell.regime, cell.largest, cell.error = QUASIPERIODIC, weighted, spread
+    return cell
+
+
+def _undecided(osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages | None) -> Cell:
+    """The budget is spent: chaotic with its true error if that is clear, else undetermined."""
+    if averages is None:
+        return _averaged(osc, motion, settings, used, None)
+    cell = _averaged(osc, motion, settings, used, averages)
+    if _clearly_positive(*_mean(averages)):
+        cell.regime = CHAOTIC
+    else:
+        cell.error = math.nan
+    return cell
+
+
+def _slowest(motion: Motion) -> float:
+    """Slowest impact counted; NaN without impacts, 0 where the mass came to rest."""
+    slowest = float(motion.tally[MIN_SPEED])
+    return slowest if math.isfinite(slowest) else math.nan
+
+
+def _sections(osc: Oscillator, motion: Motion, settings: Settings, period: int) -> Array | None:
+    """The next K physical section states (K, 2n) of a motion; an orbit of known period is repeated."""
+    K = settings.section_samples
+    if K == 0:
+        return None
+    follow = motion_at(osc, motion.h, int(motion.contact[0]))
+    states = []
+    for _ in range(min(K, period) if period else K):
+        states.append(blocks_to_physical(osc, follow))
+        run(osc, follow, 1, np.empty((0, *follow.h.shape)))
+    return np.array([states[k % len(states)] for k in range(K)])

@@ -1,0 +1,84 @@
+"""The door for results: every cell of a tile solved on its own, from arrays of parameters to arrays of results."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from workers.results import FAILED, INVALID, empty_results, result_variables
+from workers.settings import Settings
+from workers.solve import Cell, solve_cell
+from workers.system import System, find_system
+
+
+class Solution(NamedTuple):
+    """Result arrays of a tile, and how many of its cells are invalid or failed, by reason."""
+
+    arrays: dict[str, NDArray[Any]]
+    reasons: dict[str, int]
+
+
+def solve_tile(
+    system: str, params: Mapping[str, ArrayLike], settings: Settings | None = None
+) -> dict[str, NDArray[Any]]:
+    """Exponents, regime and periodicity of every cell, as arrays of the parameters' broadcast shape.
+
+    system    name of the system, "two-mass"
+    params    parameter name -> float or array; what is left out has its default. The arrays broadcast to the
+              shape of every result; "spectrum" and "state" have one more axis (2n), "section" two (K, 2n).
+    settings  see Settings
+
+    Exponents are per forcing period. The variables and their units are those of ``results.result_variables``.
+    A cell depends on its own parameters and the settings only, to the bit. It never raises for a cell: outside
+    the valid range it is "invalid", and "failed" where its motion cannot be followed.
+    Raises KeyError for an unknown system or parameter name and ValueError for shapes that do not broadcast.
+
+    >>> from workers import solve_tile
+    >>> result = solve_tile("two-mass", {"omega": 4.0, "b": [0.1, 0.15]})
+    >>> result["largest"].shape
+    (2,)
+    """
+    return solve_cells(system, params, settings).arrays
+
+
+def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Solution:
+    """As solve_tile, with the reasons of invalid and failed cells."""
+    record = find_system(system)
+    settings = settings or Settings()
+    for name in params:
+        record.parameter(name)
+    values = [np.asarray(params.get(p.name, p.default), dtype=np.float64) for p in record.parameters]
+    grids = np.broadcast_arrays(*values)
+    shape = grids[0].shape
+    size = len(record.states)
+    variables = result_variables(settings)
+    arrays = empty_results(variables, shape, {"exponent": size, "state": size, "sample": settings.section_samples})
+    reasons: Counter[str] = Counter()
+    for index in np.ndindex(shape):
+        cell = _solve_one(
+            record, {p.name: float(g[index]) for p, g in zip(record.parameters, grids, strict=True)}, settings
+        )
+        for variable in variables:
+            value = getattr(cell, variable.name)
+            if value is not None:
+                arrays[variable.name][index] = value
+        if cell.reason:
+            reasons[cell.reason] += 1
+    return Solution(arrays, dict(reasons))
+
+
+def _solve_one(record: System, values: dict[str, float], settings: Settings) -> Cell:
+    """One cell from its parameters; whatever happens is a value of the cell."""
+    for parameter in record.parameters:
+        if not parameter.admits(values[parameter.name]):
+            return Cell(regime=INVALID, reason=f"{parameter.name} outside {parameter.range}")
+    try:
+        osc = record.build(values)
+    except ValueError as error:
+        return Cell(regime=INVALID, reason=str(error))
+    try:
+        return solve_cell(osc, np.array([values[name] for name in record.states]), settings)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return Cell(regime=FAILED, reason=f"{type(error).__name__}: {error}")

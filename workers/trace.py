@@ -1,0 +1,72 @@
+"""The door for one orbit's history: section states, every impact, exponents as they converge."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.lyapunov import average, no_averages
+from workers.section import BEYOND, RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from
+from workers.settings import Settings
+from workers.solve import REASONS, vectors_for, with_frame
+from workers.system import find_system
+
+Array = NDArray[np.float64]
+
+RECORD = 4096
+"""Impacts of one period that are kept."""
+
+
+class Trace(NamedTuple):
+    """History of one cell over K periods.
+
+    times      (K + 1,)     section times k T
+    states     (K + 1, 2n)  physical section states, the initial one first
+    impacts    (N, 3)       time, side (+1 upper, -1 lower) and speed before it, of every impact
+    exponents  (K, m)       running means of the exponents per period; m = 0, 1 or 2n as settings.exponents asks
+    """
+
+    times: Array
+    states: Array
+    impacts: Array
+    exponents: Array
+
+
+def trace(system: str, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
+    """The history of one cell from its initial state over so many forcing periods, nothing dropped.
+
+    Raises KeyError for unknown names and ValueError, in one line, for parameters without a motion.
+    """
+    record = find_system(system)
+    settings = settings or Settings()
+    values = {p.name: p.default for p in record.parameters}
+    for name, value in params.items():
+        parameter = record.parameter(name)
+        if not parameter.admits(float(value)):
+            raise ValueError(f"{name} = {value}: must satisfy {parameter.range}")
+        values[name] = float(value)
+    osc = record.build(values)
+    start = np.array([values[name] for name in record.states])
+    motion = motion_from(osc, start, record=RECORD)
+    if motion.contact[0] == BEYOND:
+        raise ValueError("the initial state lies beyond a stop")
+    motion = with_frame(motion, vectors_for(settings, osc))
+    states, impacts, exponents = [start], [np.empty((0, 3))], []
+    none = np.empty((0, *motion.h.shape))
+    for k in range(periods):
+        average(osc, motion, 1, no_averages(), none)
+        if motion.tally[STATUS] != RUNNING:
+            raise ValueError(f"period {k}: {REASONS[int(motion.tally[STATUS])]}")
+        found = motion.impacts[: int(motion.tally[RECORDED])].copy()
+        found[:, 0] += k * osc.period
+        motion.tally[RECORDED] = 0.0
+        states.append(blocks_to_physical(osc, motion))
+        impacts.append(found)
+        exponents.append(motion.growth / (k + 1))
+    return Trace(
+        times=osc.period * np.arange(periods + 1.0),
+        states=np.array(states),
+        impacts=np.concatenate(impacts),
+        exponents=np.array(exponents).reshape(periods, -1),
+    )
