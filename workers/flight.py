@@ -95,51 +95,54 @@ def dot(row, h):
 
 @kernel
 def forced(signal, phase):
-    """The forced part at a phase: value, first and second derivative in time."""
+    """The forced part at a phase: value, first, second and third derivative in time."""
+    w = signal.omega
     sin, cos = math.sin(phase), math.cos(phase)
     value = signal.sin_part * sin + signal.cos_part * cos
-    rate = signal.omega * (signal.sin_part * cos - signal.cos_part * sin)
-    return value, rate, -signal.omega * signal.omega * value
+    rate = w * (signal.sin_part * cos - signal.cos_part * sin)
+    return value, rate, -w * w * value, -w * w * rate
 
 
 @kernel
-def derivatives(signal, h, phase, offset):
-    """y, y', y'' of the signal with block state h (n, 2) at a forcing phase."""
-    Y, dY, ddY = forced(signal, phase)
-    return (
-        offset + dot(signal.row, h) + Y,
-        dot(signal.row1, h) + dY,
-        dot(signal.row2, h) + ddY,
-    )
+def evaluate_now(signal, h, phase, offset):
+    """The signal and its first three derivatives with block state h (n, 2) at a phase, and the scale of rounding.
 
-
-@kernel
-def jerk(signal, h, phase):
-    """y''' of the signal: block by block q''' = -2 eta q'' - lam q', and -omega^2 Y'."""
-    total = -signal.omega * signal.omega * forced(signal, phase)[1]
+    Block by block q''' = -2 eta q'' - lam q'.
+    """
+    y, v, a, j3 = forced(signal, phase)
+    scale = abs(y) + abs(offset)
+    y += offset
     for j in range(len(signal.eta)):
+        q0 = signal.row[j][0] * h[j, 0] + signal.row[j][1] * h[j, 1]
         q1 = signal.row1[j][0] * h[j, 0] + signal.row1[j][1] * h[j, 1]
         q2 = signal.row2[j][0] * h[j, 0] + signal.row2[j][1] * h[j, 1]
-        total -= 2.0 * signal.eta[j] * q2 + signal.lam[j] * q1
-    return total
+        y += q0
+        v += q1
+        a += q2
+        j3 -= 2.0 * signal.eta[j] * q2 + signal.lam[j] * q1
+        scale += abs(q0)
+    return y, v, a, j3, scale
 
 
 @kernel
 def evaluate(signal, h, s, phase, offset):
-    """y, y', y'' a time s after block state h at a forcing phase, and the rounding error's scale in y."""
-    y, v, a = forced(signal, phase + signal.omega * s)
+    """As evaluate_now, a time s after block state h at a phase."""
+    y, v, a, j3 = forced(signal, phase + signal.omega * s)
     scale = abs(y) + abs(offset)
     y += offset
     for j in range(len(signal.eta)):
         f11, f12, f21, f22 = block_flow(signal.eta[j], signal.lam[j], s)
         h0 = f11 * h[j, 0] + f12 * h[j, 1]
         h1 = f21 * h[j, 0] + f22 * h[j, 1]
-        q = signal.row[j][0] * h0 + signal.row[j][1] * h1
-        y += q
-        scale += abs(q)
-        v += signal.row1[j][0] * h0 + signal.row1[j][1] * h1
-        a += signal.row2[j][0] * h0 + signal.row2[j][1] * h1
-    return y, v, a, scale
+        q0 = signal.row[j][0] * h0 + signal.row[j][1] * h1
+        q1 = signal.row1[j][0] * h0 + signal.row1[j][1] * h1
+        q2 = signal.row2[j][0] * h0 + signal.row2[j][1] * h1
+        y += q0
+        v += q1
+        a += q2
+        j3 -= 2.0 * signal.eta[j] * q2 + signal.lam[j] * q1
+        scale += abs(q0)
+    return y, v, a, j3, scale
 
 
 @kernel
@@ -198,31 +201,45 @@ def _arrival(g, v, K):
 
 
 @kernel
-def safe_step(g, v, a, M2, M3, H):
-    """A time <= H in which a gap g closing at v with acceleration a certainly does not close.
+def _curvature(a, j3, M3, M4, h):
+    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h.
 
-    y(s) <= v s + (a + M3 h / 3) s^2 / 2 for s <= h: four trial lengths h between the certified L and a
-    limit U; the result is certified at every stage.
+    From y''' <= M3: a + M3 h / 3; from y'''' <= M4: a + max(0, j3 + M4 h / 4) h / 3, whichever is less.
+    """
+    return a + min(M3, max(0.0, j3 + 0.25 * M4 * h)) * h / 3.0
+
+
+@kernel
+def safe_step(g, v, a, j3, M2, M3, M4, H):
+    """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close.
+
+    Trial lengths h between the certified L and a limit U: no arrival before min(h, s(h)) where s(h) is the
+    arrival under the curvature bound K(h). Every L is certified; the trials end when they are near the best.
     """
     L = _arrival(g, v, M2)
     if L >= H:
         return H
-    U = H
-    h = H
+    U = min(H, _arrival(g, v, _curvature(a, j3, M3, M4, L)))
+    h = U
     for _ in range(4):
-        s = _arrival(g, v, a + M3 * h / 3.0)
-        L = max(L, min(h, s))
-        U = min(U, max(h, s))
+        s = _arrival(g, v, _curvature(a, j3, M3, M4, h))
+        if s >= h:
+            L = max(L, h)
+        else:
+            L = max(L, s)
+            U = min(U, h)
+        if U <= 1.05 * L:
+            break
         h = math.sqrt(L * U) if L > 0.0 else 0.5 * U
     return L
 
 
 @kernel
-def _first_step(kind, jerk0, a, M3, M4):
+def _first_step(kind, j3, a, M3, M4):
     """A time for which a start on a stop at rest certainly leaves it: 3|a|/M3, after a release 4|j|/M4."""
     if kind == ON_STOP_AT_REST:
         return 3.0 * abs(a) / max(M3, TINY)
-    return 4.0 * abs(jerk0) / max(M4, TINY)
+    return 4.0 * abs(j3) / max(M4, TINY)
 
 
 @kernel
@@ -240,7 +257,10 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
         reach = M0 * (1.0 + 1e-12)
         if offset + reach < upper and offset - reach > lower:
             return H, 0, count - 1
-        y, v, a, scale = evaluate(signal, h, s, phase, offset)
+        if count == 1:
+            y, v, a, j3, scale = evaluate_now(signal, h, phase, offset)
+        else:
+            y, v, a, j3, scale = evaluate(signal, h, s, phase, offset)
         step = H - s
         ahead = 1 if v > 0.0 else -1
         for side in (ahead, -ahead):
@@ -251,13 +271,13 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
             if count == 1 and own == side:
                 g = 0.0
                 if kind != ON_STOP_MOVING:
-                    step = min(step, _first_step(kind, jerk(signal, h, phase), a, M3, M4))
+                    step = min(step, _first_step(kind, j3, a, M3, M4))
                     continue
             if g <= ROUNDING * (scale + abs(stop)):
                 if approach > 0.0:
                     return s, side, count
                 g = max(g, 0.0)
-            step = min(step, safe_step(g, approach, push, M2, M3, step))
+            step = min(step, safe_step(g, approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count
         s = s + step if s + step > s else np.nextafter(s, np.inf)

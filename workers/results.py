@@ -24,7 +24,7 @@ REGIMES = (
     Regime(PERIODIC, "periodic", "#4477aa"),
     Regime(QUASIPERIODIC, "quasiperiodic", "#228833"),
     Regime(CHAOTIC, "chaotic", "#cc3311"),
-    Regime(UNDETERMINED, "undetermined", "#ccbb44"),
+    Regime(UNDETERMINED, "undetermined", "#a3ff0d"),
     Regime(INVALID, "invalid", "#777777"),
     Regime(FAILED, "failed", "#000000"),
 )

@@ -13,7 +13,7 @@ from workers.flight import (
     ON_STOP_AT_REST,
     ON_STOP_MOVING,
     ON_STOP_RELEASED,
-    evaluate,
+    evaluate_now,
     flow_with_tangent,
     next_crossing,
 )
@@ -156,16 +156,12 @@ def spread_rate(signal):
 
 
 @kernel
-def fly(osc, motion, s, rate):
-    """Move the state and the frame on by s in free flight; the frame in pieces that stay well conditioned."""
-    pieces = 1
-    if motion.V.shape[0] > 1 and s * rate > MAX_SPREAD:
-        pieces = math.ceil(s * rate / MAX_SPREAD)
+def fly_in_pieces(osc, motion, s, rate):
+    """Move the state and the frame on by s in free flight, in pieces over which the frame stays well conditioned."""
+    pieces = max(1, math.ceil(s * rate / MAX_SPREAD))
     for _ in range(pieces):
         flow_with_tangent(osc.gap, s / pieces, motion.h, motion.V)
-        motion.tally[SPREAD] += s / pieces * rate
-        if motion.tally[SPREAD] > MAX_SPREAD:
-            reset_frame(osc, motion)
+        reset_frame(osc, motion)
 
 
 @kernel
@@ -179,58 +175,53 @@ def reset_frame(osc, motion):
 
 
 @kernel
-def record_impact(motion, t, side, speed):
-    """Count an impact and, while there is room, write it down."""
-    tally = motion.tally
+def record_impact(tally, impacts, t, side, speed):
+    """Count an impact and, while there is room in impacts (K, 3), write it down."""
     tally[UPPER if side > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
     row = int(tally[RECORDED])
-    if row < motion.impacts.shape[0]:
-        motion.impacts[row, 0] = t
-        motion.impacts[row, 1] = side
-        motion.impacts[row, 2] = speed
+    if row < impacts.shape[0]:
+        impacts[row, 0] = t
+        impacts[row, 1] = side
+        impacts[row, 2] = speed
         tally[RECORDED] += 1.0
 
 
 @kernel
-def meet_stop(osc, motion, t, side, remaining):
+def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
     """The impact at time t: changes state and frame; returns what follows (REBOUND, REST, LEAVE)."""
-    tally = motion.tally
     phase = osc.tau + osc.gap.omega * t
-    y, v, a, scale = evaluate(osc.gap, motion.h, 0.0, phase, 0.0)
-    next_motion = outcome(osc, motion.h, side, v, a, scale + abs(y), remaining)
-    if next_motion == REST:
-        kick(osc, motion.h, -v)
-        rest_projection(osc, motion.V)
+    y, v, a, _, scale = evaluate_now(osc.gap, h, phase, 0.0)
+    following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
+    if following == REST:
+        kick(osc, h, -v)
+        rest_projection(osc, V)
         return REST
-    record_impact(motion, t, side, abs(v))
-    kick(osc, motion.h, -(1.0 + osc.R) * v)
-    if motion.V.shape[0] > 0:
-        saltation(osc, motion.V, a / v)
-        if next_motion == LEAVE:
-            tally[LOST] = max(tally[LOST], 1.0)
-        tally[SPREAD] += 2.0 * math.log(1.0 + abs(a / v) / math.sqrt(osc.gap.lam[0]))
-        if next_motion == LEAVE or tally[SPREAD] > MAX_SPREAD:
-            reset_frame(osc, motion)
-    elif next_motion == LEAVE:
+    record_impact(tally, impacts, t, side, abs(v))
+    kick(osc, h, -(1.0 + osc.R) * v)
+    saltation(osc, V, a / v)
+    if following == LEAVE:
         tally[LOST] = max(tally[LOST], 1.0)
-    return next_motion
+    if V.shape[0] > 1:
+        tally[SPREAD] += 2.0 * math.log(1.0 + abs(a / v) / math.sqrt(osc.gap.lam[0]))
+    return following
 
 
 @kernel
 def leave_stop(osc, motion, t, contact, duration):
-    """Rest on a stop from time t until release or ``duration``; True if released in between."""
+    """Rest on a stop from time t until release or ``duration``: the time then, and whether it was released."""
     phase = osc.tau + osc.gap.omega * t
     s, released, evaluations = stay_on_stop(osc, motion.h, motion.V, phase, contact, duration - t)
-    motion.tally[STUCK] += s
-    motion.tally[EVALUATIONS] += evaluations
-    motion.tally[LOST] = 2.0
-    motion.tally[MIN_SPEED] = 0.0
+    tally = motion.tally
+    tally[STUCK] += s
+    tally[EVALUATIONS] += evaluations
+    tally[LOST] = 2.0
+    tally[MIN_SPEED] = 0.0
     reset_frame(osc, motion)
     if released == 0:
         motion.contact[0] = contact
     if released == 2:
-        motion.tally[STATUS] = MARCH_GAVE_UP
+        tally[STATUS] = MARCH_GAVE_UP
     return t + s, released == 1
 
 
@@ -240,10 +231,11 @@ def travel(osc, motion, duration):
 
     Stops early with tally[STATUS] set if it cannot be completed.
     """
-    tally = motion.tally
+    # Taken out once: a field of a record costs a reference count at every use.
+    h, V, tally, impacts, scratch = motion.h, motion.V, motion.tally, motion.impacts, motion.scratch
     contact = motion.contact[0]
     motion.contact[0] = FREE
-    rate = spread_rate(osc.gap)
+    rate = spread_rate(osc.gap) if V.shape[0] > 1 else 0.0
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
@@ -256,17 +248,23 @@ def travel(osc, motion, duration):
             own, kind = contact, ON_STOP_RELEASED
         phase = osc.tau + osc.gap.omega * t
         s, side, evaluations = next_crossing(
-            osc.gap, motion.h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, motion.scratch
+            osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
         tally[EVALUATIONS] += evaluations
-        fly(osc, motion, s, rate)
+        if tally[SPREAD] + s * rate > MAX_SPREAD:
+            fly_in_pieces(osc, motion, s, rate)
+        else:
+            flow_with_tangent(osc.gap, s, h, V)
+            tally[SPREAD] += s * rate
         if side == 0:
             return
         if side == 2:
             tally[STATUS] = MARCH_GAVE_UP
             return
         t += s
-        following = meet_stop(osc, motion, t, side, duration - t)
+        following = meet_stop(osc, h, V, tally, impacts, t, side, duration - t)
+        if following == LEAVE or tally[SPREAD] > MAX_SPREAD:
+            reset_frame(osc, motion)
         own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
         contact = side if following == REST else FREE
     tally[STATUS] = TOO_MANY_IMPACTS
