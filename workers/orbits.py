@@ -29,6 +29,9 @@ NEWTON_STEPS = 12
 CYCLES = 60
 """Turns of the orbit that the Floquet frame may take to settle."""
 
+RESERVED_TURNS = 4
+"""Turns that the other tests of an orbit take: divisors (less than two), one step of the motion, one last count."""
+
 SETTLED = 1e-13
 """Coupling below which the Floquet frame has split into invariant subspaces."""
 
@@ -80,7 +83,12 @@ def step_many(osc, motion, steps, half):
 
 def energy_norm(osc: Oscillator, h: Array) -> float:
     """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
-    return float(np.sqrt(np.sum(np.array(osc.gap.lam) * h[:, 0] ** 2 + h[:, 1] ** 2)))
+    return float(np.linalg.norm(_weights(osc) * h))
+
+
+def _weights(osc: Oscillator) -> Array:
+    """What block states (n, 2) are multiplied with for the energy norm."""
+    return np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
 
 
 def framed_motion(osc: Oscillator, h: Array, contact: int, frame: Array) -> Motion:
@@ -112,14 +120,15 @@ class Fixed(NamedTuple):
     spent: int
 
 
-def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float) -> Fixed | None:
+def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float, most: int) -> Fixed | None:
     """The fixed point of the map near a motion, to rounding, or None where Newton finds none.
 
-    h <- h - (J - I)^-1 (F(h) - h) until the residual stops falling; it must end below 1e-10 of ``scale``.
+    h <- h - (J - I)^-1 (F(h) - h), at most so many times, until the residual stops falling; it must end
+    below 1e-10 of ``scale``.
     """
     h, contact = start.h.copy(), int(start.contact[0])
     best: Fixed | None = None
-    for spent in range(1, NEWTON_STEPS + 1):
+    for spent in range(1, most + 1):
         mapped = map_with_jacobian(osc, h, contact, steps, half)
         if mapped is None or mapped[0].contact[0] != contact:
             break
@@ -139,16 +148,16 @@ def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float)
     return best if best is not None and best.residual < 1e-10 * scale else None
 
 
-def floquet(osc: Oscillator, point: Fixed, steps: int, half: bool) -> tuple[Array, float, int] | None:
-    """(log moduli of the multipliers per turn, their rounding error, turns), largest first; None if unresolved.
+def floquet(osc: Oscillator, point: Fixed, steps: int, half: bool, most: int) -> tuple[Array, float, int] | None:
+    """(log moduli of the multipliers per turn, their rounding error, turns), largest first; None without ``most`` > 1.
 
     A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
     kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
     multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity.
     """
     frame = np.eye(point.h.size).reshape(point.h.size, *point.h.shape)
-    weights = np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
-    for turn in range(1, CYCLES + 1):
+    weights = _weights(osc)
+    for turn in range(1, most + 1):
         motion = framed_motion(osc, point.h, point.contact, frame)
         if step_many(osc, motion, steps, half) < steps:
             return None
@@ -163,7 +172,7 @@ def floquet(osc: Oscillator, point: Fixed, steps: int, half: bool) -> tuple[Arra
         blocks = _blocks(rotation)
         logs = motion.growth[:rank]
         spread = max((float(np.ptp(logs[b])) for b in blocks), default=0.0)
-        if spread < NARROW or turn == CYCLES:
+        if spread < NARROW or turn == most:
             moduli = [_block_moduli(rotation[b, b], logs[b], motion.triangle[b, b]) for b in blocks]
             found = np.sort(np.concatenate([*moduli, np.zeros(0)]))[::-1]
             lost = np.full(point.h.size - rank, -np.inf)
@@ -189,16 +198,23 @@ def _block_moduli(rotation: Array, logs: Array, triangle: Array) -> Array:
         return top + np.log(np.abs(np.linalg.eigvals(product)))
 
 
-def settle(osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float) -> tuple[Orbit | None, int]:
+def settle(
+    osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float, budget: int
+) -> tuple[Orbit | None, int]:
     """The stable orbit of so many steps that the motion is provably falling into, if any, and the steps spent.
 
     Proved: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
     the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
     one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
+    At most ``budget`` steps are spent.
     """
-    point = newton(osc, motion, steps, half, scale)
+    turns_left = budget // steps - RESERVED_TURNS
+    if turns_left < 1:
+        return None, 0
+    point = newton(osc, motion, steps, half, scale, min(NEWTON_STEPS, turns_left))
     if point is None:
-        return None, NEWTON_STEPS * steps
+        return None, min(NEWTON_STEPS, turns_left) * steps
+    turns_left -= point.spent
     spent = point.spent * steps
     for divisor in range(1, steps):
         if steps % divisor == 0:
@@ -207,9 +223,9 @@ def settle(osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float
             spent += divisor
             if energy_norm(osc, trial.h - point.h) < 1e-6 * scale:
                 return None, spent
-    multipliers = floquet(osc, point, steps, half)
+    multipliers = floquet(osc, point, steps, half, min(CYCLES, turns_left))
     if multipliers is None:
-        return None, spent + CYCLES * steps
+        return None, spent
     logs, rounding, turns = multipliers
     spent += turns * steps
     if not logs[0] < 0.0:
@@ -229,11 +245,19 @@ def settle(osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float
 
 
 def recurrence(osc: Oscillator, sections: Array, scale: float, longest: int) -> list[int]:
-    """Periods p <= longest after which the last section (K, n, 2) nearly returned: at most three, shortest first.
+    """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
 
-    Near is within 1e-2 of ``scale`` in the energy norm; settle() finds out whether it means anything.
+    Near is within 1e-2 of ``scale`` in the energy norm; of those, each p that came ten times closer than any
+    shorter one, at most three. Whether it means anything, settle() finds out.
     """
-    weights = np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
-    back = (sections[-2::-1][:longest] - sections[-1]) * weights
+    back = (sections[-2::-1][:longest] - sections[-1]) * _weights(osc)
     distance = np.sqrt(np.sum(back**2, axis=(1, 2)))
-    return [int(p) + 1 for p in np.flatnonzero(distance < 1e-2 * scale)[:3]]
+    found: list[int] = []
+    record = 1e-2 * scale
+    for p, here in enumerate(distance, start=1):
+        if here < record:
+            found.insert(0, p)
+            record = 0.1 * float(here)
+        if record < 1e-12 * scale:
+            break
+    return found[:3]

@@ -142,6 +142,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
 
     Each stretch may end in a proof of no impact or of a stable orbit. Meanwhile, once that looks unlikely,
     tangent vectors are averaged: clearly positive ends at the asked tolerance; zero on two stretches is a torus.
+    A tenth of the budget is kept for the proof of an orbit.
     """
     no_sections = np.empty((0, *motion.h.shape))
     vectors = vectors_for(settings, osc)
@@ -151,7 +152,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
     while True:
         if impact_free(osc, motion):
             return _no_impact(osc, motion, settings, used)
-        length = min(stretch, settings.max_periods - used)
+        length = min(stretch, settings.max_periods - settings.max_periods // 10 - used)
         if length <= 0:
             return _undecided(osc, motion, settings, used, averages)
         if averages is None and vectors and used >= TANGENT_AFTER and length > WARM_UP:
@@ -168,7 +169,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
         failed = _failure(motion, used)
         if failed is not None:
             return failed
-        orbit, spent = _settled(osc, motion, sections, settings)
+        orbit, spent = _settled(osc, motion, sections, settings, settings.max_periods - used)
         used += spent
         if orbit is not None:
             return _periodic(osc, orbit, settings, used)
@@ -204,12 +205,13 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
     if impact_free(osc, motion):
         known = _no_impact(osc, motion, settings, used)
     else:
-        orbit, _ = _settled(osc, motion, sections, settings)
+        orbit, spent = _settled(osc, motion, sections, settings, settings.max_periods)
+        cell.periods_used += spent
         if orbit is None:
             mean, error, count = _mean(averages)
             cell.regime = CHAOTIC if _clearly_positive(mean, error, count) else UNDETERMINED
             return cell
-        known = _periodic(osc, orbit, settings, used)
+        known = _periodic(osc, orbit, settings, cell.periods_used)
     known.largest, known.error, known.spectrum = cell.largest, cell.error, cell.spectrum
     known.sum_law_defect, known.state, known.section = cell.sum_law_defect, cell.state, cell.section
     return known
@@ -223,20 +225,23 @@ def _failure(motion: Motion, used: int) -> Cell | None:
     return None if status == RUNNING else Cell(regime=FAILED, periods_used=used, reason=REASONS[status])
 
 
-def _settled(osc: Oscillator, motion: Motion, sections: Array, settings: Settings) -> tuple[Orbit | None, int]:
+def _settled(
+    osc: Oscillator, motion: Motion, sections: Array, settings: Settings, budget: int
+) -> tuple[Orbit | None, int]:
     """The stable orbit that the motion falls into, if its last sections recur, and the periods spent to see."""
     scale = scale_of(osc, motion)
     symmetric_gap = osc.b_upper == osc.b_lower
-    spent = 0.0
+    spent = 0
     for p in recurrence(osc, sections, scale, settings.max_period):
         for half in (True, False):
             if half and not (symmetric_gap and p % 2):
                 continue
-            orbit, steps = settle(osc, motion, p, half, scale)
-            spent += steps / 2 if half else steps
+            per_period = 2 if half else 1
+            orbit, steps = settle(osc, motion, p, half, scale, (budget - spent) * per_period)
+            spent += -(-steps // per_period)
             if orbit is not None:
-                return orbit, math.ceil(spent)
-    return None, math.ceil(spent)
+                return orbit, spent
+    return None, spent
 
 
 def _mean(averages: Averages) -> tuple[float, float, int]:
