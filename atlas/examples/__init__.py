@@ -1,0 +1,1 @@
+"""Job files that come with the package: ``atlas run NAME`` finds them by name."""

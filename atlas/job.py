@@ -1,0 +1,59 @@
+"""One tile's work, as it runs on a worker: solve it, write it, give a receipt."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from atlas.errors import RunError
+from atlas.plan import make_plan
+from atlas.store import read_header, write_tile
+from workers import SOLVER_VERSION
+from workers.results import REGIME, REGIMES
+
+
+@dataclass(frozen=True)
+class Job:
+    """Which tile of which store. All that crosses the scheduler; ``run_job`` redoes it by hand."""
+
+    index: tuple[int, ...]
+    store: str
+    run_id: str
+    solver_version: int
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """What a finished tile reports: cells of each regime, failures by reason, seconds, forcing periods simulated."""
+
+    index: tuple[int, ...]
+    counts: dict[str, int]
+    reasons: dict[str, int]
+    seconds: float
+    periods: int
+
+
+def run_job(job: Job) -> Receipt:
+    """Solve a tile and write it; RunError where this worker must not: another solver, or another store at the path."""
+    from workers.tile import solve_cells
+
+    begin = time.perf_counter()
+    if job.solver_version != SOLVER_VERSION:
+        raise RunError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
+    header = read_header(Path(job.store))
+    if header.run_id != job.run_id:
+        raise RunError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
+    spec = header.spec
+    tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
+    arrays, reasons = solve_cells(spec.system, spec.cell_params(tile.slices), spec.settings)
+    write_tile(header, job.index, arrays)
+    codes = arrays[REGIME.name]
+    counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
+    return Receipt(
+        index=job.index,
+        counts={name: count for name, count in counts.items() if count},
+        reasons=dict(reasons),
+        seconds=time.perf_counter() - begin,
+        periods=int(arrays["periods_used"].sum(dtype="int64")),
+    )

@@ -1,0 +1,197 @@
+"""The spec: everything that decides the numbers of an atlas, checked once."""
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from atlas.axes import Axis, admitted, read_axis
+from atlas.errors import InputError, check_names
+from workers import Settings
+from workers.system import System, find_system, unknown_name
+
+SECTIONS = ("system", "parameters", "axes", "solve", "store")
+Slices = tuple[slice, ...]
+
+
+@dataclass(frozen=True, init=False)
+class Spec:
+    """What to compute: a system, its fixed parameters (defaults filled in), one or two axes, and how to solve.
+
+    ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes what the
+    TOML file has in its tables; an axis may also be a sequence of values. The first axis is x, the last dimension
+    of every array. ``tile`` is the (y, x) shape asked for, or None; it does not change a number.
+    Raises InputError for anything that cannot be solved.
+    """
+
+    system: str
+    parameters: dict[str, float]
+    axes: tuple[Axis, ...]
+    settings: Settings
+    tile: tuple[int, ...] | None
+
+    def __init__(
+        self,
+        system: str,
+        axes: Mapping[str, Any],
+        parameters: Mapping[str, Any] | None = None,
+        solve: Mapping[str, Any] | Settings | None = None,
+        store: Mapping[str, Any] | None = None,
+    ) -> None:
+        record = checked_system(system)
+        _check_tables(parameters=parameters, axes=axes, store=store)
+        known = [parameter.name for parameter in record.parameters]
+        check_names("parameter", parameters or {}, known)
+        check_names("parameter in axes", axes, known)
+        if not 1 <= len(axes) <= 2:
+            found = f"found {len(axes)} ({', '.join(axes)})" if axes else "found none"
+            raise InputError(f"axes: {found}, must be one or two")
+        for name in axes:
+            if name in (parameters or {}):
+                raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
+        put = object.__setattr__
+        put(self, "system", record.name)
+        put(self, "axes", tuple(read_axis(record.parameter(name), given) for name, given in axes.items()))
+        fixed = checked_parameters(record, parameters or {})
+        put(self, "parameters", {name: value for name, value in fixed.items() if name not in axes})
+        put(self, "settings", solve if isinstance(solve, Settings) else checked_settings(solve or {}))
+        put(self, "tile", _checked_tile(store or {}, len(axes)))
+
+    @classmethod
+    def from_mapping(cls, given: Mapping[str, Any]) -> "Spec":
+        """The spec of a mapping that has the form of the TOML file."""
+        check_names("key", given, SECTIONS)
+        for key in ("system", "axes"):
+            if key not in given:
+                raise InputError(f"{key} missing" + ("; one or two tables [axes.NAME]" if key == "axes" else ""))
+        return cls(**given)
+
+    @classmethod
+    def from_toml(cls, source: str | Path) -> "Spec":
+        """The spec of a TOML file, or of the packaged example of that name where there is no such file."""
+        path = Path(source)
+        try:
+            text = path.read_text(encoding="utf-8") if path.exists() else _example(str(source))
+            return cls.from_mapping(tomllib.loads(text))
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{source}: not a TOML file: {error}") from None
+        except OSError as error:
+            raise InputError(f"{source}: cannot be read: {error.strerror}") from None
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dimensions of the arrays, slowest first: ("b", "omega") for axes (omega, b)."""
+        return tuple(axis.name for axis in reversed(self.axes))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Cells along each of ``dims``."""
+        return tuple(len(axis) for axis in reversed(self.axes))
+
+    @property
+    def record(self) -> System:
+        """The system's own record: its parameters with their units and meanings."""
+        return find_system(self.system)
+
+    def resolved(self) -> dict[str, Any]:
+        """The spec as plain JSON: what the store keeps, and enough to build an equal spec with ``from_resolved``."""
+        axes = [{"name": axis.name, "scale": axis.scale, "values": list(axis.values)} for axis in self.axes]
+        return {"system": self.system, "parameters": self.parameters, "axes": axes, "solve": asdict(self.settings)}
+
+    @classmethod
+    def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
+        """The inverse of ``resolved``, tile shape aside."""
+        axes = {axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"]) for axis in resolved["axes"]}
+        return cls(resolved["system"], axes, resolved["parameters"], resolved["solve"])
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that decides the numbers: axes as an ordered list of names and exact values, no tile."""
+        # Python writes a float as its shortest exact decimal, so that equal text means equal bits.
+        identity = self.resolved() | {"axes": [[axis.name, list(axis.values)] for axis in self.axes]}
+        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+
+    def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
+        """Parameters of a block of cells as solve_tile takes them: axes as arrays that broadcast to its shape."""
+        params: dict[str, float | np.ndarray] = dict(self.parameters)
+        for i, (axis, part) in enumerate(zip(reversed(self.axes), slices, strict=True)):
+            along = [1] * len(self.axes)
+            along[i] = -1
+            params[axis.name] = np.array(axis.values[part], dtype="float64").reshape(along)
+        return params
+
+
+def checked_system(name: object) -> System:
+    """The system of that name; InputError with the nearest known name otherwise."""
+    try:
+        return find_system(str(name))
+    except KeyError as error:
+        raise InputError(error.args[0]) from None
+
+
+def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
+    """All parameters of a system, those given checked against their ranges, the others at their defaults."""
+    check_names("parameter", given, [parameter.name for parameter in record.parameters])
+    return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in record.parameters}
+
+
+def checked_settings(given: Mapping[str, Any]) -> Settings:
+    """Settings from the [solve] table; InputError that names the setting otherwise."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"solve: found {given!r}, must be a table")
+    check_names("key in solve", given, [field.name for field in fields(Settings)])
+    # A whole tolerance is the same number, and has to have the same digest, as a float.
+    whole: dict[str, Any] = {
+        name: float(value) if name == "tolerance" and _is_whole(value) else value for name, value in given.items()
+    }
+    try:
+        return Settings(**whole)
+    except ValueError as error:
+        raise InputError(f"solve.{error}") from None
+
+
+def example_names() -> list[str]:
+    """Names of the packaged examples."""
+    folder = resources.files("atlas").joinpath("examples")
+    if not folder.is_dir():
+        return []
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def _example(name: str) -> str:
+    names = example_names()
+    if name in names:
+        return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+    if name.endswith(".toml") or "/" in name:
+        raise InputError("no such file")
+    raise InputError(f"no such file, and {unknown_name('example', name, names)}")
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _check_tables(**tables: object) -> None:
+    for name, table in tables.items():
+        if table is not None and not isinstance(table, Mapping):
+            raise InputError(f"{name}: found {table!r}, must be a table")
+
+
+def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None:
+    check_names("key in store", store, ["tile"])
+    if "tile" not in store:
+        return None
+    tile = store["tile"]
+    form = "two whole numbers (y, x)" if axes == 2 else "one whole number in brackets"
+    right = isinstance(tile, list | tuple) and len(tile) == axes and all(_is_whole(n) and n >= 1 for n in tile)
+    if not right:
+        raise InputError(f"store.tile: found {tile!r}, must be {form}, each 1 or more")
+    return tuple(int(n) for n in tile)

@@ -1,0 +1,14 @@
+"""A small plane for tests of planning, storing and running."""
+
+import atlas
+
+
+def plane_of(tile: tuple[int, int] = (2, 3), **changes: object) -> atlas.Spec:
+    """The small plane with another tile shape, or other parameters."""
+    return atlas.Spec(
+        "two-mass",
+        axes={"omega": {"start": 2.0, "stop": 4.0, "num": 7}, "b": {"start": 0.1, "stop": 0.5, "num": 5}},
+        parameters=changes,
+        solve={"max_periods": 500, "tolerance": 0.1, "section_samples": 2},
+        store={"tile": tile},
+    )

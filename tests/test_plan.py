@@ -1,0 +1,83 @@
+import itertools
+import math
+from collections import namedtuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from atlas import Spec, plan
+from atlas.errors import InputError
+from tests.planes import plane_of
+from workers.results import result_variables
+
+
+def wide(nx: int, ny: int) -> Spec:
+    axes = {"omega": {"start": 1, "stop": 2, "num": nx}, "b": {"start": 1, "stop": 2, "num": ny}}
+    return Spec("two-mass", axes=axes)
+
+
+@pytest.mark.parametrize("tile", [(1, 1), (2, 3), (5, 7), (9, 9)])
+def test_tiles_cover_every_cell_once(tile: tuple[int, int]) -> None:
+    made = plan.make_plan(plane_of(tile), workers=1)
+    hits = np.zeros(made.shape, dtype=int)
+    for tile_ in made.tiles():
+        hits[tile_.slices] += 1
+    assert (hits == 1).all()
+    assert made.cells == 35
+    assert sum(made.size(tile_.index) for tile_ in made.tiles()) == 35
+
+
+def test_the_default_tile_of_a_large_plane_is_64_by_64() -> None:
+    assert plan.make_plan(wide(1000, 1000), workers=4).tile == (64, 64)
+
+
+@pytest.mark.parametrize(("size", "workers"), list(itertools.product([(40, 30), (280, 220), (7, 1000)], [1, 2, 16])))
+def test_there_are_16_tiles_a_worker_where_there_are_cells_enough(size: tuple[int, int], workers: int) -> None:
+    assert plan.make_plan(wide(*size), workers).tile_count >= 16 * workers
+
+
+def test_a_tile_is_never_smaller_than_a_cell() -> None:
+    made = plan.make_plan(wide(3, 2), workers=100)
+    assert made.tile == (1, 1)
+
+
+def test_the_tile_of_a_store_wins_over_the_tile_asked_for() -> None:
+    assert plan.make_plan(plane_of((2, 3)), workers=1, tile=(4, 5)).tile == (4, 5)
+
+
+def test_a_tile_is_cut_to_the_plane() -> None:
+    assert plan.make_plan(plane_of((64, 64)), workers=1).tile == (5, 7)
+
+
+def test_bytes_bound_the_arrays_themselves() -> None:
+    spec = wide(300, 200)
+    shape = {"exponent": 4, "state": 4, "sample": 0}
+    cell = sum(
+        np.dtype(v.dtype).itemsize * math.prod(shape[dim] for dim in v.extra) for v in result_variables(spec.settings)
+    )
+    assert plan.make_plan(spec, workers=1).bytes >= 300 * 200 * cell
+
+
+def test_a_disk_without_room_is_refused_with_both_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "free")(1000)
+    monkeypatch.setattr(plan.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(InputError, match=r"needs up to .* has 1 kB free"):
+        plan.check_disk(plan.make_plan(wide(300, 200), workers=1), tmp_path / "out.zarr")
+
+
+def test_a_probe_measures_distinct_cells() -> None:
+    cells = [plan._spread((50, 40), k) for k in range(1, 17)]
+    assert len({tuple(part.start for part in cell) for cell in cells}) == 16
+    assert all(0 <= y.start < 50 and 0 <= x.start < 40 for y, x in cells)
+
+
+def test_a_probe_solves_no_more_cells_than_there_are() -> None:
+    spec = Spec("two-mass", axes={"omega": [3.0]}, solve={"max_periods": 100})
+    assert plan.probe(spec).cells == 1
+
+
+def test_a_plan_prints_itself() -> None:
+    printed = str(plan.make_plan(plane_of(), workers=2))
+    assert "omega 2..4 (7 values) x b 0.1..0.5 (5 values)" in printed
+    assert "35 (5 x 7; b, omega) in 9 tiles of 2 x 3" in printed

@@ -1,0 +1,238 @@
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+import atlas
+from atlas import store
+from atlas.errors import InputError, RunError
+from atlas.job import Job, run_job
+from tests.planes import plane_of
+from workers.results import REGIMES, result_variables
+
+
+@pytest.fixture
+def header(tmp_path: Path, plane: atlas.Spec) -> store.Header:
+    return store.create(tmp_path / "out.zarr", plane, (2, 3))
+
+
+def solve(header: store.Header, index: tuple[int, ...]) -> None:
+    run_job(Job(index, str(header.path), header.run_id, header.solver_version))
+
+
+def test_a_new_store_holds_every_variable_and_no_result(header: store.Header, plane: atlas.Spec) -> None:
+    ds = xr.open_zarr(header.path)
+    assert set(ds.data_vars) == {variable.name for variable in result_variables(plane.settings)}
+    assert (ds.regime.values == -1).all()
+    assert store.done_tiles(header) == set()
+
+
+def test_plain_xarray_opens_a_half_done_store_without_a_warning(header: store.Header) -> None:
+    solve(header, (0, 1))
+    ds = xr.open_zarr(header.path)  # warnings are errors here
+    done = ds.regime.values >= 0
+    assert done[0:2, 3:6].all()
+    assert done.sum() == 6
+    assert np.isnan(ds.state.values[~done]).all()
+
+
+def test_fixed_parameters_are_scalar_coordinates(header: store.Header) -> None:
+    ds = xr.open_zarr(header.path)
+    assert ds.R.item() == 0.8
+    assert {"R", "mu_k", "x1"} <= set(ds.regime.coords)
+    assert ds.indexes["omega"].size == 7
+
+
+def test_atlases_concatenate_along_a_fixed_parameter(tmp_path: Path) -> None:
+    parts = []
+    for R in (0.5, 0.8):
+        header = store.create(tmp_path / f"{R}.zarr", plane_of(R=R), (5, 7))
+        parts.append(xr.open_zarr(header.path))
+    whole = xr.concat(parts, dim="R", data_vars="all", coords="different", compat="equals", join="exact")
+    assert whole.regime.dims == ("R", "b", "omega")
+    assert whole.R.values.tolist() == [0.5, 0.8]
+
+
+def test_every_variable_explains_itself(header: store.Header) -> None:
+    ds = xr.open_zarr(header.path)
+    silent = [name for name in [*ds.data_vars, "omega", "b", "R"] if not ds[name].attrs.get("long_name")]
+    unitless = [name for name in [*ds.data_vars, "omega", "b", "R"] if not ds[name].attrs.get("units")]
+    assert (silent, unitless) == ([], [])
+
+
+def test_components_of_the_state_are_named(header: store.Header) -> None:
+    assert xr.open_zarr(header.path).component.values.tolist() == ["x1", "x2", "v1", "v2"]
+
+
+def test_regime_has_cf_flags_and_no_fill_value_attribute(header: store.Header) -> None:
+    regime = xr.open_zarr(header.path).regime
+    assert regime.attrs["flag_values"] == [entry.code for entry in REGIMES]
+    assert regime.attrs["flag_meanings"].split()[0] == "pending"
+    assert len(regime.attrs["flag_colors"].split()) == len(REGIMES)
+    assert "_FillValue" not in regime.attrs
+    assert zarr.open_group(header.path, mode="r")["regime"].fill_value == -1
+
+
+def test_one_tile_is_one_chunk_of_every_array(header: store.Header) -> None:
+    ds = xr.open_zarr(header.path)
+    assert {ds[name].encoding["chunks"][:2] for name in ds.data_vars} == {(2, 3)}
+
+
+def test_an_atlas_exports_to_netcdf_attributes(header: store.Header) -> None:
+    attrs = xr.open_zarr(header.path).attrs
+    assert all(isinstance(value, str | int) for value in attrs.values())
+    assert json.loads(attrs["spec"])["system"] == "two-mass"
+
+
+def test_the_store_keeps_the_spec_exactly(header: store.Header, plane: atlas.Spec) -> None:
+    assert header.spec.digest == plane.digest == header.digest
+
+
+def test_a_tile_is_done_when_its_regime_chunk_exists(header: store.Header) -> None:
+    solve(header, (1, 2))
+    assert store.done_tiles(header) == {(1, 2)}
+    (header.path / "regime" / "c" / "1" / "2").unlink()
+    assert store.done_tiles(header) == set()
+
+
+def test_leftovers_of_a_killed_write_are_no_tile(header: store.Header) -> None:
+    solve(header, (1, 2))
+    (header.path / "regime" / "c" / "1" / "0.4fbe.partial").write_bytes(b"half")
+    assert store.done_tiles(header) == {(1, 2)}
+
+
+def test_a_finished_tile_has_a_chunk_in_every_array(header: store.Header, plane: atlas.Spec) -> None:
+    solve(header, (0, 0))
+    for variable in result_variables(plane.settings):
+        tail = ["0"] * len(variable.extra)
+        assert (header.path.joinpath(variable.name, "c", "0", "0", *tail)).exists()
+
+
+def test_regime_is_written_last(header: store.Header, monkeypatch: pytest.MonkeyPatch) -> None:
+    order = []
+    whole = zarr.Array.__setitem__
+    monkeypatch.setattr(
+        zarr.Array, "__setitem__", lambda a, key, value: (order.append(a.basename), whole(a, key, value))
+    )
+    solve(header, (0, 0))
+    assert order[-1] == "regime"
+    assert len(order) == len(set(order)) > 10
+
+
+def test_writing_a_tile_twice_changes_no_byte(header: store.Header) -> None:
+    solve(header, (0, 0))
+    before = {path: path.read_bytes() for path in header.path.rglob("*") if path.is_file()}
+    solve(header, (0, 0))
+    assert {path: path.read_bytes() for path in header.path.rglob("*") if path.is_file()} == before
+
+
+def test_a_torn_chunk_is_noticed_when_it_is_read(header: store.Header) -> None:
+    solve(header, (0, 0))
+    chunk = header.path / "state" / "c" / "0" / "0" / "0"
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 1
+    chunk.write_bytes(data)
+    with pytest.raises(ValueError, match=r"[Cc]hecksum"):
+        _ = xr.open_zarr(header.path).state.values
+
+
+def test_a_worker_with_another_store_at_the_path_fails_loudly(header: store.Header) -> None:
+    with pytest.raises(RunError, match="is the path the same on all hosts"):
+        run_job(Job((0, 0), str(header.path), "another run", header.solver_version))
+
+
+def test_a_worker_with_another_solver_version_fails_loudly(header: store.Header) -> None:
+    with pytest.raises(RunError, match="this worker has solver version"):
+        run_job(Job((0, 0), str(header.path), header.run_id, header.solver_version + 1))
+
+
+def test_counts_are_those_of_the_tiles_asked_for(header: store.Header) -> None:
+    solve(header, (0, 0))
+    assert sum(store.regime_counts(header, {(0, 0)}).values()) == 6
+
+
+def test_a_failed_creation_leaves_nothing(tmp_path: Path, plane: atlas.Spec, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store.os, "rename", full)
+    with pytest.raises(InputError, match="cannot be written: No space left on device"):
+        store.create(tmp_path / "out.zarr", plane, (2, 3))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_yet_is_no_store(tmp_path: Path, plane: atlas.Spec) -> None:
+    (tmp_path / "empty").mkdir()
+    assert store.find(tmp_path / "new.zarr", plane) is None
+    assert store.find(tmp_path / "empty", plane) is None
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+def test_the_same_spec_may_go_on(header: store.Header) -> None:
+    assert store.find(header.path, plane_of(tile=(5, 5))) == header
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        (plane_of(R=0.5), "R = 0.8 in the store, 0.5 in the spec"),
+        (
+            atlas.Spec(
+                "two-mass",
+                axes={"b": {"start": 0.1, "stop": 0.5, "num": 5}, "omega": {"start": 2.0, "stop": 4.0, "num": 7}},
+                solve=plane_of().settings,
+            ),
+            r"axis order differs: \(omega, b\) in the store, \(b, omega\) in the spec",
+        ),
+        (atlas.Spec("two-mass", axes={"tau": [0.0]}), r"axes differ: .* max_periods = 500 in the store"),
+        (
+            atlas.Spec("two-mass", axes={"omega": [2.0, 3.0], "b": [0.1]}, solve=plane_of().settings),
+            r"axis omega 2..4 \(7 values\) in the store, omega 2..3 \(2 values\) in the spec; axis b",
+        ),
+    ],
+    ids=["parameter", "transposed", "axes and settings", "values"],
+)
+def test_another_spec_is_refused_telling_every_difference(header: store.Header, other: atlas.Spec, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        store.find(header.path, other)
+
+
+def test_another_solver_version_is_refused(
+    header: store.Header, plane: atlas.Spec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "SOLVER_VERSION", header.solver_version + 1)
+    with pytest.raises(InputError, match="made by solver version"):
+        store.find(header.path, plane)
+
+
+def test_an_unknown_format_version_is_refused(header: store.Header) -> None:
+    zarr.open_group(header.path, mode="r+", use_consolidated=False).attrs["format_version"] = 99
+    with pytest.raises(InputError, match="format version 99, this program reads version 1"):
+        atlas.open(header.path)
+
+
+def test_what_is_not_ours_is_refused(tmp_path: Path, plane: atlas.Spec) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "thesis.tex").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    zarr.create_group(tmp_path / "foreign.zarr")
+    zarr.create_array(tmp_path / "array.zarr", shape=(2,), dtype="f8")
+    for name in ("folder", "file", "foreign.zarr", "array.zarr"):
+        with pytest.raises(InputError, match=f"{name}: not an atlas"):
+            store.find(tmp_path / name, plane)
+
+
+def test_opening_what_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such store"):
+        atlas.open(tmp_path / "none.zarr")
+
+
+def test_open_reads_nothing_before_it_is_used(header: store.Header) -> None:
+    solve(header, (0, 0))
+    ds = atlas.open(header.path)
+    os.remove(header.path / "state" / "c" / "0" / "0" / "0")
+    assert np.isnan(ds.state.values).all()
