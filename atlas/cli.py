@@ -1,0 +1,255 @@
+"""The command ``atlas``. Heavy imports wait until a command needs them, so that help comes at once."""
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from atlas.errors import InputError, RunError
+from atlas.spec import Spec, checked_settings, checked_system, example_names
+from workers import Settings
+from workers.settings import EXPONENTS, METHODS
+from workers.system import SYSTEMS
+
+INTERRUPTED = 130
+_T = TypeVar("_T")
+
+
+class _BadInput(click.ClickException):
+    """One line on stderr, exit code 2."""
+
+    exit_code = 2
+
+
+class _Group(click.Group):
+    """Commands whose errors end in one line: 1 failed, 2 bad input, 130 interrupted."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            raise _BadInput(str(error)) from None
+        except RunError as error:
+            raise click.ClickException(str(error)) from None
+        except KeyboardInterrupt:
+            ctx.exit(INTERRUPTED)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="impact-atlas", prog_name="atlas")
+def cli() -> None:
+    """Maps of chaos in vibro-impact oscillators.
+
+    A SPEC is a TOML file, or the name of an example in the package. Exit codes: 0 done, 1 failed, 2 bad usage or
+    input, 130 interrupted.
+    """
+
+
+main = cli
+
+_json_option = click.option(
+    "--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there."
+)
+_workers_option = click.option(
+    "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
+)
+_store_argument = click.argument("store", type=click.Path(path_type=Path))
+
+
+@cli.command()
+@click.argument("spec")
+@click.option("-o", "--out", type=click.Path(path_type=Path), default=Path(), help="Where the store is to lie.")
+@_workers_option
+@click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
+@_json_option
+def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) -> None:
+    """What SPEC will cost: cells, tiles, bytes, probed time."""
+    from atlas import plan as planning
+    from atlas.output import to_json
+
+    read = Spec.from_toml(spec)
+    made = planning.make_plan(read, workers)
+    planning.check_disk(made, out)
+    if probe:
+        _say("compiling and probing a few cells")
+        planning.warm_up(read)
+        made = replace(made, probe=planning.probe(read))
+    click.echo(to_json(made.as_dict()) if as_json else str(made))
+
+
+@cli.command()
+@click.argument("spec")
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The store: made, or gone on with.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+@_workers_option
+@click.pass_context
+def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers: int | None) -> None:
+    """Compute SPEC into a store. The same line again goes on where it stopped."""
+    from atlas.progress import reporter
+    from atlas.run import run as run_spec
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
+    read = Spec.from_toml(spec)
+    try:
+        with reporter(sys.stderr) as show:
+            summary = run_spec(read, out, scheduler=scheduler, workers=workers, on_progress=show, probe=True)
+    except KeyboardInterrupt:
+        options = [text for pair in (("--scheduler", scheduler), ("--workers", workers)) if pair[1] for text in pair]
+        line = shlex.join(["atlas", "run", spec, "-o", str(out), *map(str, options)])
+        _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
+        ctx.exit(INTERRUPTED)
+    click.echo(str(summary))
+    for failure in summary.failures:
+        _say(f"tile {failure.index} failed: {failure.message}")
+    if summary.failures:
+        ctx.exit(1)
+
+
+@cli.command()
+@_store_argument
+@_json_option
+def status(store: Path, as_json: bool) -> None:
+    """How far STORE is: tiles, cells and regimes done."""
+    from atlas.output import to_json
+    from atlas.status import read_status
+    from atlas.store import read_header
+
+    found = read_status(read_header(store))
+    click.echo(to_json(found.as_dict()) if as_json else str(found))
+
+
+@cli.command()
+@_store_argument
+@click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
+@click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis.")
+@_json_option
+def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json: bool) -> None:
+    """What STORE holds at a point, or the share of each regime in a window (default: everywhere)."""
+    from atlas import query as questions
+    from atlas.output import print_table, text, to_json
+    from atlas.store import open_atlas
+
+    if point and window:
+        raise InputError("--at asks for one cell, --window for shares; give one of the two")
+    wanted = _pairs("--at", point, _number)
+    bounds = _pairs("--window", window, _bounds)
+    with _input_errors():
+        dataset = open_atlas(store)
+        found: dict[str, Any] = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds or None)
+    if as_json:
+        click.echo(to_json(found))
+    elif point:
+        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+    else:
+        print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
+
+
+@cli.command()
+@_store_argument
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help="The picture; the suffix decides how."
+)
+@click.option("--kind", metavar="KIND", help="exponent or period (two axes), sweep (one); default: by the axes.")
+def render(store: Path, out: Path, kind: str | None) -> None:
+    """Draw STORE."""
+    from atlas.store import open_atlas
+
+    with _input_errors():
+        dataset = open_atlas(store)
+        _say("drawing")
+        from atlas.render import render as draw
+
+        draw(dataset, out, kind=kind)
+    click.echo(str(out))
+
+
+def _settings_options(command: Callable[..., None]) -> Callable[..., None]:
+    """One option for each setting, from the record of settings itself."""
+    choices = {"exponents": click.Choice(EXPONENTS), "method": click.Choice(METHODS)}
+    for field in reversed(fields(Settings)):
+        kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
+        name = f"--{field.name.replace('_', '-')}"
+        command = click.option(name, type=kind, default=field.default, show_default=True)(command)
+    return command
+
+
+@cli.command()
+@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default.")
+@click.option("--system", default=next(iter(SYSTEMS)), show_default=True, help="See: atlas systems.")
+@_settings_options
+@_json_option
+def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> None:
+    """Solve one cell and print all its results."""
+    from atlas.output import print_table, text, to_json
+    from atlas.point import point as solve_point
+
+    pairs, settings = _pairs("--set", given, _number), checked_settings(solve)
+    checked_system(system)
+    if not as_json:
+        _say("compiling (kept for the next run) and solving")
+    found = solve_point(system, pairs, settings)
+    if as_json:
+        click.echo(to_json(found))
+    else:
+        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+
+
+@cli.command()
+def systems() -> None:
+    """The systems that can be solved, with their parameters, and the examples in the package."""
+    from atlas.output import print_table
+
+    for record in SYSTEMS.values():
+        rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
+        print_table(f"{record.name}: {record.title}", ["parameter", "meaning", "unit", "default", "valid"], rows)
+    click.echo(f"\nexamples: {', '.join(example_names())}")
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)
+
+
+@contextmanager
+def _input_errors() -> Iterator[None]:
+    """What a query or a picture cannot answer is the question's fault: one line, exit code 2."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{error.filename or ''}: {error.strerror or error}".lstrip(": ")) from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def _pairs(option: str, given: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
+    found: dict[str, _T] = {}
+    for item in given:
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise InputError(f"{option} {item}: must be NAME=VALUE")
+        if name in found:
+            raise InputError(f"{option} {name}: given twice")
+        found[name] = read(f"{option} {name}", value)
+    return found
+
+
+def _number(where: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(f"{where}: found {value!r}, must be a number") from None
+
+
+def _bounds(where: str, value: str) -> tuple[float, float]:
+    low, colon, high = value.partition(":")
+    if not colon:
+        raise InputError(f"{where}: found {value!r}, must be LOW:HIGH")
+    bounds = _number(where, low), _number(where, high)
+    if not bounds[0] <= bounds[1]:
+        raise InputError(f"{where}: found {value!r}, must be LOW:HIGH with LOW <= HIGH")
+    return bounds
