@@ -1,0 +1,60 @@
+"""The isoperiodic map: how many forcing periods an orbit takes over a plane, and the regime where it never closes."""
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from atlas.render import axes, maps, style
+from workers.results import PERIODIC
+
+CLASSES: tuple[tuple[int, int | None, str], ...] = (
+    (1, 1, style.COLORS[PERIODIC]),
+    (2, 2, "#45deff"),
+    (3, 3, "#eb8b00"),
+    (4, 4, "#5b9cff"),
+    (5, 5, "#553008"),
+    (6, 6, "#eed55e"),
+    (7, 7, "#94c08b"),
+    (8, 8, "#0e216d"),
+    (9, 16, "#781142"),
+    (17, 64, "#da8cb6"),
+    (65, None, "#8634bc"),
+)
+"""First and last period of each class and its colour.
+
+A period and its doubles share a hue (1, 2, 4, 8 blue; 3, 6 amber). Chosen together with the colours of the regimes
+for the greatest least difference between any two, also as seen without red or without green receptors.
+"""
+
+
+def figure(ds: xr.Dataset) -> Figure:
+    """The isoperiodic map as a figure; InputError where the atlas holds no periods."""
+    plane = maps.read(ds, "period", "period")
+    with rc_context(style.STYLE):
+        drawn, ax = maps.frame(ds)
+        rgba, legend = paint(plane.regime, plane.values)
+        axes.draw_cells(ax, plane.x, plane.y, rgba)
+        drawn.legend(handles=legend, loc="outside right upper", labelspacing=0.45)
+    return drawn
+
+
+def paint(regime: NDArray[np.int8], period: NDArray[np.int32]) -> tuple[NDArray[np.uint8], list[Patch]]:
+    """The colour of every cell, (y, x, 4) in bytes, and legend entries for the classes present."""
+    rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
+    counted = (regime == PERIODIC) & (period >= 1)
+    legend = []
+    for first, last, color in CLASSES:
+        cells = counted & (period >= first) & (period <= (last or np.iinfo(np.int32).max))
+        if cells.any():
+            rgba[cells] = style.rgb(color)
+            legend.append(style.swatch(color, _label(first, last)))
+    return rgba, legend + maps.paint_regimes(rgba, regime, ~counted)
+
+
+def _label(first: int, last: int | None) -> str:
+    if last is None:
+        return f"period {first} or more"
+    return f"period {first}" if first == last else f"period {first} to {last}"

@@ -1,0 +1,184 @@
+"""How every picture looks and what every file carries: type, colours, the title line, metadata."""
+
+import json
+import math
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
+
+from atlas.query import axis_names
+from workers.results import NO_IMPACT, PENDING, REGIMES
+from workers.system import SYSTEMS, Parameter
+
+WIDTH = 7.0
+"""Width of a figure in inches: two columns of a journal."""
+
+STYLE: Any = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 10.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 11.0,
+    "axes.linewidth": 0.7,
+    "xtick.labelsize": 9.5,
+    "ytick.labelsize": 9.5,
+    "xtick.direction": "out",
+    "ytick.direction": "out",
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.fontsize": 9.0,
+    "legend.title_fontsize": 9.0,
+    "legend.frameon": False,
+    "legend.handlelength": 1.3,
+    "legend.handleheight": 0.95,
+    "hatch.linewidth": 0.5,
+    "savefig.dpi": 300,
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "impact-atlas",
+}
+
+TEXTURE = "#8c8c8c"
+"""The grey of textures."""
+
+COLORS = {regime.code: regime.color for regime in REGIMES}
+"""The colour of each regime code, as in the data's flag_colors."""
+
+INK = {**COLORS, NO_IMPACT: "#8c8c8c"}
+"""The same for points and lines on white, where the light grey of an area would not be seen."""
+
+HATCH = {PENDING: "////", NO_IMPACT: "..."}
+"""The texture of regimes that colour alone does not tell: white is no value, and impact-free cells have exponents."""
+
+_LINE = 110
+"""Characters that fit in one line of the title."""
+
+
+def name_of(code: int) -> str:
+    """A regime's name as a legend says it."""
+    return next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")
+
+
+def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
+    """A colour in bytes."""
+    red, green, blue = (round(255 * part) for part in to_rgb(color))
+    return red, green, blue, alpha
+
+
+def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TEXTURE) -> Patch:
+    """A legend entry: a framed box of a colour, with a texture in its own ink if given."""
+    edge = ink if hatch else "#404040"
+    return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
+
+
+def new_figure(height: float) -> Figure:
+    """An empty figure of the standard width that leaves room for what stands outside its axes."""
+    figure = Figure(figsize=(WIDTH, height), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def parameter_of(ds: xr.Dataset, name: str) -> Parameter | None:
+    """What the atlas's system says of a parameter, or None where system or parameter is unknown."""
+    system = SYSTEMS.get(_system_name(ds))
+    return next((p for p in system.parameters if p.name == name), None) if system else None
+
+
+def first_state(ds: xr.Dataset) -> str:
+    """The name of the first component of the state."""
+    system = SYSTEMS.get(_system_name(ds))
+    return system.states[0] if system else "first state"
+
+
+def symbol(ds: xr.Dataset, name: str) -> str:
+    """A parameter's symbol as mathtext, without the dollars; its name upright where nobody knows one."""
+    parameter = parameter_of(ds, name)
+    known = ds[name].attrs.get("symbol") or (parameter.symbol if parameter else "")
+    return str(known) or rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
+
+
+def axis_label(ds: xr.Dataset, name: str) -> str:
+    r"""Meaning, symbol and unit of an axis, as ``forcing frequency $\omega$ [–]``; the dash: dimensionless."""
+    parameter = parameter_of(ds, name)
+    attrs = ds[name].attrs
+    meaning = str(attrs.get("long_name") or (parameter.meaning if parameter else "")).split(":")[0]
+    unit = str(attrs.get("units") or (parameter.unit if parameter else "1"))
+    return f"{meaning} ${symbol(ds, name)}$ [{unit_text(unit)}]".strip()
+
+
+def unit_text(unit: str) -> str:
+    """A CF unit as an axis shows it: a dash for the dimensionless 1."""
+    return {"1": "–", "1/period": "per forcing period"}.get(unit, unit)
+
+
+def title_line(ds: xr.Dataset) -> str:
+    """The fixed parameters that matter, as ``$R = 0.8$,  $\\zeta = 0.05$``: all but an initial state of zero.
+
+    They stand in the system's own order; a second line begins where the first would not fit.
+    """
+    system = SYSTEMS.get(_system_name(ds))
+    order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
+    states = system.states if system else ()
+    fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
+    values = {name: float(ds[name]) for name in fixed}
+    items = [(symbol(ds, name), number(value)) for name, value in values.items() if value or name not in states]
+    lines: list[list[str]] = [[]]
+    used = 0
+    for sign, value in items:
+        # What is read counts, not how mathtext spells it: a symbol takes about two characters.
+        width = len(value.replace("\\", "")) + 7
+        if used + width > _LINE:
+            lines.append([])
+            used = 0
+        lines[-1].append(f"${sign} = {value}$")
+        used += width
+    return "\n".join(",  ".join(line) for line in lines)
+
+
+def number(value: float) -> str:
+    """A number as mathtext: up to six digits, and simple multiples of pi as such."""
+    for below in (1, 2, 3, 4, 6):
+        above = value / math.pi * below
+        if above and abs(above - round(above)) < 1e-12 and 0 < abs(round(above)) <= 12:
+            times = round(above)
+            factor = {1: "", -1: "-"}.get(times, str(times))
+            return rf"{factor}\pi" + (f"/{below}" if below > 1 else "")
+    mantissa, _, power = f"{value:.6g}".partition("e")
+    return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
+
+
+def save(figure: Figure, path: Path, suffix: str, ds: xr.Dataset) -> None:
+    """Write a figure, with the atlas's digest and the software in the file's metadata and no time of day."""
+    digest = str(ds.attrs.get("digest", "unknown"))
+    title = f"impact-atlas: {_system_name(ds)}, axes {', '.join(axis_names(ds))}"
+    software = f"impact-atlas {_own_version()}, matplotlib {mpl.__version__}"
+    origin = f"computed by {ds.attrs.get('software', 'unknown software')}"
+    # Each format has its own words for the same four; a date would make equal pictures unequal files.
+    words = {
+        "png": {"Title": title, "Software": software, "Digest": digest, "Source": origin},
+        "svg": {"Title": title, "Creator": software, "Identifier": digest, "Source": origin, "Date": None},
+        "pdf": {"Title": title, "Creator": software, "Subject": digest, "Keywords": origin, "CreationDate": None},
+    }
+    with mpl.rc_context(STYLE):
+        figure.savefig(path, format=suffix, metadata=words[suffix])
+
+
+def _system_name(ds: xr.Dataset) -> str:
+    try:
+        return str(json.loads(ds.attrs["spec"])["system"])
+    except (KeyError, TypeError, ValueError):
+        return "unknown system"
+
+
+def _own_version() -> str:
+    try:
+        return version("impact-atlas")
+    except PackageNotFoundError:
+        return "(not installed)"
