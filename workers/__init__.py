@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 from workers.settings import Settings
 
 if TYPE_CHECKING:
+    from workers.history import trace
     from workers.tile import solve_tile
-    from workers.trace import trace
 
 SOLVER_VERSION = 1
 """Raised whenever any number that solve_tile returns may change."""
 
 __all__ = ["SOLVER_VERSION", "Settings", "solve_tile", "trace"]
 
-_DOORS = {"solve_tile": "workers.tile", "trace": "workers.trace"}
+_DOORS = {"solve_tile": "workers.tile", "trace": "workers.history"}
 
 
 def __getattr__(name: str) -> Any:

@@ -40,3 +40,78 @@ def orthonormalise(lam, V, growth, triangle, rank):
     for i in range(rank, V.shape[0]):
         V[i] = 0.0
         growth[i] = -np.inf
+
+
+@kernel
+def graded_flow(signal, s, V, growth, triangle, rank):
+    """Move the tangent vectors V (m, n, 2) on by s, however far that spreads them, as V exp(growth) triangle.
+
+    In coordinates of one decay rate each a flight is X -> D X, D = diag(exp(-rate s)) times a rotation. Gaussian
+    elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
+    growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
+    """
+    n, m = len(signal.eta), V.shape[0]
+    X = np.empty((2 * n, m))
+    back = np.zeros((2 * n, 2))
+    decay = np.empty(2 * n)
+    for j in range(n):
+        eta, lam = signal.eta[j], signal.lam[j]
+        w2 = eta * eta - lam
+        w = math.sqrt(max(w2, 0.0))
+        if w * s > 1.0:
+            fast = eta + w
+            slow = lam / fast
+            # h = a (1, -slow) + b (1, -fast)
+            for i in range(m):
+                h0, h1 = V[i, j, 0], V[i, j, 1]
+                X[2 * j, i] = (fast * h0 + h1) / (2.0 * w)
+                X[2 * j + 1, i] = -(slow * h0 + h1) / (2.0 * w)
+            decay[2 * j], decay[2 * j + 1] = slow * s, fast * s
+            back[2 * j, 0], back[2 * j, 1] = 1.0, -slow
+            back[2 * j + 1, 0], back[2 * j + 1, 1] = 1.0, -fast
+        else:
+            # exp(eta s) times the flow: C and S without their decay
+            d = -w2
+            x = d * s * s
+            if abs(x) < 1e-3:
+                C = 1.0 - x / 2.0 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0)))
+                S = s * (1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))))
+            elif d > 0.0:
+                wd = math.sqrt(d)
+                C, S = math.cos(wd * s), math.sin(wd * s) / wd
+            else:
+                C, S = math.cosh(w * s), math.sinh(w * s) / w
+            for i in range(m):
+                h0, h1 = V[i, j, 0], V[i, j, 1]
+                X[2 * j, i] = (C + eta * S) * h0 + S * h1
+                X[2 * j + 1, i] = -lam * S * h0 + (C - eta * S) * h1
+            decay[2 * j] = decay[2 * j + 1] = eta * s
+            back[2 * j, 0] = back[2 * j + 1, 1] = 1.0
+    used = np.zeros(2 * n, dtype=np.bool_)
+    V[:] = 0.0
+    for k in range(min(rank, m)):
+        pivot, best = -1, -np.inf
+        for i in range(2 * n):
+            if not used[i] and X[i, k] != 0.0:
+                norm = math.sqrt(signal.lam[i // 2] * back[i, 0] ** 2 + back[i, 1] ** 2)
+                size = math.log(abs(X[i, k]) * norm) - decay[i]
+                if size > best:
+                    pivot, best = i, size
+        if pivot < 0:
+            break
+        used[pivot] = True
+        p = X[pivot, k]
+        gain = math.log(abs(p)) - decay[pivot]
+        for i in range(2 * n):
+            if X[i, k] != 0.0 and (i == pivot or not used[i]):
+                share = math.copysign(math.exp(math.log(abs(X[i, k])) - decay[i] - gain), X[i, k])
+                V[k, i // 2, 0] += share * back[i, 0]
+                V[k, i // 2, 1] += share * back[i, 1]
+        for later in range(k + 1, m):
+            f = X[pivot, later] / p
+            for i in range(2 * n):
+                if not used[i]:
+                    X[i, later] -= f * X[i, k]
+            if triangle.shape[0] > 0:
+                triangle[k] += f * math.exp(growth[later] - growth[k]) * triangle[later]
+        growth[k] += gain

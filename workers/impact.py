@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from workers.flight import derivative_bounds, dot, flow_with_tangent, next_crossing
+from workers.flight import derivative_bounds, dot, flow, flow_with_tangent, next_crossing
+from workers.frame import graded_flow
 from workers.jit import kernel
 
 REBOUND, REST, LEAVE = range(3)
@@ -146,7 +147,7 @@ def load_on_stop(osc, u, phase, side):
 
 
 @kernel
-def stay_on_stop(osc, h, V, phase, side, H):
+def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     """Rest on a stop until the load on it falls to zero, or for H; moves h and V there, in place.
 
     Returns (time, released, evaluations); released is 2 where the march gave up.
@@ -160,7 +161,11 @@ def stay_on_stop(osc, h, V, phase, side, H):
     upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
     offset = release.offset * stop_position(osc, side)
     s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, 0, 0, H, scratch)
-    flow_with_tangent(release, s, u, U)
+    if growth.shape[0] > 0:
+        flow(release, s, u)
+        graded_flow(release, s, U, growth, triangle, 2 * n)
+    else:
+        flow_with_tangent(release, s, u, U)
     from_held(osc, u, phase + release.omega * s, side, h)
     tangent_from_held(osc, U, V)
     return s, abs(crossed), evaluations

@@ -101,19 +101,18 @@ def framed_motion(osc: Oscillator, h: Array, contact: int, frame: Array) -> Moti
 def map_with_jacobian(osc: Oscillator, h: Array, contact: int, steps: int, half: bool) -> tuple[Motion, Array] | None:
     """The motion after so many steps from h, and the Jacobian (2n, 2n) of the map; None if it cannot get there."""
     size = h.size
-    motion = framed_motion(osc, h, contact, np.eye(size).reshape(size, *h.shape))
+    motion = motion_at(osc, h, contact, vectors=size)._replace(growth=np.zeros(0))  # carried along as they are
     if step_many(osc, motion, steps, half) < steps:
         return None
-    reset_frame(osc, motion)
-    with np.errstate(over="ignore", invalid="ignore"):
-        J = motion.V.reshape(size, size).T @ (np.exp(motion.growth)[:, None] * motion.triangle)
+    J = motion.V.reshape(size, size).T.copy()
     return (motion, J) if np.all(np.isfinite(J)) else None
 
 
 class Fixed(NamedTuple):
-    """A fixed point of so many steps of the map: block state, contact, Jacobian and |F(h) - h|."""
+    """A fixed point of so many steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
 
     h: Array
+    image: Array
     contact: int
     jacobian: Array
     residual: float
@@ -137,7 +136,7 @@ def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float,
         residual = energy_norm(osc, difference)
         if best is not None and residual > 0.5 * best.residual:
             break
-        best = Fixed(h, contact, J, residual, spent)
+        best = Fixed(h, motion.h, contact, J, residual, spent)
         if residual > 0.3 * scale or residual < 1e-15 * scale:
             break
         try:
@@ -239,9 +238,17 @@ def settle(
         unexplained = trial.h - point.h - (point.jacobian @ away.ravel()).reshape(away.shape)
         if not energy_norm(osc, unexplained) < 0.5 * -math.expm1(logs[0]) * distance:
             return None, spent
+    again = map_with_jacobian(osc, point.image, point.contact, steps, half)
+    spent += steps
+    if again is not None:
+        rounding = max(rounding, 4.0 * abs(_spectral_radius(again[1]) / _spectral_radius(point.jacobian) - 1.0))
     periods = steps / 2 if half else steps
     orbit = Orbit(point.h, point.contact, steps, half, logs / periods, point.residual, rounding / periods)
     return orbit, spent
+
+
+def _spectral_radius(jacobian: Array) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(jacobian)), initial=1e-300))
 
 
 def recurrence(osc: Oscillator, sections: Array, scale: float, longest: int) -> list[int]:

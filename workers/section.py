@@ -14,10 +14,11 @@ from workers.flight import (
     ON_STOP_MOVING,
     ON_STOP_RELEASED,
     evaluate_now,
+    flow,
     flow_with_tangent,
     next_crossing,
 )
-from workers.frame import orthonormalise
+from workers.frame import graded_flow, orthonormalise
 from workers.impact import LEAVE, REST, kick, load_on_stop, outcome, rest_projection, saltation, stay_on_stop, to_held
 from workers.jit import kernel
 from workers.oscillator import Oscillator
@@ -156,19 +157,19 @@ def spread_rate(signal):
 
 
 @kernel
-def fly_in_pieces(osc, motion, s, rate):
-    """Move the state and the frame on by s in free flight, in pieces over which the frame stays well conditioned."""
-    pieces = max(1, math.ceil(s * rate / MAX_SPREAD))
-    for _ in range(pieces):
-        flow_with_tangent(osc.gap, s / pieces, motion.h, motion.V)
-        reset_frame(osc, motion)
+def fly_far(osc, motion, s):
+    """Move the state and the frame on by s in free flight, however far that spreads the frame."""
+    rank = 2 * len(osc.kick) - int(motion.tally[LOST])
+    flow(osc.gap, s, motion.h)
+    graded_flow(osc.gap, s, motion.V, motion.growth, motion.triangle, rank)
+    reset_frame(osc, motion)
 
 
 @kernel
 def reset_frame(osc, motion):
     """Make the frame orthonormal and count its growth."""
-    m, n = motion.V.shape[0], motion.V.shape[1]
-    if m > 0:
+    n = motion.V.shape[1]
+    if motion.growth.shape[0] > 0:
         rank = 2 * n - int(motion.tally[LOST])
         orthonormalise(osc.gap.lam, motion.V, motion.growth, motion.triangle, rank)
     motion.tally[SPREAD] = 0.0
@@ -211,8 +212,8 @@ def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
 def leave_stop(osc, motion, t, contact, duration):
     """Rest on a stop from time t until release or ``duration``: the time then, and whether it was released."""
     phase = osc.tau + osc.gap.omega * t
-    s, released, evaluations = stay_on_stop(osc, motion.h, motion.V, phase, contact, duration - t)
-    tally = motion.tally
+    h, V, tally = motion.h, motion.V, motion.tally
+    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, duration - t)
     tally[STUCK] += s
     tally[EVALUATIONS] += evaluations
     tally[LOST] = 2.0
@@ -251,8 +252,8 @@ def travel(osc, motion, duration):
             osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
         tally[EVALUATIONS] += evaluations
-        if tally[SPREAD] + s * rate > MAX_SPREAD:
-            fly_in_pieces(osc, motion, s, rate)
+        if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
+            fly_far(osc, motion, s)
         else:
             flow_with_tangent(osc.gap, s, h, V)
             tally[SPREAD] += s * rate

@@ -38,6 +38,7 @@ from workers.section import (
     blocks_to_physical,
     motion_at,
     motion_from,
+    reset_frame,
     run,
 )
 from workers.settings import Settings
@@ -116,13 +117,14 @@ def with_frame(motion: Motion, vectors: int) -> Motion:
     return motion._replace(V=frame, growth=np.zeros(vectors), tally=motion.tally)
 
 
-def restart_counts(motion: Motion) -> None:
-    """Count from here on: impacts, slowest impact, time at rest and growth; lost directions stay lost."""
-    lost = motion.tally[LOST]
+def restart_counts(osc: Oscillator, motion: Motion) -> None:
+    """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
+    if motion.tally[LOST]:
+        motion.V[:] = np.eye(motion.h.size).reshape(motion.h.size, *motion.h.shape)[: len(motion.V)]
     motion.tally[:] = 0.0
-    motion.tally[LOST] = lost
     motion.tally[MIN_SPEED] = math.inf
-    motion.growth[np.isfinite(motion.growth)] = 0.0
+    reset_frame(osc, motion)
+    motion.growth[:] = 0.0
 
 
 def impact_free(osc: Oscillator, motion: Motion) -> bool:
@@ -160,7 +162,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
             averages = no_averages()
             used += average(osc, motion, WARM_UP, no_averages(), no_sections)
             length -= WARM_UP
-            restart_counts(motion)
+            restart_counts(osc, motion)
         sections = np.empty((min(length, settings.max_period + 1), *motion.h.shape))
         if averages is None:
             used += run(osc, motion, length, sections)
@@ -183,7 +185,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
             missing = count * ((error / settings.tolerance) ** 2 - 1.0)
             stretch = int(min(used, max(1.05 * missing, 256)))
         previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
-        if abs(previous) < TORUS_LIMIT and abs(weighted) < TORUS_LIMIT:
+        if max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous):
             return _quasiperiodic(osc, motion, settings, used, averages, weighted, abs(weighted - previous))
 
 
@@ -196,7 +198,7 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
     failed = _failure(motion, used)
     if failed is not None:
         return failed
-    restart_counts(motion)
+    restart_counts(osc, motion)
     used += average(osc, motion, settings.periods, averages, sections)
     failed = _failure(motion, used)
     if failed is not None:
@@ -277,6 +279,8 @@ def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> C
     run(osc, turn, orbit.period, np.empty((0, *turn.h.shape)))
     sticks = bool(turn.tally[STUCK] > 0.0)
     hits = impacts(turn) / orbit.period
+    if not hits and not sticks:
+        return _no_impact(osc, turn, settings, used + orbit.period)
     exponents = orbit.exponents
     holds = sum_law_holds(osc, turn)
     start = motion_at(osc, orbit.h, orbit.contact)

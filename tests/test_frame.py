@@ -1,0 +1,83 @@
+"""The tangent frame: Gram-Schmidt in the energy product, with logarithms."""
+
+import numpy as np
+import pytest
+
+from workers.frame import inner, orthonormalise
+
+LAM = (0.7, 3.1)
+
+
+def weighted(V: np.ndarray) -> np.ndarray:
+    """Vectors (m, 2n) whose plain inner product is the energy product of V (m, n, 2)."""
+    return (V * np.column_stack([np.sqrt(LAM), np.ones(2)])).reshape(len(V), -1)
+
+
+def test_the_energy_product_is_that_of_undamped_flight() -> None:
+    """Undamped flow is a rotation in it: q' = v, v' = -lam q keeps lam q^2 + v^2."""
+    rng = np.random.default_rng(1)
+    u, w = rng.normal(size=(2, 2, 2))
+    t = 0.83
+    moved = []
+    for z in (u, w):
+        out = np.empty((2, 2))
+        for j, lam in enumerate(LAM):
+            s = np.sqrt(lam)
+            out[j] = np.array([[np.cos(s * t), np.sin(s * t) / s], [-s * np.sin(s * t), np.cos(s * t)]]) @ z[j]
+        moved.append(out)
+    assert inner(LAM, *moved) == pytest.approx(inner(LAM, u, w), rel=1e-13)
+
+
+def test_a_frame_is_orthonormal_with_the_growth_of_a_qr_factorisation() -> None:
+    """Truth: numpy's QR of the weighted vectors."""
+    rng = np.random.default_rng(2)
+    for m in (1, 2, 4):
+        V = rng.normal(size=(m, 2, 2)) * np.exp(rng.normal(size=(m, 1, 1)))
+        growth = rng.normal(size=m)
+        R = np.linalg.qr(weighted(V).T)[1]
+        expected = growth + np.log(np.abs(np.diag(R)))
+        orthonormalise(LAM, V, growth, np.zeros((0, 0)), 4)
+        assert weighted(V) @ weighted(V).T == pytest.approx(np.eye(m), abs=1e-14)
+        assert growth == pytest.approx(expected, rel=1e-13)
+
+
+def test_triangle_and_growth_keep_the_product_of_all_steps() -> None:
+    """V_0 through A_1, ..., A_k is (final frame) exp(growth) triangle. Truth: the plain product."""
+    rng = np.random.default_rng(3)
+    V = np.eye(4).reshape(4, 2, 2).copy()
+    growth, triangle = np.zeros(4), np.eye(4)
+    product = np.eye(4)
+    for _ in range(7):
+        A = rng.normal(size=(4, 4)) + 2 * np.eye(4)
+        product = A @ product
+        V = (V.reshape(4, 4) @ A.T).reshape(4, 2, 2).copy()
+        orthonormalise(LAM, V, growth, triangle, 4)
+    rebuilt = V.reshape(4, 4).T @ (np.exp(growth)[:, None] * triangle)
+    assert rebuilt == pytest.approx(product, rel=1e-10, abs=1e-10 * np.abs(product).max())
+    assert np.allclose(np.diag(triangle), 1.0)
+    assert np.all(np.tril(triangle, -1) == 0.0)
+
+
+def test_logarithms_outlive_what_the_product_cannot_hold() -> None:
+    """1000 steps of diag(e^2, e^1, e^-1, e^-3): the product over- and underflows, the logs are exact."""
+    V = np.eye(4).reshape(4, 2, 2).copy()
+    growth, triangle = np.zeros(4), np.eye(4)
+    rates = np.array([2.0, 1.0, -1.0, -3.0])
+    for _ in range(1000):
+        V *= np.exp(rates).reshape(1, 2, 2)
+        orthonormalise(LAM, V, growth, triangle, 4)
+    assert growth == pytest.approx(1000 * rates + 0.5 * np.log([LAM[0], 1.0, LAM[1], 1.0]), rel=1e-12)
+    assert np.all(np.isfinite(triangle))
+
+
+def test_lost_directions_are_zero_with_growth_minus_infinity() -> None:
+    rng = np.random.default_rng(4)
+    V = rng.normal(size=(4, 2, 2))
+    growth, triangle = np.zeros(4), np.eye(4)
+    orthonormalise(LAM, V, growth, triangle, 2)
+    assert np.all(V[2:] == 0.0)
+    assert np.all(growth[2:] == -np.inf)
+    orthonormalise(LAM, V, growth, triangle, 2)
+    assert np.all(np.isfinite(growth[:2]))
+    assert np.all(np.isfinite(triangle))
+    assert weighted(V[:2]) @ weighted(V[:2]).T == pytest.approx(np.eye(2), abs=1e-14)

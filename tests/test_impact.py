@@ -1,0 +1,229 @@
+"""Impacts: restitution, saltation, complete chatter, motion on a stop, release."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tests import naive
+from workers.flight import dot
+from workers.impact import (
+    LEAVE,
+    REBOUND,
+    REST,
+    from_held,
+    kick,
+    load_on_stop,
+    outcome,
+    rest_projection,
+    saltation,
+    stay_on_stop,
+    stop_position,
+    to_held,
+)
+from workers.oscillator import Oscillator, mass_spring
+from workers.section import blocks_to_physical, motion_at
+
+
+def three_masses(R: float = 0.7) -> Oscillator:
+    """A chain of three masses whose impacts are between the first two; its gap is not symmetric."""
+    stiffness = np.array([[3.0, -1.0, 0.0], [-1.0, 2.5, -1.0], [0.0, -1.0, 4.0]])
+    return mass_spring(
+        mass=np.diag([1.0, 0.7, 2.0]), damping=0.1 * stiffness, stiffness=stiffness, gap_row=np.array([1.0, -1.0, 0.0]),
+        force=np.array([0.0, 0.3, 1.0]), omega=1.3, tau=0.4, b_upper=0.3, b_lower=0.2, R=R,
+    )  # fmt: skip
+
+
+OSCILLATORS = {"two masses": naive.two_mass(**naive.FIGURES[3])[0], "three masses": three_masses()}
+
+
+@pytest.fixture(params=OSCILLATORS)
+def osc(request: pytest.FixtureRequest) -> Oscillator:
+    return OSCILLATORS[request.param]
+
+
+def as_matrix(osc: Oscillator, act) -> np.ndarray:
+    """The matrix (2n, 2n) by which ``act`` carries tangent vectors, in block coordinates."""
+    size = 2 * len(osc.kick)
+    V = np.eye(size).reshape(size, -1, 2).copy()
+    act(V)
+    return V.reshape(size, size).T
+
+
+def flat(rows) -> np.ndarray:
+    return np.array(rows).ravel()
+
+
+def test_the_kick_column_changes_the_gap_velocity_alone(osc: Oscillator) -> None:
+    """c.k = 0, cA.k = 1, cA.(A k) = cA^2.k."""
+    k, Ak = flat(osc.kick), flat(osc.kick1)
+    c, cA, cA2 = flat(osc.gap.row), flat(osc.gap.row1), flat(osc.gap.row2)
+    assert c @ k == pytest.approx(0.0, abs=1e-15)
+    assert cA @ k == pytest.approx(1.0, rel=1e-14)
+    assert c @ Ak == pytest.approx(1.0, rel=1e-14)
+    assert cA @ Ak == pytest.approx(osc.cA2k, rel=1e-13)
+    assert cA2 @ k == pytest.approx(osc.cA2k, rel=1e-13)
+
+
+def test_a_kick_leaves_the_other_masses_momentum_to_the_contact() -> None:
+    """Impact on one mass: the other's velocity stays. Impact between two: their total momentum stays."""
+    for osc, momentum in (
+        (OSCILLATORS["two masses"], np.array([0.0, 1.0])),
+        (OSCILLATORS["three masses"], np.array([1.0, 0.7, 0.0])),
+    ):
+        n = len(osc.kick)
+        h = np.zeros((n, 2))
+        kick(osc, h, -0.6)
+        velocities = np.array(osc.to_physical) @ h[:, 1]
+        assert np.array(osc.gap_row) @ velocities == pytest.approx(-0.6, rel=1e-14)
+        assert momentum @ velocities == pytest.approx(0.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [-7.0, 0.0, 3.0, 1e4])
+def test_the_saltation_matrix_has_the_restitution_squared_as_determinant(osc: Oscillator, ratio: float) -> None:
+    S = as_matrix(osc, lambda V: saltation(osc, V, ratio))
+    assert np.linalg.det(S) == pytest.approx(osc.R**2, rel=1e-12 * (1 + abs(ratio)))
+
+
+def test_without_restitution_the_saltation_matrix_loses_one_direction() -> None:
+    inelastic = three_masses(R=0.0)
+    S = as_matrix(inelastic, lambda V: saltation(inelastic, V, 2.0))
+    assert np.linalg.matrix_rank(S, tol=1e-12) == 5
+
+
+def test_the_projection_to_rest_loses_the_two_contact_directions(osc: Oscillator) -> None:
+    """P k = P A k = 0, c P = cA P = 0, P P = P."""
+    P = as_matrix(osc, lambda V: rest_projection(osc, V))
+    for zero in (P @ flat(osc.kick), P @ flat(osc.kick1), flat(osc.gap.row) @ P, flat(osc.gap.row1) @ P, P @ P - P):
+        assert np.max(np.abs(zero)) < 1e-13
+    assert np.linalg.matrix_rank(P, tol=1e-12) == 2 * len(osc.kick) - 2
+
+
+def test_rest_forgets_the_impacts_before_it(osc: Oscillator) -> None:
+    """P S = P for every impact of the chatter."""
+    P = as_matrix(osc, lambda V: rest_projection(osc, V))
+    for ratio in (-3.0, 0.5, 40.0):
+        S = as_matrix(osc, lambda V, r=ratio: saltation(osc, V, r))
+        assert np.max(np.abs(P @ S - P)) < 1e-12 * (1 + abs(ratio))
+
+
+# What an impact leads to
+
+
+def next_motion(R: float, v: float, load: float, remaining: float = 1.0) -> int:
+    osc = OSCILLATORS["two masses"]._replace(R=R)
+    return outcome(osc, np.full((2, 2), 0.1), 1, v, load + osc.cA2k * v, 0.5, remaining)
+
+
+@pytest.mark.parametrize(("load", "expected"), [(0.3, REST), (-0.3, LEAVE)])
+def test_an_inelastic_impact_rests_where_it_is_pressed_and_leaves_else(load: float, expected: int) -> None:
+    assert next_motion(0.0, 0.4, load) == expected
+
+
+def test_an_elastic_impact_never_comes_to_rest() -> None:
+    assert next_motion(1.0, 1e-12, 1.0) == REBOUND
+
+
+def test_an_impact_under_a_load_that_pulls_away_rebounds() -> None:
+    assert next_motion(0.5, 1e-9, -1.0) == REBOUND
+
+
+def test_a_fast_impact_rebounds_and_a_slow_pressed_one_rests() -> None:
+    assert next_motion(0.5, 0.1, 1.0) == REBOUND
+    assert next_motion(0.5, 1e-6, 1.0) == REST
+
+
+def test_chatter_that_outlasts_the_section_goes_on_hopping() -> None:
+    assert next_motion(0.5, 1e-6, 1.0, remaining=1e-7) == REBOUND
+
+
+def test_a_hop_below_rounding_ends_at_rest_even_close_to_elastic() -> None:
+    assert next_motion(1 - 1e-9, 1e-9, 1.0) == REST
+
+
+# On a stop
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_held_coordinates_give_a_state_on_the_stop_at_rest(osc: Oscillator, side: int) -> None:
+    rng = np.random.default_rng(1)
+    n = len(osc.kick)
+    for _ in range(20):
+        u, phase, h, back = rng.normal(size=(n - 1, 2)), rng.uniform(0, 7), np.zeros((n, 2)), np.zeros((n - 1, 2))
+        from_held(osc, u, phase, side, h)
+        Y = osc.gap.sin_part * math.sin(phase) + osc.gap.cos_part * math.cos(phase)
+        dY = osc.gap.omega * (osc.gap.sin_part * math.cos(phase) - osc.gap.cos_part * math.sin(phase))
+        assert dot(osc.gap.row, h) + Y == pytest.approx(stop_position(osc, side), abs=2e-15 * (1 + np.abs(u).max()))
+        assert dot(osc.gap.row1, h) + dY == pytest.approx(0.0, abs=2e-15 * (1 + np.abs(u).max()) * 4)
+        to_held(osc, h, phase, side, back)
+        assert back == pytest.approx(u, abs=1e-14)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_load_is_the_free_acceleration_toward_the_stop(osc: Oscillator, side: int) -> None:
+    rng = np.random.default_rng(2)
+    n = len(osc.kick)
+    for _ in range(20):
+        u, phase, h = rng.normal(size=(n - 1, 2)), rng.uniform(0, 7), np.zeros((n, 2))
+        from_held(osc, u, phase, side, h)
+        ddY = -(osc.gap.omega**2) * (osc.gap.sin_part * math.sin(phase) + osc.gap.cos_part * math.cos(phase))
+        free = dot(osc.gap.row2, h) + ddY
+        assert load_on_stop(osc, u, phase, side) == pytest.approx(side * free, abs=1e-13)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_motion_on_a_stop_is_that_of_the_constrained_system(side: int) -> None:
+    """Truth: DOP853 on mass 2 alone with x1 on the stop, to the zero of the free acceleration of mass 1."""
+    p = naive.FIGURES[4] | {"f2": 0.6}
+    osc, _ = naive.two_mass(**p)
+    wall = side * p["b"]
+
+    def mass_two(t: float, z: np.ndarray) -> list[float]:
+        force = p["f2"] * math.sin(p["omega"] * t + p["tau"])
+        spring = wall - (1 + p["mu_k"]) * z[0] - 2 * p["zeta"] * (1 + p["mu_k"]) * z[1]
+        return [z[1], (force + spring) / p["mu_m"]]
+
+    def load(t: float, z: np.ndarray) -> float:
+        return side * (-(wall - z[0]) + 2 * p["zeta"] * z[1] + (1 - p["f2"]) * math.sin(p["omega"] * t + p["tau"]))
+
+    load.terminal, load.direction = True, -1  # type: ignore[attr-defined]
+    begin = [wall + side * 1.0, 0.1]
+    exact = solve_ivp(mass_two, (0.0, 6.0), begin, method="DOP853", rtol=1e-12, atol=1e-13, events=load)
+    assert load(0.0, np.array(begin)) > 0
+    assert exact.status == 1
+
+    h = np.array(osc.to_blocks) @ np.array([[wall, 0.0], begin])
+    h = h - np.array(osc.forced) @ [math.sin(p["tau"]), math.cos(p["tau"])]
+    frame = (np.zeros((0, 2, 2)), np.zeros(0), np.zeros((0, 0)))
+    time, released, evaluations = stay_on_stop(osc, h, *frame, p["tau"], side, 6.0)
+    assert released == 1
+    assert evaluations < 30
+    assert time == pytest.approx(exact.t[-1], rel=1e-10)
+    full = h + np.array(osc.forced) @ [math.sin(p["tau"] + time * p["omega"]), math.cos(p["tau"] + time * p["omega"])]
+    (x1, v1), (x2, v2) = np.array(osc.to_physical) @ full
+    assert (x1, v1) == pytest.approx((wall, 0.0), abs=1e-15)
+    assert (x2, v2) == pytest.approx(tuple(exact.y[:, -1]), abs=1e-10)
+
+
+def test_a_section_state_on_a_stop_lies_there_exactly_at_rest() -> None:
+    osc, _ = naive.two_mass(**naive.STICKING)
+    h = np.zeros((2, 2))
+    from_held(osc, np.array([[0.123, -0.456]]), osc.tau, 1, h)
+    state = blocks_to_physical(osc, motion_at(osc, h, contact=1))
+    assert state[0] == osc.b_upper
+    assert state[2] == 0.0
+
+
+def test_tangent_vectors_of_held_motion_stay_on_the_stop() -> None:
+    """c.V = cA.V = 0 after a stay."""
+    osc, _ = naive.two_mass(**naive.STICKING)
+    rng = np.random.default_rng(3)
+    h = np.zeros((2, 2))
+    from_held(osc, np.array([[0.6, 0.2]]), 1.0, 1, h)
+    V = rng.normal(size=(4, 2, 2))
+    rest_projection(osc, V)
+    stay_on_stop(osc, h, V, np.zeros(4), np.zeros((0, 0)), 1.0, 1, 0.2)
+    for v in V:
+        assert dot(osc.gap.row, v) == pytest.approx(0.0, abs=1e-14)
+        assert dot(osc.gap.row1, v) == pytest.approx(0.0, abs=1e-14)

@@ -1,0 +1,142 @@
+"""Averages over periods, their error bars and the law of the exponents' sum."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import eigvals
+
+from tests import naive
+from workers.lyapunov import (
+    FEWEST_BLOCKS,
+    add_to_blocks,
+    average,
+    free_exponents,
+    impacts,
+    no_averages,
+    standard_error,
+    sum_law_holds,
+    sum_of_exponents,
+)
+from workers.section import motion_from, run
+from workers.solve import restart_counts
+
+
+def blocking(values: np.ndarray) -> np.ndarray:
+    levels = no_averages().levels
+    for value in values:
+        add_to_blocks(levels, float(value))
+    return levels
+
+
+def correlated(rng: np.random.Generator, phi: float, count: int) -> np.ndarray:
+    """AR(1) noise of unit variance, correlation time (1 + phi) / (1 - phi) samples."""
+    noise = rng.normal(size=count) * math.sqrt(1 - phi * phi)
+    values = np.empty(count)
+    last = rng.normal()
+    for k in range(count):
+        last = values[k] = phi * last + noise[k]
+    return values
+
+
+def test_mean_and_error_are_those_of_plain_blocking() -> None:
+    """Truth: the naive twin, which reshapes the whole series level by level."""
+    values = correlated(np.random.default_rng(1), 0.6, 5000) + 3.0
+    levels = blocking(values)
+    assert levels[0, 0] == 5000
+    assert levels[0, 1] == pytest.approx(values.mean(), rel=1e-13)
+    assert standard_error(levels) == pytest.approx(naive.blocking_error(values, FEWEST_BLOCKS), rel=1e-12)
+
+
+def test_white_noise_has_the_error_sigma_over_root_n() -> None:
+    """The largest of several estimates of the same number: a few per cent above it on average."""
+    rng = np.random.default_rng(2)
+    errors = [standard_error(blocking(2.0 * rng.normal(size=4096))) for _ in range(60)]
+    assert 1.0 < np.mean(errors) / (2.0 / 64.0) < 1.2
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, -0.5])
+def test_the_error_bar_of_correlated_noise_is_right_within_statistics(phi: float) -> None:
+    """(mean - true mean) / error over 400 series: root mean square near one, 90 % below two.
+
+    Anticorrelated noise may only be overestimated: the error is the largest of all block lengths.
+    """
+    rng = np.random.default_rng(3)
+    z = []
+    for _ in range(400):
+        values = correlated(rng, phi, 2048)
+        z.append(values.mean() / standard_error(blocking(values)))
+    rms = math.sqrt(np.mean(np.square(z)))
+    assert rms < 1.15
+    if phi >= 0.0:
+        assert rms > 0.8
+    assert np.mean(np.abs(z) < 2.0) > 0.9
+
+
+def test_too_few_values_have_no_error() -> None:
+    assert math.isnan(standard_error(blocking(np.ones(FEWEST_BLOCKS - 1))))
+    assert standard_error(blocking(np.ones(FEWEST_BLOCKS))) == 0.0
+
+
+def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None:
+    """Truth: the Floquet exponent of Fig. 3, from 40-digit arithmetic (a complex pair: the growth oscillates)."""
+    exact = -0.235569640371152
+    osc, start = naive.two_mass(**naive.FIGURES[3])
+    motion = motion_from(osc, start, vectors=1)
+    none = np.empty((0, 2, 2))
+    average(osc, motion, 500, no_averages(), none)
+    averages = no_averages()
+    average(osc, motion, 4000, averages, none)
+    plain, weighted = averages.levels[0, 1], averages.weighted[0] / averages.weighted[1]
+    assert abs(weighted - exact) < 1e-11
+    assert abs(plain - exact) < 1e-3
+
+
+def test_a_stretch_ends_with_its_last_sections() -> None:
+    osc, start = naive.two_mass(**naive.FIGURES[4])
+    one, other = motion_from(osc, start, vectors=1), motion_from(osc, start)
+    kept, expected = np.empty((3, 2, 2)), np.empty((3, 2, 2))
+    average(osc, one, 10, no_averages(), kept)
+    run(osc, other, 10, expected)
+    assert kept == pytest.approx(expected, abs=1e-15)
+    assert kept[-1] == pytest.approx(one.h, abs=0)
+
+
+# The sum
+
+
+@pytest.mark.parametrize("figure", [3, 4, 5])
+def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
+    """sum = -trace(M^-1 C) T + 2 ln R (impacts per period), with M and C written out."""
+    p = naive.FIGURES[figure]
+    osc, start = naive.two_mass(**p)
+    motion = motion_from(osc, start, vectors=4)
+    none = np.empty((0, 2, 2))
+    average(osc, motion, 200, no_averages(), none)
+    restart_counts(osc, motion)
+    average(osc, motion, 2000, no_averages(), none)
+    trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
+    exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impacts(motion) / 2000
+    assert sum_law_holds(osc, motion)
+    assert sum_of_exponents(osc, impacts(motion) / 2000) == pytest.approx(exact, rel=1e-13)
+    assert abs(motion.growth.sum() / 2000 - exact) < 1e-11
+
+
+def test_the_sum_law_is_not_claimed_where_a_direction_is_lost() -> None:
+    for params in (naive.STICKING, naive.FIGURES[3] | {"R": 0.0, "omega": 1.93, "b": 0.52}):
+        osc, start = naive.two_mass(**params)
+        motion = motion_from(osc, start, vectors=4)
+        average(osc, motion, 20, no_averages(), np.empty((0, 2, 2)))
+        assert not sum_law_holds(osc, motion)
+
+
+@pytest.mark.parametrize("zeta", [0.0, 0.05, 0.5, 1.0 / math.sqrt(2.0 - math.sqrt(1.5)), 5.0, 50.0])
+def test_exponents_without_impact_are_the_real_parts_of_the_eigenvalues(zeta: float) -> None:
+    """Truth: the eigenvalues of the first-order matrix; at critical damping they are known to 1e-8 only."""
+    p = naive.FIGURES[3] | {"zeta": zeta}
+    osc, _ = naive.two_mass(**p)
+    rates = np.sort(eigvals(naive.first_order(p)[:4, :4]).real)[::-1]
+    exact = rates * 2 * math.pi / p["omega"]
+    assert free_exponents(osc) == pytest.approx(exact, rel=1e-9, abs=3e-7)
+    assert np.all(np.diff(free_exponents(osc)) <= 0)
+    assert free_exponents(osc).sum() == pytest.approx(sum_of_exponents(osc, 0.0), rel=1e-12, abs=1e-15)

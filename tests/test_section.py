@@ -1,0 +1,315 @@
+"""The stroboscopic map and its Jacobian: against multiprecision orbits and finite differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests import naive
+from tests.oracle.simulate import section_jacobian, simulate
+from workers.orbits import map_with_jacobian
+from workers.oscillator import Oscillator
+from workers.section import (
+    EVALUATIONS,
+    LOST,
+    LOWER,
+    RUNNING,
+    STATUS,
+    STUCK,
+    UPPER,
+    advance,
+    blocks_to_physical,
+    half_advance,
+    motion_from,
+    reset_frame,
+    run,
+    travel,
+)
+
+EPS = np.finfo(np.float64).eps
+
+
+def after(osc: Oscillator, state: np.ndarray, periods: int) -> np.ndarray:
+    """Physical section state so many periods after another."""
+    motion = motion_from(osc, state)
+    assert run(osc, motion, periods, np.empty((0, *motion.h.shape))) == periods
+    return blocks_to_physical(osc, motion)
+
+
+def physical(osc: Oscillator) -> np.ndarray:
+    """Matrix (2n, 2n) from flat block coordinates (h_1, h_1', h_2, ...) to (x..., v...)."""
+    n = len(osc.kick)
+    P = np.zeros((2 * n, 2 * n))
+    P[:n, 0::2] = P[n:, 1::2] = osc.to_physical
+    return P
+
+
+def jacobian(osc: Oscillator, state: np.ndarray, periods: int, half: bool = False) -> np.ndarray:
+    """d(physical state after so many steps) / d(physical state)."""
+    start = motion_from(osc, state)
+    mapped = map_with_jacobian(osc, start.h, int(start.contact[0]), periods, half)
+    assert mapped is not None
+    P = physical(osc)
+    return P @ mapped[1] @ np.linalg.inv(P)
+
+
+def differences(osc: Oscillator, state: np.ndarray, periods: int, width: float) -> np.ndarray:
+    """The same by central differences of the map itself, with Richardson's extrapolation."""
+    columns = []
+    for i in range(len(state)):
+        move = np.eye(len(state))[i] * width
+        coarse, fine = (
+            (after(osc, state + s * move, periods) - after(osc, state - s * move, periods)) / (2 * s * width)
+            for s in (1.0, 0.5)
+        )
+        columns.append((4 * fine - coarse) / 3)
+    return np.column_stack(columns)
+
+
+def on_attractor(osc: Oscillator, state: np.ndarray, periods: int = 300) -> np.ndarray:
+    return after(osc, state, periods)
+
+
+@pytest.mark.parametrize("figure", [3, 4, 5])
+def test_the_jacobian_is_that_of_the_map_at_the_papers_figures(figure: int) -> None:
+    osc, start = naive.two_mass(**naive.FIGURES[figure])
+    state = on_attractor(osc, start)
+    J = jacobian(osc, state, 1)
+    assert np.max(np.abs(differences(osc, state, 1, 1e-5) - J)) < 1e-6 * max(1.0, np.max(np.abs(J)))
+
+
+def random_params(rng: np.random.Generator) -> dict[str, float]:
+    return {
+        "mu_m": float(np.exp(rng.normal(0.5, 0.6))),
+        "mu_k": float(np.exp(rng.normal(0.9, 0.6))),
+        "zeta": float(np.exp(rng.normal(-2.0, 0.8))),
+        "f2": float(rng.normal()),
+        "omega": float(rng.uniform(1.0, 4.0)),
+        "R": float(rng.uniform(0.5, 1.0)),
+        "tau": float(rng.uniform(0.0, 2 * math.pi)),
+    }
+
+
+def test_the_jacobian_is_that_of_the_map_at_random_parameters() -> None:
+    rng = np.random.default_rng(1)
+    impacts = 0
+    for _ in range(40):
+        params = random_params(rng)
+        params["b"] = float(rng.uniform(0.1, 0.9)) * naive.two_mass(**params)[0].gap.amplitude
+        osc, start = naive.two_mass(**params)
+        state = on_attractor(osc, start, 40)
+        J = jacobian(osc, state, 1)
+        assert np.max(np.abs(differences(osc, state, 1, 3e-6) - J)) < 1e-6 * max(1.0, np.max(np.abs(J)))
+        motion = motion_from(osc, state)
+        advance(osc, motion)
+        impacts += int(motion.tally[UPPER] + motion.tally[LOWER])
+    assert impacts > 60
+
+
+def test_the_jacobian_agrees_with_multiprecision_orbits() -> None:
+    """Truth: differences of 50-digit orbits over two periods of Fig. 5."""
+    osc, start = naive.two_mass(**naive.FIGURES[5])
+    state = on_attractor(osc, start, 50)
+    named = dict(zip(("x1", "x2", "v1", "v2"), state.tolist(), strict=True))
+    true = np.array([[float(v) for v in row] for row in section_jacobian(naive.FIGURES[5] | named, 2)])
+    assert jacobian(osc, state, 2) == pytest.approx(true, abs=1e-11 * np.abs(true).max())
+
+
+def test_the_jacobian_through_one_impact_is_that_of_a_plain_simulation() -> None:
+    """Truth: differences of matrix exponentials with a root for the impact, in physical coordinates."""
+    p = naive.FIGURES[3]
+    osc, _ = naive.two_mass(**p)
+    state, end = np.array([p["b"] - 0.02, 0.03, 0.5, -0.2]), 0.12
+    motion = motion_from(osc, state, vectors=4)._replace(triangle=np.eye(4))
+    travel(osc, motion, end)
+    assert motion.tally[UPPER] == 1
+    reset_frame(osc, motion)
+    P = physical(osc)
+    J = P @ motion.V.reshape(4, 4).T @ (np.exp(motion.growth)[:, None] * motion.triangle) @ np.linalg.inv(P)
+    width = 1e-4
+    for i in range(4):
+        ends = []
+        for s in (1.0, -1.0, 0.5, -0.5):
+            ends.append(naive.through_one_impact(p, state + s * width * np.eye(4)[i], (0.0, 0.1), end))
+        column = (4 * (ends[2] - ends[3]) - (ends[0] - ends[1]) / 2) / (3 * width)
+        assert J[:, i] == pytest.approx(column, abs=1e-9 * np.abs(J).max())
+    assert np.linalg.det(J) == pytest.approx(p["R"] ** 2 * math.exp(-osc.trace * end), rel=1e-12)
+
+
+def test_the_volume_law_holds_along_chaos() -> None:
+    """ln det DP = -trace T + 2 ln R (impacts), period by period."""
+    osc, start = naive.two_mass(**naive.FIGURES[5])
+    motion = motion_from(osc, start, vectors=4)
+    for _ in range(50):
+        impacts, growth = motion.tally[UPPER] + motion.tally[LOWER], motion.growth.sum()
+        advance(osc, motion)
+        reset_frame(osc, motion)
+        hits = motion.tally[UPPER] + motion.tally[LOWER] - impacts
+        assert motion.growth.sum() - growth == pytest.approx(
+            -osc.trace * osc.period + 2 * hits * math.log(osc.R), abs=1e-10 + (1e-4 if impacts == 0 else 0.0)
+        )
+
+
+# Orbits against the independent simulator
+
+KINDS: dict[str, dict[str, float]] = {
+    "Fig. 3": naive.FIGURES[3],
+    "Fig. 4": naive.FIGURES[4],
+    "no damping": naive.FIGURES[3] | {"zeta": 0.0},
+    "no damping, elastic": naive.FIGURES[3] | {"zeta": 0.0, "R": 1.0},
+    "overdamped": naive.FIGURES[3] | {"zeta": 2.0, "b": 0.01},
+    "one critically damped mode": naive.FIGURES[3] | {"zeta": 1.0 / math.sqrt(2.0 - math.sqrt(1.5)), "b": 0.02},
+    "sticks": naive.STICKING,
+    "sticks, R = 0": naive.STICKING | {"R": 0.0},
+    "leaves at once, R = 0": naive.FIGURES[3] | {"R": 0.0, "omega": 1.93, "b": 0.52},
+    "long chatter": naive.STICKING | {"R": 0.6, "omega": 0.7},
+    "held at the section": naive.STICKING | {"tau": math.pi + 2.2},
+    "heavy second mass": naive.FIGURES[3] | {"mu_m": 300.0},
+    "light second mass": naive.FIGURES[3] | {"mu_m": 0.01},
+    "impact at once": naive.FIGURES[3] | {"x1": 0.1, "v1": 0.3, "x2": 0.05},
+    "leaves the stop": naive.FIGURES[3] | {"x1": 0.1, "v1": -0.3, "x2": 0.05},
+    "pressed on the stop": naive.FIGURES[3] | {"x1": 0.1, "x2": 1.5, "v2": 0.2},
+    "pulled off the stop": naive.FIGURES[3] | {"x1": 0.1, "x2": -0.5},
+    "pressed on the lower stop": naive.FIGURES[3] | {"x1": -0.1, "x2": -1.5},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_ten_periods_agree_with_the_independent_simulator(kind: str) -> None:
+    """Truth: a 30-digit Taylor simulation. Rounding may grow as the Jacobian of the orbit does."""
+    params = KINDS[kind]
+    true = simulate(params, 10, digits=30)
+    osc, state = naive.two_mass(**params)
+    motion = motion_from(osc, state, vectors=4)
+    sticks = bool(true.stuck)
+    growth = 0.0
+    for k in range(1, 11):
+        advance(osc, motion)
+        reset_frame(osc, motion)
+        assert motion.tally[STATUS] == RUNNING
+        growth = max(growth, float(motion.growth[0]))
+        exact = np.array([float(value) for value in true.sections[k]])
+        found = blocks_to_physical(osc, motion)
+        # Jumping to rest neglects what is of third order in the last 1e-4 of the chatter.
+        assert found == pytest.approx(exact, abs=(1e-11 if sticks else 1e-13) * math.exp(growth) * 10)
+    if not sticks:
+        assert motion.tally[UPPER] == sum(impact.side > 0 for impact in true.impacts)
+        assert motion.tally[LOWER] == sum(impact.side < 0 for impact in true.impacts)
+    stuck = sum(float(stay.end - stay.start) for stay in true.stuck)
+    assert motion.tally[STUCK] == pytest.approx(stuck, abs=5e-3 * stuck)
+
+
+def test_the_kinds_include_what_their_names_say() -> None:
+    for kind, params in KINDS.items():
+        osc, state = naive.two_mass(**params)
+        motion = motion_from(osc, state)
+        contact = int(motion.contact[0])
+        run(osc, motion, 10, np.empty((0, *motion.h.shape)))
+        assert ("stick" in kind or "held" in kind or "chatter" in kind or "pressed" in kind) == (
+            motion.tally[STUCK] > 0
+        ), kind
+        assert (motion.tally[LOST] == 1) == ("leaves at once" in kind), kind
+        assert (abs(contact) == 1) == ("pressed" in kind), kind
+        assert (abs(contact) == 2) == ("pulled" in kind), kind
+        assert (abs(int(motion.contact[0])) == 1) == ("held" in kind), kind
+        damping = np.array(osc.gap.eta) ** 2 - osc.gap.lam
+        assert ("overdamped" in kind) == bool(np.all(damping > 0)), kind
+        assert ("critical" in kind) == bool(np.any(np.abs(damping) < 1e-12)), kind
+
+
+# Sticking
+
+
+def sticking_state() -> tuple[Oscillator, np.ndarray]:
+    osc, start = naive.two_mass(**naive.STICKING)
+    return osc, on_attractor(osc, start, 20)
+
+
+def test_the_jacobian_through_chatter_rest_and_release_is_that_of_the_map() -> None:
+    """Its error is of the order of the chatter's neglected end: the load changes by 1e-4 over it."""
+    osc, state = sticking_state()
+    J = jacobian(osc, state, 1)
+    assert differences(osc, state, 1, 1e-5) == pytest.approx(J, abs=1e-5 * np.abs(J).max())
+
+
+def test_the_jacobian_through_sticking_agrees_with_multiprecision_orbits() -> None:
+    """Truth: differences of 30-digit orbits that follow the chatter to 1e-14 of a time scale."""
+    osc, state = sticking_state()
+    named = dict(zip(("x1", "x2", "v1", "v2"), state.tolist(), strict=True))
+    true = np.array([[float(v) for v in row] for row in section_jacobian(naive.STICKING | named, 1, 36)])
+    assert jacobian(osc, state, 1) == pytest.approx(true, abs=1e-6 * np.abs(true).max())
+
+
+def test_a_period_with_sticking_has_rank_two_less() -> None:
+    osc, state = sticking_state()
+    singular = np.linalg.svd(jacobian(osc, state, 1), compute_uv=False)
+    assert singular[1] > 1e-3
+    assert singular[2] < 1e-14
+    motion = motion_from(osc, state)
+    advance(osc, motion)
+    assert motion.tally[LOST] == 2
+
+
+def test_an_inelastic_impact_that_leaves_at_once_costs_one_rank() -> None:
+    osc, start = naive.two_mass(**KINDS["leaves at once, R = 0"])
+    J = jacobian(osc, on_attractor(osc, start, 30), 1)
+    assert np.linalg.matrix_rank(J, tol=1e-13 * np.abs(J).max()) == 3
+
+
+def test_a_cell_held_at_its_section_lies_on_the_stop_at_rest() -> None:
+    osc, state = naive.two_mass(**KINDS["held at the section"])
+    motion = motion_from(osc, state)
+    run(osc, motion, 10, np.empty((0, 2, 2)))
+    x1, _, v1, _ = blocks_to_physical(osc, motion)
+    assert (abs(x1), v1) == (osc.b_upper, 0.0)
+    again = motion_from(osc, blocks_to_physical(osc, motion))
+    assert again.contact[0] == motion.contact[0]
+
+
+# The half-period map
+
+
+@pytest.mark.parametrize("kind", ["Fig. 3", "Fig. 4", "overdamped", "sticks", "held at the section"])
+def test_the_half_period_map_twice_is_the_period_map(kind: str) -> None:
+    osc, start = naive.two_mass(**KINDS[kind])
+    state = on_attractor(osc, start, 17)
+    whole, twice = motion_from(osc, state), motion_from(osc, state)
+    advance(osc, whole)
+    half_advance(osc, twice)
+    half_advance(osc, twice)
+    assert twice.h == pytest.approx(whole.h, abs=1e-13)
+    assert twice.contact[0] == whole.contact[0]
+    assert (twice.tally[UPPER] + twice.tally[LOWER]) == (whole.tally[UPPER] + whole.tally[LOWER])
+
+
+@pytest.mark.parametrize("figure", [3, 4, 5])
+def test_the_half_period_jacobians_multiply_to_the_period_jacobian(figure: int) -> None:
+    osc, start = naive.two_mass(**naive.FIGURES[figure])
+    state = on_attractor(osc, start, 17)
+    middle = motion_from(osc, state)
+    half_advance(osc, middle)
+    product = jacobian(osc, blocks_to_physical(osc, middle), 1, half=True) @ jacobian(osc, state, 1, half=True)
+    J = jacobian(osc, state, 1)
+    assert product == pytest.approx(J, abs=1e-11 * np.abs(J).max())
+
+
+# The frame does not depend on how often it is orthonormalised; the state does not depend on the frame
+
+
+def test_tangent_vectors_do_not_disturb_the_motion() -> None:
+    for params in KINDS.values():
+        osc, state = naive.two_mass(**params)
+        bare, framed = motion_from(osc, state), motion_from(osc, state, vectors=4)
+        for motion in (bare, framed):
+            run(osc, motion, 5, np.empty((0, 2, 2)))
+        # A heavily damped flight is taken in pieces for the frame, which rounds differently.
+        assert framed.h == pytest.approx(bare.h, abs=1e-13)
+
+
+def test_evaluations_per_flight_stay_few_over_whole_orbits() -> None:
+    for figure in (3, 4, 5):
+        osc, state = naive.two_mass(**naive.FIGURES[figure])
+        motion = motion_from(osc, state)
+        run(osc, motion, 1000, np.empty((0, 2, 2)))
+        flights = 1000 + motion.tally[UPPER] + motion.tally[LOWER]
+        assert motion.tally[EVALUATIONS] < 7 * flights
