@@ -14,8 +14,8 @@ from workers.jit import kernel
 ROUNDING = 4e-16
 """Gap below which the mass is at the stop, in units of the terms that add up to y."""
 
-MAX_EVALUATIONS = 20000
-"""Evaluations of one flight after which it is given up; the certified march needs about five."""
+MAX_EVALUATIONS = 1_000_000
+"""Evaluations of one flight after which it is given up; the certified march needs about five between impacts."""
 
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""

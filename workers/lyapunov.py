@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.jit import kernel
 from workers.oscillator import Oscillator
-from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, advance, reset_frame
+from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, reset_frame
 
 LEVELS = 40
 COUNT, MEAN, SQUARES, PENDING = range(4)
@@ -66,7 +66,7 @@ def standard_error(levels):
 
 @kernel
 def average(osc, motion, periods, averages, sections):
-    """Advance by so many periods, averaging the growth of the frame; returns the periods completed.
+    """Advance by so many periods while work is left, averaging the growth of the frame; returns those completed.
 
     Every period ends with an orthonormal frame (Li & Tan 2011). Besides the plain mean, averages.weighted
     takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))), which converges faster
@@ -89,6 +89,8 @@ def average(osc, motion, periods, averages, sections):
             add_to_blocks(averages.levels, growth)
         if k >= first:
             sections[k - first] = motion.h
+        if motion.tally[WORK] < 0.0:
+            return k + 1
     return periods
 
 

@@ -173,7 +173,7 @@ def _modal_damping(modes: Array, damping: Array) -> Array:
 def _response(lam: Array, eta: Array, force: Array, omega: float) -> Array:
     """Forced response f Im(e^(i phi) / (lam - omega^2 + 2 i eta omega)) of each block and its velocity."""
     stiffness = (lam - omega**2) + 2j * eta * omega
-    if np.any((np.abs(stiffness) == 0.0) & (force != 0.0)):
+    if np.any((np.abs(stiffness) < 1e-13 * (lam + omega**2)) & (force != 0.0)):
         raise ValueError("undamped resonance: no periodic forced response exists")
     H = np.where(force == 0.0, 0.0, force) / np.where(stiffness == 0.0, 1.0, stiffness)
     displacement = np.column_stack([H.real, H.imag])

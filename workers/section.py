@@ -13,6 +13,7 @@ from workers.flight import (
     ON_STOP_AT_REST,
     ON_STOP_MOVING,
     ON_STOP_RELEASED,
+    TINY,
     evaluate_now,
     flow,
     flow_with_tangent,
@@ -26,15 +27,18 @@ from workers.oscillator import Oscillator
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 """Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
 
-UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(10)
-"""What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, directions lost,
-log-spread of the frame since it was last orthonormal, impacts recorded, status."""
+UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(11)
+"""What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, evaluations still
+allowed, directions lost, log-spread of the frame since it was last orthonormal, impacts recorded, status."""
 
-RUNNING, MARCH_GAVE_UP, TOO_MANY_IMPACTS, NOT_FINITE = range(4)
+RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE = range(4)
 """Status: fine, or why a cell cannot go on."""
 
-MAX_IMPACTS = 20000
-"""Impacts in one forcing period after which a cell is given up."""
+WORK_OF_A_TRIAL = 1_000_000
+"""Evaluations allowed to a motion that tries something out: a turn of an orbit, a Newton step."""
+
+OVERDRAFT = 1_000_000
+"""Evaluations by which a period may exceed what is left, so that motions can end at a section."""
 
 MAX_SPREAD = 5.0
 """Log-spread at which the frame is made orthonormal again: keeps 12 digits of the most contracted direction."""
@@ -73,6 +77,7 @@ def motion_at(
         V[i, i // 2, i % 2] = 1.0
     tally = np.zeros(TALLIES)
     tally[MIN_SPEED] = math.inf
+    tally[WORK] = WORK_OF_A_TRIAL
     return Motion(
         h=np.array(h),
         contact=np.array([contact], dtype=np.int64),
@@ -193,6 +198,7 @@ def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
     """The impact at time t: changes state and frame; returns what follows (REBOUND, REST, LEAVE)."""
     phase = osc.tau + osc.gap.omega * t
     y, v, a, _, scale = evaluate_now(osc.gap, h, phase, 0.0)
+    v = side * max(side * v, TINY)  # the march saw it approach; evaluated anew, the last digit may differ
     following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
     if following == REST:
         kick(osc, h, -v)
@@ -209,13 +215,22 @@ def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
 
 
 @kernel
+def spend(tally, evaluations):
+    """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
+    tally[EVALUATIONS] += evaluations
+    tally[WORK] -= max(1, evaluations)
+    if tally[WORK] < -OVERDRAFT:
+        tally[STATUS] = OUT_OF_WORK
+
+
+@kernel
 def leave_stop(osc, motion, t, contact, duration):
-    """Rest on a stop from time t until release or ``duration``: the time then, and whether it was released."""
+    """Rest on a stop from time t until release or ``duration``: the time then, and whether to go on from there."""
     phase = osc.tau + osc.gap.omega * t
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, duration - t)
     tally[STUCK] += s
-    tally[EVALUATIONS] += evaluations
+    spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
     reset_frame(osc, motion)
@@ -223,7 +238,7 @@ def leave_stop(osc, motion, t, contact, duration):
         motion.contact[0] = contact
     if released == 2:
         tally[STATUS] = MARCH_GAVE_UP
-    return t + s, released == 1
+    return t + s, tally[STATUS] == RUNNING and released == 1
 
 
 @kernel
@@ -241,7 +256,7 @@ def travel(osc, motion, duration):
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
     t = 0.0
-    for _ in range(MAX_IMPACTS):
+    while True:
         if contact != FREE:
             t, released = leave_stop(osc, motion, t, contact, duration)
             if not released:
@@ -251,7 +266,7 @@ def travel(osc, motion, duration):
         s, side, evaluations = next_crossing(
             osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
-        tally[EVALUATIONS] += evaluations
+        spend(tally, evaluations)
         if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
@@ -261,6 +276,7 @@ def travel(osc, motion, duration):
             return
         if side == 2:
             tally[STATUS] = MARCH_GAVE_UP
+        if tally[STATUS] != RUNNING:
             return
         t += s
         following = meet_stop(osc, h, V, tally, impacts, t, side, duration - t)
@@ -268,7 +284,6 @@ def travel(osc, motion, duration):
             reset_frame(osc, motion)
         own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
         contact = side if following == REST else FREE
-    tally[STATUS] = TOO_MANY_IMPACTS
 
 
 @kernel
@@ -291,7 +306,7 @@ def half_advance(osc, motion):
 
 @kernel
 def run(osc, motion, periods, sections):
-    """Advance by so many periods, or until one cannot be completed; returns the number completed.
+    """Advance by so many periods, or until one cannot be completed or no work is left; returns those completed.
 
     The last K block states are left in sections (K, n, 2), newest last; K = 0 for none.
     """
@@ -302,4 +317,6 @@ def run(osc, motion, periods, sections):
             return k
         if k >= first:
             sections[k - first] = motion.h
+        if motion.tally[WORK] < 0.0:
+            return k + 1
     return periods

@@ -26,14 +26,14 @@ from workers.section import (
     LOST,
     LOWER,
     MARCH_GAVE_UP,
-    MAX_IMPACTS,
     MIN_SPEED,
     NOT_FINITE,
+    OUT_OF_WORK,
     RUNNING,
     STATUS,
     STUCK,
-    TOO_MANY_IMPACTS,
     UPPER,
+    WORK,
     Motion,
     blocks_to_physical,
     motion_at,
@@ -47,9 +47,13 @@ Array = NDArray[np.float64]
 
 REASONS = {
     MARCH_GAVE_UP: "the march to the next impact gave up",
-    TOO_MANY_IMPACTS: f"more than {MAX_IMPACTS} impacts in one period",
+    OUT_OF_WORK: "one period takes more than a million evaluations",
     NOT_FINITE: "the state is no longer finite",
 }
+
+WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
+"""Evaluations allowed to a cell: so many for each period of its budget, but not less than the second number.
+Ordinary cells take 5 to 40 a period; R near 1 can take 10^5, and a cell must not cost minutes."""
 
 FIRST_STRETCH = 32
 """Periods before a cell is first looked at; each further stretch is as long as all before it."""
@@ -98,6 +102,8 @@ def solve_cell(osc: Oscillator, start: Array, settings: Settings) -> Cell:
     motion = motion_from(osc, start)
     if motion.contact[0] == BEYOND:
         return Cell(regime=INVALID, reason="the initial state lies beyond a stop")
+    periods = settings.max_periods if settings.method == "adaptive" else settings.transient_periods + settings.periods
+    motion.tally[WORK] = max(WORK_PER_PERIOD * periods, LEAST_WORK)
     cell = _fixed(osc, motion, settings) if settings.method == "fixed" else _adaptive(osc, motion, settings)
     if cell.spectrum is not None and settings.exponents != "spectrum":
         cell.spectrum = None
@@ -121,7 +127,9 @@ def restart_counts(osc: Oscillator, motion: Motion) -> None:
     """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
     if motion.tally[LOST]:
         motion.V[:] = np.eye(motion.h.size).reshape(motion.h.size, *motion.h.shape)[: len(motion.V)]
+    work, status = motion.tally[WORK], motion.tally[STATUS]
     motion.tally[:] = 0.0
+    motion.tally[WORK], motion.tally[STATUS] = work, status
     motion.tally[MIN_SPEED] = math.inf
     reset_frame(osc, motion)
     motion.growth[:] = 0.0
@@ -168,9 +176,9 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
             used += run(osc, motion, length, sections)
         else:
             used += average(osc, motion, length, averages, sections)
-        failed = _failure(motion, used)
-        if failed is not None:
-            return failed
+        stopped = _stopped(osc, motion, settings, used, averages)
+        if stopped is not None:
+            return stopped
         orbit, spent = _settled(osc, motion, sections, settings, settings.max_periods - used)
         used += spent
         if orbit is not None:
@@ -195,14 +203,14 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
     motion = with_frame(motion, vectors_for(settings, osc))
     averages = no_averages()
     used = average(osc, motion, settings.transient_periods, no_averages(), sections[:0])
-    failed = _failure(motion, used)
-    if failed is not None:
-        return failed
+    stopped = _stopped(osc, motion, settings, used, None)
+    if stopped is not None:
+        return stopped
     restart_counts(osc, motion)
     used += average(osc, motion, settings.periods, averages, sections)
-    failed = _failure(motion, used)
-    if failed is not None:
-        return failed
+    stopped = _stopped(osc, motion, settings, used, averages)
+    if stopped is not None:
+        return stopped
     cell = _averaged(osc, motion, settings, used, averages)
     if impact_free(osc, motion):
         known = _no_impact(osc, motion, settings, used)
@@ -219,12 +227,15 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
     return known
 
 
-def _failure(motion: Motion, used: int) -> Cell | None:
-    """The failed cell if the motion could not go on, else None."""
+def _stopped(osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages | None) -> Cell | None:
+    """The cell whose motion cannot go on, else None: failed, or undecided where its work is spent."""
     status = int(motion.tally[STATUS])
     if status == RUNNING and not np.all(np.isfinite(motion.h)):
         status = NOT_FINITE
-    return None if status == RUNNING else Cell(regime=FAILED, periods_used=used, reason=REASONS[status])
+    if status == RUNNING:
+        return _undecided(osc, motion, settings, used, averages) if motion.tally[WORK] < 0.0 else None
+    regime = UNDETERMINED if status == OUT_OF_WORK else FAILED
+    return Cell(regime=regime, periods_used=used, reason=REASONS[status])
 
 
 def _settled(
@@ -308,13 +319,11 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
     """What averages tell of a motion, its class left open. Counts and growth must span the same periods."""
     cell = Cell(periods_used=used, state=blocks_to_physical(osc, motion))
     count = 0
-    if averages is not None:
-        mean, error, count = _mean(averages)
-        if motion.growth.size:
-            cell.largest, cell.error = mean, error
-            cell.spectrum = np.sort(motion.growth / count)[::-1]
-    elif settings.method == "fixed":
-        count = settings.periods
+    if averages is not None and motion.growth.size:
+        cell.largest, cell.error, count = _mean(averages)
+        cell.spectrum = np.sort(motion.growth / count)[::-1]
+    elif settings.method == "fixed" and used > settings.transient_periods:
+        count = used - settings.transient_periods
     if count:
         sticks = bool(motion.tally[STUCK] > 0.0)
         cell.sticks = sticks
@@ -338,15 +347,15 @@ def _quasiperiodic(
 ) -> Cell:
     cell = _averaged(osc, motion, settings, used, averages)
     cell.regime, cell.largest, cell.error = QUASIPERIODIC, weighted, spread
+    if cell.spectrum is not None:
+        cell.spectrum[0] = weighted
     return cell
 
 
 def _undecided(osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages | None) -> Cell:
     """The budget is spent: chaotic with its true error if that is clear, else undetermined."""
-    if averages is None:
-        return _averaged(osc, motion, settings, used, None)
     cell = _averaged(osc, motion, settings, used, averages)
-    if _clearly_positive(*_mean(averages)):
+    if averages is not None and _clearly_positive(*_mean(averages)):
         cell.regime = CHAOTIC
     else:
         cell.error = math.nan
