@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from atlas.errors import InputError, RunError
-from atlas.spec import Spec, checked_settings, checked_system, example_names
+from atlas.spec import Spec, checked_parameters, checked_settings, checked_system, example_names
 from workers import Settings
 from workers.settings import EXPONENTS, METHODS
 from workers.system import SYSTEMS
@@ -190,7 +190,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     from atlas.point import point as solve_point
 
     pairs, settings = _pairs("--set", given, _number), checked_settings(solve)
-    checked_system(system)
+    checked_parameters(checked_system(system), pairs)
     if not as_json:
         _say("compiling (kept for the next run) and solving")
     found = solve_point(system, pairs, settings)

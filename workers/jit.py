@@ -5,6 +5,7 @@ this package. NUMBA_CACHE_DIR is respected where set; a folder that cannot be wr
 """
 
 import hashlib
+import multiprocessing
 import os
 import sys
 import tempfile
@@ -38,9 +39,9 @@ def _prepare_cache() -> bool:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        print(
-            f"impact-atlas: kernels are compiled anew, {folder} cannot be written ({error.strerror})", file=sys.stderr
-        )
+        if multiprocessing.parent_process() is None:  # once, not by every worker of a cluster
+            reason = f"{folder} cannot be written ({error.strerror})"
+            print(f"impact-atlas: kernels are compiled anew each time, {reason}", file=sys.stderr)
         return False
     config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
     return True

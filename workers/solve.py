@@ -222,7 +222,8 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
             cell.regime = CHAOTIC if _clearly_positive(mean, error, count) else UNDETERMINED
             return cell
         known = _periodic(osc, orbit, settings, cell.periods_used)
-    known.largest, known.error, known.spectrum = cell.largest, cell.error, cell.spectrum
+    known.error += abs(cell.largest - known.largest)  # the exact exponent tells how far the average is off
+    known.largest, known.spectrum = cell.largest, cell.spectrum
     known.sum_law_defect, known.state, known.section = cell.sum_law_defect, cell.state, cell.section
     return known
 
