@@ -29,8 +29,9 @@ NEWTON_STEPS = 12
 CYCLES = 60
 """Turns of the orbit that the Floquet frame may take to settle."""
 
-RESERVED_TURNS = 4
-"""Turns that the other tests of an orbit take: divisors (less than two), one step of the motion, one last count."""
+RESERVED_TURNS = 5
+"""Turns that the other tests of an orbit take: divisors (less than two), one of the motion, one for the error of the
+multipliers, one last count."""
 
 SETTLED = 1e-13
 """Coupling below which the Floquet frame has split into invariant subspaces."""
@@ -200,9 +201,9 @@ def _block_moduli(rotation: Array, logs: Array, triangle: Array) -> Array:
 def settle(
     osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float, budget: int
 ) -> tuple[Orbit | None, int]:
-    """The stable orbit of so many steps that the motion is provably falling into, if any, and the steps spent.
+    """The stable orbit of so many steps that the motion is falling into, if any, and the steps spent.
 
-    Proved: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
+    Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
     the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
     one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
     At most ``budget`` steps are spent.
@@ -242,6 +243,8 @@ def settle(
     spent += steps
     if again is not None:
         rounding = max(rounding, 4.0 * abs(_spectral_radius(again[1]) / _spectral_radius(point.jacobian) - 1.0))
+    if not logs[0] < -rounding:  # too near a bifurcation for these digits to tell
+        return None, spent
     periods = steps / 2 if half else steps
     orbit = Orbit(point.h, point.contact, steps, half, logs / periods, point.residual, rounding / periods)
     return orbit, spent
