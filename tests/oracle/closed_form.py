@@ -57,6 +57,7 @@ def symmetric_orbit(params: Mapping[str, float | Number], n: int = 1, digits: in
             before = (one + E) * (sine * mp.sin(theta) + cosine * mp.cos(theta)) - E * after
             if before[V1] <= 0:
                 continue
+            before[0] = after[0] = made.b  # theta was chosen so; now without its rounding
             drive = load * mp.sin(theta)
             jump = (A * after + drive) - rho * (A * before + drive)
             saltation = rho.copy()

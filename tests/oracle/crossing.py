@@ -37,7 +37,7 @@ def _halves(coefficients: list[Number]) -> tuple[list[Number], list[Number]]:
     half = mp.mpf(0.5)
     left, right, row = [coefficients[0]], [coefficients[-1]], coefficients
     while len(row) > 1:
-        row = [(a + b) / 2 for a, b in itertools.pairwise(row)]
+        row = [half * (a + b) for a, b in itertools.pairwise(row)]
         left.append(row[0])
         right.append(row[-1])
     return left, right[::-1]
@@ -62,8 +62,8 @@ def _refine(polynomial: list[Number], low: Number, high: Number) -> Number:
             low = u
         else:
             high = u
-        following = u - value / slope if slope > 0 else low
-        if not low < following < high:
+        following = u - value / slope if slope > 0 else low - 1
+        if not low <= following <= high:
             following = (low + high) / 2
         # Newton's error squares: after so short a step, the next one is below the working precision.
         if abs(following - u) <= settled * u:

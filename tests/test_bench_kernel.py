@@ -1,0 +1,50 @@
+"""The benchmark's reference is right, and its light mode runs. No time is asserted."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scripts.bench_kernel import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
+from tests.oracle import symmetric_orbit
+
+ROOT = Path(__file__).parent.parent
+# Figs 3 and 4 in 40-digit arithmetic, Fig. 5 from long averages; so far may 2100 periods be off, four standard errors
+# of the chaotic one among it.
+EXACT = {
+    "3": [-0.235569640371152, -0.235569640371152, -0.524876727616246, -0.524876727616246],
+    "4": [-0.475914135412643, -2.614830482264854, -2.614830482264854, -7.598746373733903],
+    "5": [1.123, -1.577, -1.582, -4.38],
+}
+ROOM = {"3": 2e-3, "4": 5e-3, "5": 0.08}
+
+
+def test_reference_has_the_closed_form_exponents_of_fig_3() -> None:
+    reference = GeneralIntegrator(FIGURES["3"], 4, compiled_rates)
+    reference.run(110)
+    multipliers = np.linalg.eigvals(reference.one_period(np.eye(4)))
+    exact = [float(value) for value in symmetric_orbit(FIGURES["3"])[0].exponents]
+    assert sorted(np.log(np.abs(multipliers)), reverse=True) == pytest.approx(exact, abs=1e-9)
+
+
+def test_both_right_hand_sides_are_the_same() -> None:
+    reference = GeneralIntegrator(FIGURES["5"], 4)
+    flat = np.random.default_rng(1).normal(size=20)
+    arguments = (0.7, flat, reference.A, reference.force, 3.0, 0.4)
+    assert compiled_rates(*arguments) == pytest.approx(numpy_rates(*arguments), abs=1e-12)
+
+
+def test_light_mode_reports_the_right_exponents_at_every_figure() -> None:
+    command = [sys.executable, "scripts/bench_kernel.py", "--light", "--json"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    printed = subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, text=True).stdout
+    rows = json.loads(printed)
+    assert [(row["figure"], row["exponents"]) for row in rows] == [(f, n) for f in "345" for n in (1, 4)]
+    for row in rows:
+        exact = EXACT[row["figure"]][: row["exponents"]]
+        assert row["solver_exponents"] == pytest.approx(exact, abs=ROOM[row["figure"]])
+        assert np.isfinite(row["dop853_exponents"]).all()
