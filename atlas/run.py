@@ -1,5 +1,6 @@
 """Running an atlas: plan, create or resume, fan the tiles out, gather receipts. The only file that uses Dask."""
 
+import asyncio
 import logging
 import multiprocessing
 import os
@@ -7,6 +8,7 @@ import signal
 import threading
 import uuid
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -154,6 +156,14 @@ def _count_threads(client: "Client", tell: Callable[[Progress], None]) -> int:
     return _threads(client)
 
 
+async def _knock(scheduler: str) -> None:
+    """Connect and hang up; OSError or ValueError where nothing answers."""
+    from distributed.comm.core import connect
+
+    comm = await connect(scheduler, timeout=CONNECT_SECONDS)
+    await comm.close()
+
+
 @contextmanager
 def _connected(scheduler: str) -> Iterator["Client"]:
     """A client of the scheduler at an address; InputError where none answers in time."""
@@ -161,6 +171,9 @@ def _connected(scheduler: str) -> Iterator["Client"]:
 
     with _quiet():
         try:
+            # A Client that fails to start is closed only when it is collected, which may block the next one's start.
+            with ThreadPoolExecutor(1) as apart:  # a notebook's own thread has a loop running
+                apart.submit(asyncio.run, _knock(scheduler)).result()
             client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError) as error:
             detail = str(error).splitlines()[0] if str(error) else type(error).__name__

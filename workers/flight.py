@@ -235,6 +235,21 @@ def safe_step(g, v, a, j3, M2, M3, M4, H):
 
 
 @kernel
+def landing(g, v, a, j3, M3, M4, tol):
+    """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
+
+    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 by Newton from g / v; what is left out is below M4 s^4 / 24.
+    """
+    s = g / v
+    if M4 * s**4 > 12.0 * tol or (abs(a) + M3 * s) * s > 0.25 * v:
+        return np.inf
+    for _ in range(5):
+        excess = ((j3 / 6.0 * s + 0.5 * a) * s + v) * s - g
+        s -= excess / ((0.5 * j3 * s + a) * s + v)
+    return s if M4 * s**4 <= 24.0 * tol else np.inf
+
+
+@kernel
 def _first_step(kind, j3, a, M3, M4):
     """A time for which a start on a stop at rest certainly leaves it: 3|a|/M3, after a release 4|j|/M4."""
     if kind == ON_STOP_AT_REST:
@@ -273,10 +288,15 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
                 if kind != ON_STOP_MOVING:
                     step = min(step, _first_step(kind, j3, a, M3, M4))
                     continue
-            if g <= ROUNDING * (scale + abs(stop)):
+            tol = ROUNDING * (scale + abs(stop))
+            if g <= tol:
                 if approach > 0.0:
                     return s, side, count
                 g = max(g, 0.0)
+            if approach > 0.0:
+                rest = landing(g, approach, push, side * j3, M3, M4, tol)
+                if s + rest <= H:
+                    return s + rest, side, count
             step = min(step, safe_step(g, approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count

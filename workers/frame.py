@@ -34,8 +34,8 @@ def orthonormalise(lam, V, growth, triangle, rank):
             for j in range(len(lam)):
                 V[k, j, 0] -= overlap * V[i, j, 0]
                 V[k, j, 1] -= overlap * V[i, j, 1]
-            if triangle.shape[0] > 0:
-                triangle[i] += overlap / norm * math.exp(growth[k] - growth[i]) * triangle[k]
+            if triangle.shape[0] > 0 and overlap != 0.0:  # exp(...) may be infinite between blocks that never couple
+                triangle[i, k:] += overlap / norm * math.exp(growth[k] - growth[i]) * triangle[k, k:]
         growth[i] += math.log(norm)
     for i in range(rank, V.shape[0]):
         V[i] = 0.0
@@ -112,6 +112,6 @@ def graded_flow(signal, s, V, growth, triangle, rank):
             for i in range(2 * n):
                 if not used[i]:
                     X[i, later] -= f * X[i, k]
-            if triangle.shape[0] > 0:
-                triangle[k] += f * math.exp(growth[later] - growth[k]) * triangle[later]
+            if triangle.shape[0] > 0 and f != 0.0:
+                triangle[k, later:] += f * math.exp(growth[later] - growth[k]) * triangle[later, later:]
         growth[k] += gain

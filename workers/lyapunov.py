@@ -49,18 +49,23 @@ def add_to_blocks(levels, x):
 
 @kernel
 def standard_error(levels):
-    """Standard error of the mean with correlations: the largest over all block lengths with enough blocks.
+    """Standard error of the mean with correlations, from the shortest blocks that are long enough.
 
-    Independent values give sigma / sqrt(N) at every level; correlated ones rise to sqrt(sigma^2 tau / N).
-    NaN with fewer than FEWEST_BLOCKS values.
+    Blocks of B = 2^k values give e_k, rising from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long
+    enough once B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). NaN with fewer than FEWEST_BLOCKS values; with no
+    such k, the largest e_k of the levels that have as many blocks.
     """
-    error = np.nan
+    error, first, count = np.nan, np.nan, levels[0, COUNT]
     for k in range(LEVELS):
-        count = levels[k, COUNT]
-        if count < FEWEST_BLOCKS:
+        blocks = levels[k, COUNT]
+        if blocks < FEWEST_BLOCKS:
             return error
-        here = math.sqrt(levels[k, SQUARES] / (count - 1.0) / count)
+        here = math.sqrt(levels[k, SQUARES] / (blocks - 1.0) / blocks)
+        if k == 0:
+            first = here
         error = here if not here < error else error
+        if 8.0**k > 2.0 * count * (here / first) ** 4:
+            return here
     return error
 
 

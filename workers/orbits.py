@@ -29,6 +29,9 @@ NEWTON_STEPS = 12
 CYCLES = 60
 """Turns of the orbit that the Floquet frame may take to settle."""
 
+HOPELESS = 30.0
+"""Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
+
 RESERVED_TURNS = 5
 """Turns that the other tests of an orbit take: divisors (less than two), one of the motion, one for the error of the
 multipliers, one last count."""
@@ -117,18 +120,19 @@ class Fixed(NamedTuple):
     contact: int
     jacobian: Array
     residual: float
-    spent: int
 
 
-def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float, most: int) -> Fixed | None:
-    """The fixed point of the map near a motion, to rounding, or None where Newton finds none.
+def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float, most: int) -> tuple[Fixed | None, int]:
+    """The fixed point of the map near a motion, to rounding, or None where Newton finds none; and the steps it took.
 
     h <- h - (J - I)^-1 (F(h) - h), at most so many times, until the residual stops falling; it must end
     below 1e-10 of ``scale``.
     """
     h, contact = start.h.copy(), int(start.contact[0])
     best: Fixed | None = None
-    for spent in range(1, most + 1):
+    spent = 0
+    while spent < most:
+        spent += 1
         mapped = map_with_jacobian(osc, h, contact, steps, half)
         if mapped is None or mapped[0].contact[0] != contact:
             break
@@ -137,15 +141,15 @@ def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float,
         residual = energy_norm(osc, difference)
         if best is not None and residual > 0.5 * best.residual:
             break
-        best = Fixed(h, motion.h, contact, J, residual, spent)
-        if residual > 0.3 * scale or residual < 1e-15 * scale:
+        best = Fixed(h, motion.h, contact, J, residual)
+        if residual > 0.3 * scale or residual < 1e-15 * scale or _spectral_radius(J) > HOPELESS:
             break
         try:
             change = np.linalg.solve(J - np.eye(h.size), -difference.ravel())
         except np.linalg.LinAlgError:
             break
         h = h + change.reshape(h.shape)
-    return best if best is not None and best.residual < 1e-10 * scale else None
+    return (best if best is not None and best.residual < 1e-10 * scale else None), spent
 
 
 def floquet(osc: Oscillator, point: Fixed, steps: int, half: bool, most: int) -> tuple[Array, float, int] | None:
@@ -211,11 +215,13 @@ def settle(
     turns_left = budget // steps - RESERVED_TURNS
     if turns_left < 1:
         return None, 0
-    point = newton(osc, motion, steps, half, scale, min(NEWTON_STEPS, turns_left))
+    point, tried = newton(osc, motion, steps, half, scale, min(NEWTON_STEPS, turns_left))
+    turns_left -= tried
+    spent = tried * steps
     if point is None:
-        return None, min(NEWTON_STEPS, turns_left) * steps
-    turns_left -= point.spent
-    spent = point.spent * steps
+        return None, spent
+    if _spectral_radius(point.jacobian) > 1.001:
+        return None, spent
     for divisor in range(1, steps):
         if steps % divisor == 0:
             trial = motion_at(osc, point.h, point.contact)
