@@ -228,7 +228,7 @@ def test_an_unreachable_scheduler_is_refused(
 def test_a_bad_question_is_one_line_and_exit_code_2(folder: Path, args: tuple[str, ...], told: str) -> None:
     names = {"OUT": folder / "out.zarr", "NONE": folder / "none.zarr"}
     shown = call(*(names.get(arg, arg) for arg in args))
-    lines = [line for line in shown.stderr.splitlines() if not line.startswith("compiling")]
+    lines = shown.stderr.splitlines()
     assert (shown.exit_code, len(lines), shown.stdout) == (2, 1, "")
     assert told in lines[0]
 
@@ -253,6 +253,7 @@ class Interrupting(progress.LogReporter):
         if snapshot.tiles_done == 3 and snapshot.stage == "solving":
             os.killpg(0, signal.SIGINT)
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts with it ignored
 progress.reporter = Interrupting
 cli(sys.argv[1:])
 """
@@ -264,7 +265,7 @@ def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> No
     args = ["run", "spec.toml", "-o", "out.zarr", "--workers", "2"]
     options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
     first = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED, *args], start_new_session=True, timeout=120, check=False, **options
+        [sys.executable, "-c", INTERRUPTED, *args], start_new_session=True, timeout=300, check=False, **options
     )
     assert first.returncode == 130
     assert "Traceback" not in first.stderr
@@ -274,7 +275,7 @@ def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> No
     assert 3 <= len(kept) < 12
 
     entry = "import sys; from atlas.cli import cli; cli(sys.argv[1:])"
-    second = subprocess.run([sys.executable, "-c", entry, *args], timeout=120, check=False, **options)
+    second = subprocess.run([sys.executable, "-c", entry, *args], timeout=300, check=False, **options)
     assert second.returncode == 0
     assert f"going on: {len(kept)} of 12 tiles are done" in second.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
