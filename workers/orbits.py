@@ -32,9 +32,9 @@ CYCLES = 60
 HOPELESS = 30.0
 """Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
 
-RESERVED_TURNS = 5
-"""Turns that the other tests of an orbit take: divisors (less than two), one of the motion, one for the error of the
-multipliers, one last count."""
+RESERVED_TURNS = 6
+"""Turns that the other tests of an orbit take: divisors (less than two), one under G, one of the motion, one for the
+error of the multipliers, one last count."""
 
 SETTLED = 1e-13
 """Coupling below which the Floquet frame has split into invariant subspaces."""
@@ -229,6 +229,12 @@ def settle(
             spent += divisor
             if energy_norm(osc, trial.h - point.h) < 1e-6 * scale:
                 return None, spent
+    if not half and steps % 2 and osc.b_upper == osc.b_lower:
+        trial = motion_at(osc, point.h, point.contact)
+        step_many(osc, trial, steps, True)
+        spent += steps
+        if energy_norm(osc, trial.h - point.h) < 1e-6 * scale:
+            return None, spent  # the symmetric orbit, whose turn under G was not accepted
     multipliers = floquet(osc, point, steps, half, min(CYCLES, turns_left))
     if multipliers is None:
         return None, spent
@@ -258,6 +264,12 @@ def settle(
 
 def _spectral_radius(jacobian: Array) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(jacobian)), initial=1e-300))
+
+
+def closest_return(osc: Oscillator, sections: Array) -> float:
+    """Smallest distance, in the energy norm, of the last of the sections (K, n, 2) from those before it."""
+    back = (sections[:-1] - sections[-1]) * _weights(osc)
+    return float(np.sqrt(np.min(np.sum(back**2, axis=(1, 2)), initial=np.inf)))
 
 
 def recurrence(osc: Oscillator, sections: Array, scale: float, longest: int) -> list[int]:

@@ -17,7 +17,7 @@ from workers.lyapunov import (
     sum_law_holds,
     sum_of_exponents,
 )
-from workers.orbits import Orbit, energy_norm, recurrence, settle
+from workers.orbits import Orbit, closest_return, energy_norm, recurrence, settle
 from workers.oscillator import Oscillator
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, QUASIPERIODIC, UNDETERMINED
 from workers.section import (
@@ -72,6 +72,9 @@ GROWN = 15.0
 
 TORUS_LIMIT = 1e-5
 """Largest modulus of the weighted averages of two stretches that counts as an exponent zero."""
+
+TORUS_RETURN = 1e-5
+"""Return within max_period, relative to the motion's scale, up to which a motion may be an orbit closing slowly."""
 
 
 @dataclass
@@ -193,7 +196,8 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
             missing = count * ((error / settings.tolerance) ** 2 - 1.0)
             stretch = int(min(used, max(1.05 * missing, 256)))
         previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
-        if max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous):
+        flat = max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous)
+        if flat and closest_return(osc, sections) > TORUS_RETURN * scale_of(osc, motion):
             return _quasiperiodic(osc, motion, settings, used, averages, weighted, abs(weighted - previous))
 
 
