@@ -118,11 +118,15 @@ def blocks_to_physical(osc: Oscillator, motion: Motion) -> NDArray[np.float64]:
 
     A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
     """
-    x, v = (np.array(osc.to_physical) @ (motion.h + _forced_blocks(osc))).T
+    full = motion.h + _forced_blocks(osc)
+    x, v = (np.array(osc.to_physical) @ full).T
     row = np.array(osc.gap_row)
     row_per_unit = row / (row @ row)
     y = float(row @ x)
+    rounding = 1e-12 * float(np.abs(row) @ np.abs(osc.to_physical) @ (np.abs(full[:, 0]) + np.abs(motion.h[:, 0])))
     stop = min(max(y, -osc.b_lower), osc.b_upper)
+    if abs(y - stop) > rounding:
+        stop = y
     contact = int(motion.contact[0])
     if contact:
         stop = osc.b_upper if contact > 0 else -osc.b_lower

@@ -374,13 +374,18 @@ def _slowest(motion: Motion) -> float:
 
 
 def _sections(osc: Oscillator, motion: Motion, settings: Settings, period: int) -> Array | None:
-    """The next K physical section states (K, 2n) of a motion; an orbit of known period is repeated."""
+    """The next K physical section states (K, 2n) of a motion; an orbit of known period is repeated.
+
+    NaN from where the motion cannot be followed to the next section.
+    """
     K = settings.section_samples
     if K == 0:
         return None
     follow = motion_at(osc, motion.h, int(motion.contact[0]))
     states = []
     for _ in range(min(K, period) if period else K):
-        states.append(blocks_to_physical(osc, follow))
-        run(osc, follow, 1, np.empty((0, *follow.h.shape)))
+        reached = follow.tally[STATUS] == RUNNING
+        states.append(blocks_to_physical(osc, follow) if reached else np.full(follow.h.size, math.nan))
+        if reached:
+            run(osc, follow, 1, np.empty((0, *follow.h.shape)))
     return np.array([states[k % len(states)] for k in range(K)])
