@@ -47,6 +47,14 @@ def kick(osc, h, dv):
 
 
 @kernel
+def shift(osc, h, dy):
+    """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
+    for j in range(len(osc.kick1)):
+        h[j, 0] += dy * osc.kick1[j][0]
+        h[j, 1] += dy * osc.kick1[j][1]
+
+
+@kernel
 def saltation(osc, V, ratio):
     """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
 

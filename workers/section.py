@@ -20,7 +20,19 @@ from workers.flight import (
     next_crossing,
 )
 from workers.frame import graded_flow, orthonormalise
-from workers.impact import LEAVE, REST, kick, load_on_stop, outcome, rest_projection, saltation, stay_on_stop, to_held
+from workers.impact import (
+    LEAVE,
+    REST,
+    kick,
+    load_on_stop,
+    outcome,
+    rest_projection,
+    saltation,
+    shift,
+    stay_on_stop,
+    stop_position,
+    to_held,
+)
 from workers.jit import kernel
 from workers.oscillator import Oscillator
 
@@ -210,6 +222,7 @@ def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
         return REST
     record_impact(tally, impacts, t, side, abs(v))
     kick(osc, h, -(1.0 + osc.R) * v)
+    shift(osc, h, stop_position(osc, side) - y)  # or rounding would add up over many impacts
     saltation(osc, V, a / v)
     if following == LEAVE:
         tally[LOST] = max(tally[LOST], 1.0)
