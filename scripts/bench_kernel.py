@@ -1,15 +1,15 @@
 """Microseconds per forcing period of the solver, as a ratio to a general integrator measured in the same run.
 
-The cells are those of Figs 3, 4 and 5 of Li & Tan (2011); one or all four Lyapunov exponents. The reference is
-scipy's DOP853 (rtol 1e-10, atol 1e-12) with event location at the stops, the variational equations beside the
-state, the saltation matrix at every impact and one QR per period. It is measured twice: plain, with the right-hand
-side in numpy and scipy's own first step after each impact; and tuned, with a right-hand side compiled by Numba and the
-step size kept across impacts.
+The cells are those of Figs 3, 4 and 5 of Li & Tan (2011); no, one or all four Lyapunov exponents. The references are
+heyoka (heyoka_reference.py, tolerance 1e-10) and scipy's DOP853 (rtol 1e-10, atol 1e-12), with event location at the
+stops, the variational equations beside the state, the saltation matrix at every impact and one QR per period. DOP853 is
+measured twice: plain, with the right-hand side in numpy and scipy's own first step after each impact; and tuned, with a
+right-hand side compiled by Numba and the step size kept across impacts.
 
-All are timed in processor time on one core, best of several: the solver as the difference of two lengths of the same
-run, so that start-up and transient cancel, the reference after its transient. Each prints the exponents it found.
+All are timed in processor time on one core, best of several: the solver on many cells side by side and on one alone, as
+the difference of two lengths of the same run, so that start-up and transient cancel, the references after a transient.
 
-Usage: .venv/bin/python scripts/bench_kernel.py [--light] [--json]
+Usage: .venv/bin/python -m scripts.bench_kernel [--light] [--json]
 """
 
 import argparse
@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from workers import Settings, solve_tile
+from workers.section import EVALUATIONS, motion_from, run
+from workers.system import find_system
 
 Array = NDArray[np.float64]
 
@@ -36,7 +38,10 @@ FIGURES = {
     "4": {**_FIG, "mu_k": 4.0, "mu_m": 6.0, "zeta": 0.5, "f2": 2.0, "omega": 1.0, "b": 0.2},
     "5": {**_FIG, "mu_k": 2.0, "mu_m": 2.0, "zeta": 0.5, "f2": 5.0, "omega": 3.0, "b": 0.2},
 }
-SETTINGS_NAME = {1: "largest", 4: "spectrum"}
+SETTINGS_NAME = {0: "none", 1: "largest", 4: "spectrum"}
+
+TRANSCENDENTALS = 10
+"""exp, sin and cos of an evaluation: two exp, a sin and a cos for each of two blocks; a sin and a cos for the force."""
 
 
 def numpy_rates(t: float, flat: Array, A: Array, force: Array, omega: float, tau: float) -> Array:
@@ -175,33 +180,38 @@ def processor_seconds(work: Callable[[], object]) -> float:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long to measure: periods of the solver's two runs, the reference's transient and average, repetitions."""
+    """How long to measure: periods of the solver's runs, side by side and alone, and of the references; repetitions."""
 
     short: int
     long: int
+    alone: int
     warm: int
     periods: int
+    taylor: int
     repeats: int
 
 
-FULL = Schedule(short=2000, long=42000, warm=30, periods=50, repeats=5)
-LIGHT = Schedule(short=100, long=2100, warm=5, periods=5, repeats=2)
+FULL = Schedule(short=200, long=2200, alone=42000, warm=30, periods=50, taylor=4000, repeats=5)
+LIGHT = Schedule(short=50, long=550, alone=2100, warm=5, periods=5, taylor=400, repeats=2)
 TRANSIENT = 200
+CELLS = 256
+"""Cells side by side, with slightly different b, so that nothing can be shared between them."""
 
 
-def solver_cost(params: dict[str, float], exponents: int, schedule: Schedule) -> tuple[float, list[float]]:
-    """The solver's microseconds per period, and the exponents it found."""
+def solver_cost(params: dict[str, Any], exponents: int, short: int, long: int, repeats: int) -> tuple[float, Array]:
+    """The solver's microseconds per period and cell, and the exponents of the first cell."""
 
-    def run(periods: int) -> dict[str, NDArray[Any]]:
+    def solve(periods: int) -> dict[str, NDArray[Any]]:
         name = SETTINGS_NAME[exponents]
         settings = Settings(method="fixed", exponents=name, transient_periods=TRANSIENT, periods=periods)
         return solve_tile("two-mass", params, settings)
 
-    found = run(schedule.long)  # compiles, or loads what an earlier run compiled
-    long = min(processor_seconds(lambda: run(schedule.long)) for _ in range(schedule.repeats))
-    short = min(processor_seconds(lambda: run(schedule.short)) for _ in range(schedule.repeats))
-    averages = found["spectrum"] if exponents > 1 else found["largest"]
-    return 1e6 * (long - short) / (schedule.long - schedule.short), np.atleast_1d(averages).tolist()
+    found = solve(long)  # compiles, or loads what an earlier run compiled
+    slow = min(processor_seconds(lambda: solve(long)) for _ in range(repeats))
+    fast = min(processor_seconds(lambda: solve(short)) for _ in range(repeats))
+    cells = max(1, found["regime"].size)
+    averages = found[SETTINGS_NAME[exponents]] if exponents else np.zeros(0)
+    return 1e6 * (slow - fast) / (long - short) / cells, np.ravel(averages)[:exponents]
 
 
 def reference_cost(integrator: GeneralIntegrator, schedule: Schedule) -> tuple[float, list[float]]:
@@ -212,32 +222,64 @@ def reference_cost(integrator: GeneralIntegrator, schedule: Schedule) -> tuple[f
     return 1e6 * seconds / schedule.periods, integrator.exponents.tolist()
 
 
+def taylor_cost(params: dict[str, float], exponents: int, schedule: Schedule) -> float:
+    """heyoka's microseconds per period; NaN where it is not installed."""
+    from scripts.heyoka_reference import INSTALLED, Taylor
+
+    if not INSTALLED:
+        return math.nan
+    integrator = Taylor(exponents)
+    lengths = (schedule.taylor // 2, schedule.taylor)
+    runs = [integrator.run(params, lengths) for _ in range(schedule.repeats)]
+    return 1e6 * min(run[1][1] - run[0][1] for run in runs) / (lengths[1] - lengths[0])
+
+
+def evaluations(params: dict[str, float], periods: int = 1000) -> float:
+    """Evaluations of exponentials, sines and cosines per period on the attractor.
+
+    The first one of a flight needs none, the one at its end is not counted by the march: they make up for each other.
+    """
+    system = find_system("two-mass")
+    osc = system.build({parameter.name: parameter.default for parameter in system.parameters} | params)
+    motion = motion_from(osc, np.zeros(len(system.states)))
+    none = np.empty((0, *motion.h.shape))
+    run(osc, motion, 0, periods, none)
+    before = float(motion.tally[EVALUATIONS])
+    run(osc, motion, 0, periods, none)
+    return (float(motion.tally[EVALUATIONS]) - before) / periods
+
+
 def measure(schedule: Schedule) -> list[dict[str, Any]]:
     """One row per figure and number of exponents."""
     rows = []
     for figure, params in FIGURES.items():
-        for exponents in (1, 4):
-            ours, found = solver_cost(params, exponents, schedule)
-            plain, check = reference_cost(GeneralIntegrator(params, exponents, numpy_rates), schedule)
-            tuned, _ = reference_cost(GeneralIntegrator(params, exponents, compiled_rates, keep_step=True), schedule)
-            rows.append(
-                {
-                    "figure": figure,
-                    "exponents": exponents,
-                    "solver_us_per_period": ours,
-                    "dop853_us_per_period": plain,
-                    "dop853_tuned_us_per_period": tuned,
-                    "ratio": plain / ours,
-                    "ratio_tuned": tuned / ours,
-                    "solver_exponents": found,
-                    "dop853_exponents": check,
-                }
-            )
+        beside = params | {"b": params["b"] * (1.0 + 1e-5 * np.arange(CELLS))}
+        count = evaluations(params)
+        for exponents in (0, 1, 4):
+            together, found = solver_cost(beside, exponents, schedule.short, schedule.long, schedule.repeats)
+            alone, _ = solver_cost(params, exponents, schedule.alone // 20, schedule.alone, schedule.repeats)
+            row = {
+                "figure": figure,
+                "exponents": exponents,
+                "solver_us_per_period": together,
+                "solver_alone_us_per_period": alone,
+                "heyoka_us_per_period": taylor_cost(params, exponents, schedule),
+                "evaluations_per_period": count,
+                "transcendentals_per_period": TRANSCENDENTALS * count,
+                "solver_exponents": found.tolist(),
+            }
+            row["heyoka_ratio"] = row["heyoka_us_per_period"] / together
+            if exponents:
+                plain, check = reference_cost(GeneralIntegrator(params, exponents, numpy_rates), schedule)
+                tuned, _ = reference_cost(GeneralIntegrator(params, exponents, keep_step=True), schedule)
+                row |= {"dop853_us_per_period": plain, "dop853_tuned_us_per_period": tuned, "dop853_exponents": check}
+                row |= {"ratio": plain / together, "ratio_tuned": tuned / together}
+            rows.append(row)
     return rows
 
 
 def one_core() -> None:
-    """Stay on one core, so that both sides run on the same one."""
+    """Stay on one core, so that all sides run on the same one."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
@@ -253,15 +295,23 @@ def main() -> None:
     if options.json:
         print(json.dumps(rows))
         return
-    print("                 microseconds per forcing period    times faster than   exponents per forcing period:")
-    print("Fig. exponents    solver     DOP853      tuned     DOP853    tuned     solver (DOP853, fewer periods)")
+    names = ["figure", "exponents", "side by side, us", "alone, us", "heyoka, us", "ratio"]
+    print(f"| {' | '.join([*names, 'DOP853, us', 'ratio', 'tuned, us', 'ratio'])} |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for row in rows:
-        ours, check = ("  ".join(f"{x:.3f}" for x in row[f"{side}_exponents"]) for side in ("solver", "dop853"))
-        print(
-            f"{row['figure']:>4} {row['exponents']:>9}  {row['solver_us_per_period']:>8.3f}   "
-            f"{row['dop853_us_per_period']:>8.0f}   {row['dop853_tuned_us_per_period']:>8.0f}   "
-            f"{row['ratio']:>8.0f} {row['ratio_tuned']:>8.0f}     {ours}  ({check})"
-        )
+        columns = [f"{row['solver_us_per_period']:.2f}", f"{row['solver_alone_us_per_period']:.2f}"]
+        columns += [f"{row['heyoka_us_per_period']:.1f}", f"{row['heyoka_ratio']:.1f}"]
+        for name in ("dop853_us_per_period", "ratio", "dop853_tuned_us_per_period", "ratio_tuned"):
+            columns.append(f"{row[name]:.0f}" if name in row else "")
+        print(f"| {row['figure']} | {row['exponents']} | {' | '.join(columns)} |")
+    print()
+    for row in rows[::3]:
+        count, calls = row["evaluations_per_period"], row["transcendentals_per_period"]
+        print(f"Fig. {row['figure']}: {count:.2f} evaluations of two blocks and the force, {calls:.0f} exp, sin or cos")
+    for row in rows:
+        if row["exponents"] == 4:
+            ours, check = ("  ".join(f"{x:.3f}" for x in row[f"{side}_exponents"]) for side in ("solver", "dop853"))
+            print(f"Fig. {row['figure']}, exponents per period: {ours} (DOP853, fewer periods: {check})")
 
 
 if __name__ == "__main__":

@@ -31,19 +31,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from scripts.bench_kernel import FIGURES, GeneralIntegrator, one_core
+from scripts.heyoka_reference import INSTALLED, Taylor
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
-
-try:
-    import heyoka
-except ImportError:
-    heyoka = None
 
 Array = NDArray[np.float64]
 ORBITS = Path(__file__).resolve().parent.parent / "tests" / "data" / "periodic_orbits.json"
@@ -179,93 +174,16 @@ def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
     return points
 
 
-@njit()
-def rebound(state: Array, p: Array, R: float, t: float) -> None:
-    """Impact law for the state, saltation for the tangent vector behind it, in place."""
-    v, drive = state[2], math.sin(p[10] * t + p[11])
-    before1 = p[0] * state[0] + p[1] * state[1] + p[2] * v + p[3] * state[3] + p[8] * drive
-    jump = -(1.0 + R) * v
-    w = state[4] / v
-    state[2] = -R * v
-    state[4] += jump * w
-    state[6] = -R * state[6] + ((1.0 + R) * before1 + jump * p[2]) * w
-    state[7] += jump * p[6] * w
-
-
-@njit()
-def normalise(tangent: Array) -> float:
-    """Normalise the tangent vector in place; the log of its length."""
-    norm = math.sqrt(np.sum(tangent**2))
-    tangent /= norm
-    return math.log(norm)
-
-
-class Taylor:
-    """The two-mass oscillator in heyoka: one compiled integrator, its parameters set per cell."""
-
-    def __init__(self) -> None:
-        names = ["x1", "x2", "v1", "v2", "w1", "w2", "w3", "w4"]
-        symbols = dict(zip(names, heyoka.make_vars(*names), strict=True))
-        par = heyoka.par
-        drive = heyoka.sin(par[10] * heyoka.time + par[11])
-
-        def accelerations(x: list[Any]) -> list[Any]:
-            return [sum((par[4 * row + k] * x[k] for k in range(1, 4)), par[4 * row] * x[0]) for row in range(2)]
-
-        x, w = [symbols[n] for n in names[:4]], [symbols[n] for n in names[4:]]
-        a, da = accelerations(x), accelerations(w)
-        rates = [x[2], x[3], a[0] + par[8] * drive, a[1] + par[9] * drive, w[2], w[3], *da]
-        self.R, self.impacts = 1.0, 0
-
-        def on_stop(integrator: Any, _: int) -> bool:
-            rebound(self.state, self.pars, self.R, integrator.time)
-            self.impacts += 1
-            return True
-
-        direction = heyoka.event_direction
-        events = [
-            heyoka.t_event(x[0] - par[12], callback=on_stop, direction=direction.positive),
-            heyoka.t_event(x[0] + par[12], callback=on_stop, direction=direction.negative),
-        ]
-        self.integrator = heyoka.taylor_adaptive(
-            list(zip([*x, *w], rates, strict=True)), [0.0] * 8, t_events=events, pars=[0.0] * 13, tol=1e-10
-        )
-        self.state, self.pars = self.integrator.state, self.integrator.pars
-        self.run(FIGURES["3"], (2,))  # compiles what Numba compiles
-
-    def run(self, params: dict[str, float], lengths: tuple[int, ...]) -> list[tuple[int, float, float]]:
-        """(periods, processor seconds, largest exponent) at each length, a quarter of it dropped, from one run."""
-        general = GeneralIntegrator(params, 1)
-        self.pars[:] = [*general.A[2:].ravel(), *general.force, params["omega"], params["tau"], params["b"]]
-        self.R = params["R"]
-        self.state[:] = 0.0
-        self.state[4:] = 0.5
-        self.integrator.reset_cooldowns()
-        end, tangent, forward = 2.0 * math.pi / params["omega"], self.state[4:], self.integrator.propagate_until
-        sums = np.zeros(max(lengths) + 1)
-        found = []
-        start = time.process_time()
-        for k in range(max(lengths)):
-            self.integrator.time = 0.0
-            forward(end)
-            sums[k + 1] = sums[k] + normalise(tangent)
-            if k + 1 in lengths:
-                dropped = (k + 1) // 4
-                mean = (sums[k + 1] - sums[dropped]) / (k + 1 - dropped)
-                found.append((k + 1, time.process_time() - start, float(mean)))
-        return found
-
-
 def measure_heyoka(cells: list[Cell], lengths: tuple[int, ...]) -> list[Point]:
     """Heyoka on every cell; empty if it is not installed."""
-    if heyoka is None:
+    if not INSTALLED:
         print("heyoka is not installed: skipped (pip install heyoka)", file=sys.stderr)
         return []
-    taylor = Taylor()
+    taylor = Taylor(1)
     return [
-        Point("heyoka", length, k, seconds, length, largest, math.nan)
+        Point("heyoka", length, k, seconds, length, float(exponents[0]), math.nan)
         for k, cell in enumerate(cells)
-        for length, seconds, largest in taylor.run(cell.params, lengths)
+        for length, seconds, exponents in taylor.run(cell.params, lengths)
     ]
 
 

@@ -7,7 +7,7 @@ from tests import naive
 from workers import Settings, solve_tile
 from workers.lyapunov import no_averages
 from workers.oscillator import Oscillator
-from workers.section import FREE, RUNNING, STATUS, WORK, Motion, motion_from
+from workers.section import EVALUATIONS, FREE, RUNNING, STATUS, WORK, Motion, motion_from
 from workers.solve import with_frame
 from workers.stretch import Stretch, follow, follow_together
 from workers.system import find_system
@@ -107,6 +107,18 @@ def test_a_motion_that_is_out_of_work_stops_where_it_would_alone() -> None:
     assert done == [follow(one) for one in alone]
     assert 1 == done[0] < done[4] < 50
     assert all(one.motion.tally[STATUS] == RUNNING for one in together)
+
+
+def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
+    """R = 1 and a gap of 1e-5 of the response: 10^5 impacts a period, with rests of the budget alone and together."""
+    cells = [
+        naive.two_mass(**naive.FIGURES[3] | {"R": 1.0, "b": 1e-6 * (1.0 + 0.01 * k), "omega": 0.1}) for k in range(4)
+    ]
+    together = [stretch(osc, start, 0, 3) for osc, start in cells]
+    alone = copies(together)
+    assert follow_together(together) == [follow(one) for one in alone]
+    assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
+    assert max(one.motion.tally[EVALUATIONS] for one in together) > 100_000
 
 
 def test_a_tile_has_the_bits_of_its_cells_alone() -> None:

@@ -55,6 +55,9 @@ RENEWAL = float(REFRESH)
 LONGEST_MARCH = 64
 """Steps of one flight after which a lane is left to ``section``."""
 
+LONGEST_PERIOD = 2000.0
+"""Evaluations in one period after which a lane is left to ``section``, which sees to it that every period ends."""
+
 FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 """What a lane has reached, +-1 being an impact at that stop; LEFT: what ``section`` has to take over."""
 
@@ -186,8 +189,10 @@ def arrival_pass(a, n):
         a[SLOWEST + i] = min(slowest, abs(v)) if hit else slowest
         count = a[COUNT + i]
         cost = max(1.0, count)
+        spent = a[COST + i]
+        spent = spent + cost if event else spent
         a[EVALS + i] += count if event else 0.0
-        a[COST + i] += cost if event else 0.0
+        a[COST + i] = spent
         a[COUNT + i] = 0.0 if event else count
         a[FRESH + i] = 1.0 if event else 0.0
         a[RENEW + i] = 1.0 if event or count == RENEWAL * math.floor(count / RENEWAL) else 0.0
@@ -208,7 +213,7 @@ def arrival_pass(a, n):
         a[WIDE + i] = 1.0 if event and width > MAX_SPREAD else 0.0
         width = width + jump if hit else width
         a[WIDTH + i] = width if event else before_flight
-        a[MODE + i] = LEFT if hit and not rebound else side
+        a[MODE + i] = LEFT if hit and (not rebound or spent > LONGEST_PERIOD) else side
 
 
 @kernel

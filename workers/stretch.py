@@ -71,7 +71,7 @@ def _side_by_side(stretches: list[Stretch]) -> list[int]:
         tally=np.array([motion.tally for motion in motions]),
         levels=np.array([average.levels for average in averages]),
         weighted=np.array([average.weighted for average in averages]),
-        sections=np.empty((len(stretches), longest, *motions[0].h.shape)),
+        sections=np.zeros((len(stretches), longest, *motions[0].h.shape)),
     )
     run_lanes(batch)
     for k, stretch in enumerate(stretches):
