@@ -255,7 +255,7 @@ def test_every_class_of_periods_has_its_own_colour() -> None:
     rgba, legend = period.paint(np.full(periods.shape, PERIODIC, np.int8), periods)
     taken = {tuple(cell) for cell in rgba[0]} | {colour(code) for code in EVERY if code != PERIODIC}
     assert len(taken) == 11 + 7
-    assert [entry.get_label() for entry in legend][-3:] == ["period 9 to 16", "period 17 to 64", "period 65 or more"]
+    assert [entry.get_label() for entry in legend][-3:] == ["period 9–16", "period 17–64", "period ≥ 65"]
 
 
 def test_periods_of_one_class_share_a_colour() -> None:

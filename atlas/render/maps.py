@@ -1,10 +1,12 @@
 """What all pictures of a plane share: its cells read in drawing order, the frame around them, the legends."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.render import axes, style
-from workers.results import PENDING, REGIME, REGIMES
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, REGIMES
 
 HEIGHT = 4.7
 """Height of a map in inches."""
@@ -20,20 +22,28 @@ HEIGHT = 4.7
 
 @dataclass(frozen=True)
 class Plane:
-    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of one more variable."""
+    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
 
     x: axes.Axis
     y: axes.Axis
     regime: NDArray[np.int8]
-    values: NDArray[Any]
+    values: Mapping[str, NDArray[Any]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.values[name]
 
 
-def read(ds: xr.Dataset, variable: str, kind: str) -> Plane:
-    """Read one variable and the regimes of a plane, nothing else; InputError if the atlas does not hold it."""
-    if variable not in ds:
-        raise InputError(f"kind {kind!r} draws the variable {variable!r}, which this atlas does not hold")
-    ds, (x, y) = axes.rising(ds[[variable, REGIME.name]])
-    return Plane(x, y, ds[REGIME.name].values, ds[variable].values)
+def read(ds: xr.Dataset, variables: Iterable[str], kind: str) -> Plane:
+    """Read these variables and the regimes of a plane, nothing else; InputError if the atlas does not hold one.
+
+    The only place where the pictures of planes read an atlas.
+    """
+    names = [name for name in dict.fromkeys(variables) if name != REGIME.name]
+    for name in names:
+        if name not in ds:
+            raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold")
+    ds, (x, y) = axes.rising(ds[[*names, REGIME.name]])
+    return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
 
 
 def frame(ds: xr.Dataset) -> tuple[Figure, Axes]:
@@ -56,6 +66,35 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
         cells = where & (regime == each.code)
         if cells.any():
             rgba[cells] = style.rgb(each.color, alpha=0 if each.code == PENDING else 255)
-            hatch = style.HATCH[PENDING] if each.code == PENDING else None
-            entries.append(style.swatch(each.color, style.name_of(each.code), hatch))
+            # An impact-free cell is textured only where it is not seen by its colour.
+            hatch = None if each.code == NO_IMPACT else style.HATCH.get(each.code)
+            ink = style.HATCH_INK.get(each.code, style.TEXTURE)
+            entries.append(style.swatch(each.color, style.name_of(each.code), hatch, ink))
     return entries
+
+
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
+    """Draw the cells in these colours (y, x, 4), and textures over those that are invalid or failed."""
+    axes.draw_cells(ax, plane.x, plane.y, rgba)
+    for code in (INVALID, FAILED):
+        axes.hatch(ax, plane.x, plane.y, plane.regime == code, style.HATCH[code], style.HATCH_INK[code])
+
+
+def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
+    """A legend under the plot, in as many rows as its entries need; none without entries."""
+    if not entries:
+        return
+    # What is read counts: mathtext spells a symbol in several characters.
+    longest = max(len(str(entry.get_label()).replace("\\", "").replace("$", "")) for entry in entries)
+    columns = max(1, min(len(entries), int(style.WIDTH / (0.45 + 0.056 * longest))))
+    rows = -(-len(entries) // columns)
+    # Filled column by column, rows of equal length look best.
+    figure.legend(
+        handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows), columnspacing=1.4
+    )
+
+
+def legend_beside(figure: Figure, entries: Sequence[Artist]) -> None:
+    """A legend in a column to the right of the plot."""
+    if entries:
+        figure.legend(handles=list(entries), loc="outside right upper", labelspacing=0.45)
