@@ -151,7 +151,7 @@ class Spec:
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
-    """SHA-256 of a mapping as JSON: Python writes a float as its shortest exact decimal, so equal text is equal bits."""
+    """SHA-256 of a mapping as JSON. Python writes a float as its shortest exact decimal: equal text is equal bits."""
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
 
 

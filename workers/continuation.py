@@ -63,7 +63,9 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     states = np.stack([here[name] for name in record.states], axis=-1)
     for index in np.ndindex(last.shape[:-1]):
         if np.all(np.isfinite(last[index])):
-            states[index] = _between_stops(record, {name: float(grid[index]) for name, grid in here.items()}, last[index])
+            states[index] = _between_stops(
+                record, {name: float(grid[index]) for name, grid in here.items()}, last[index]
+            )
     return {name: states[..., k] for k, name in enumerate(record.states)}
 
 

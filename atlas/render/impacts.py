@@ -39,7 +39,7 @@ _LABEL_SIZE = 7.5
 
 
 class Motion(NamedTuple):
-    """A periodic motion: n forcing periods, p impacts at the upper stop and q at the lower, p = q = -1 where it sticks."""
+    """A periodic motion: n forcing periods, p impacts at the upper stop, q at the lower; p = q = -1 where it sticks."""
 
     n: int
     p: int
@@ -60,10 +60,8 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
         rgba, legend, colors = paint(plane.regime, *counts)
         maps.draw(ax, plane, rgba)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
-        maps.legend_beside(drawn, entries)
-        drawn.legends[0].set_title("$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
-        drawn.legends[0]._legend_box.align = "left"
-        drawn.get_layout_engine().execute(drawn)
+        maps.legend_beside(drawn, entries, title="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        drawn.draw_without_rendering()  # from here on the plot has its size
         _name_regions(ax, plane, counts, colors)
     return drawn
 
@@ -113,7 +111,8 @@ def _name_regions(
     """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
     if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
         return  # cells differ in size, and distances in cells mean nothing
-    width, height = ax.get_window_extent().size / ax.figure.dpi * 72.0
+    box = ax.get_window_extent()
+    width, height = (float(size) / ax.figure.dpi * 72.0 for size in (box.width, box.height))
     step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
     for motion, color in colors.items():
         if motion.p < 0:

@@ -89,12 +89,11 @@ def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
     columns = max(1, min(len(entries), int(style.WIDTH / (0.45 + 0.056 * longest))))
     rows = -(-len(entries) // columns)
     # Filled column by column, rows of equal length look best.
-    figure.legend(
-        handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows), columnspacing=1.4
-    )
+    figure.legend(handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows), columnspacing=1.4)
 
 
-def legend_beside(figure: Figure, entries: Sequence[Artist]) -> None:
+def legend_beside(figure: Figure, entries: Sequence[Artist], title: str | None = None) -> None:
     """A legend in a column to the right of the plot."""
     if entries:
-        figure.legend(handles=list(entries), loc="outside right upper", labelspacing=0.45)
+        handles = list(entries)
+        figure.legend(handles=handles, loc="outside right upper", labelspacing=0.45, title=title, alignment="left")

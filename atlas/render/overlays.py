@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -97,7 +97,7 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
     fixed = {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
     xs, ys, ratio = grazing_grid(system, fixed, plane.x, plane.y)
     look = {"color": "black", "linewidth": 1.3, "linestyle": (0, (5, 2))}
-    halo = [withStroke(linewidth=2.8, foreground="white")]
+    halo: list[AbstractPathEffect] = [withStroke(linewidth=2.8, foreground="white")]
     if np.nanmin(ratio) < 0.0 < np.nanmax(ratio):
         lines = ax.contour(
             xs, ys, ratio, levels=[0.0], colors="black", linewidths=1.3, linestyles=[look["linestyle"]], zorder=3
@@ -126,7 +126,9 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
         shown = np.ma.masked_invalid(_smooth(size))
         lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="#000000", linewidths=0.45)
         lines.set(alpha=0.75, zorder=2.5)
-        ax.clabel(lines, fmt=lambda level, sign=sign: f"{sign * level:g}".replace("-", "−"), fontsize=6.5, inline_spacing=2)
+        ax.clabel(
+            lines, fmt=lambda level, sign=sign: f"{sign * level:g}".replace("-", "−"), fontsize=6.5, inline_spacing=2
+        )
     return [Line2D([], [], color="black", alpha=0.75, linewidth=0.6, label=r"$\lambda_1$ constant")]
 
 

@@ -63,7 +63,9 @@ def paint(
 ) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for what the scale does not say."""
     known = np.isfinite(values)
-    rgba = colormap(norm(np.where(known, np.maximum(values, norm.vmin), norm.vmin)), bytes=True)
+    # Zero has no logarithm; like all below the scale's lower end it has that end's colour.
+    least = float(norm.vmin or 0.0)
+    rgba = colormap(norm(np.where(known, np.maximum(values, least), least)), bytes=True)
     legend = []
     if zero is not None and np.any(values == 0.0):
         rgba[values == 0.0] = style.rgb(zero[0])
