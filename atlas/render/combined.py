@@ -25,7 +25,7 @@ CLASSES: tuple[period.Class, ...] = (
     (7, 7, "#17776c"),
     (8, 8, "#1b4480"),
     (9, 16, "#0b2350"),
-    (17, None, "#c98fc6"),
+    (17, None, "#bf8fd0"),
 )
 """First and last period of each class and its colour: cool ones, since warm ones are the chaos.
 
