@@ -69,6 +69,21 @@ def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: st
     assert render.render(ds, tmp_path / "map.svg", kind, render.OVERLAYS).exists()
 
 
+@pytest.mark.parametrize("kind", ["exponent", "error", "sticking"])
+def test_averages_of_an_undetermined_cell_do_not_pass_for_results(kind: str) -> None:
+    ds = plane()
+    for name in ("largest", "error", "stuck_fraction"):
+        ds[name] = ds[name].fillna(0.3)
+    assert tuple(drawn(render.figure(ds, kind))[ds["regime"].values == UNDETERMINED][0]) == colour(UNDETERMINED)
+
+
+def test_averages_of_an_undetermined_cell_do_not_stretch_the_scale() -> None:
+    ds = plane()
+    ds["largest"] = ds["largest"].where(ds["regime"] != UNDETERMINED, 50.0)
+    bars = [render.figure(each).axes[1].get_ylim() for each in (ds, plane())]
+    assert bars[0] == bars[1]
+
+
 # Impact pairs
 
 
@@ -234,6 +249,11 @@ def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut(monkeypatch
     monkeypatch.setattr(overlays, "POINTS", 12)
     xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y)
     assert quick == pytest.approx(overlays.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
+
+
+def test_a_grazing_line_out_of_view_is_said_to_be() -> None:
+    ds = plane().assign_coords(b=plane()["b"] * 1e4)
+    assert labels(render.figure(ds, overlays=["grazing"]))[-1] == "grazing, $|Y| = b$: not in this window"
 
 
 def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:

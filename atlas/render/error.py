@@ -23,7 +23,7 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     of two windows on a torus: see the README's table of variables.
     """
     plane = maps.read(ds, (ERROR.name, *overlays.variables(overlaid)), "error")
-    error = plane[ERROR.name]
+    error = np.where(maps.determined(plane.regime), plane[ERROR.name], np.nan)
     # Nothing is known better than to rounding; an error of zero would have no place on a log scale.
     known = np.where(np.isfinite(error), np.maximum(error, np.finfo(float).tiny), np.nan)
     return scalar.figure(ds, plane, np.where(error == 0.0, np.finfo(float).eps, known), SCALE, overlaid)

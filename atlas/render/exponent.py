@@ -38,7 +38,7 @@ COLORMAP = _two_sided()
 def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     """The chaos map as a figure, with these overlays; InputError where the atlas holds no exponents."""
     plane = maps.read(ds, (LARGEST.name, *overlays.variables(overlaid)), "exponent")
-    largest = plane[LARGEST.name]
+    largest = np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
     norm = TwoSlopeNorm(0.0, *scale_ends(largest))
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
@@ -66,7 +66,7 @@ def paint(
     regime: NDArray[np.int8], largest: NDArray[np.float64], norm: TwoSlopeNorm
 ) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the regimes that have no exponent."""
-    known = ~np.isnan(largest)
+    known = maps.determined(regime) & ~np.isnan(largest)
     rgba = COLORMAP(norm(np.where(known, largest, 0.0)), bytes=True)
     return rgba, maps.paint_regimes(rgba, regime, ~known)
 

@@ -27,11 +27,11 @@ HUES = (
     ("#3bbfd8", "#1d93ad", "#a5e3ef"),
     ("#7a4a1a", "#6b3f12", "#c7a276"),
     ("#da5c9b", "#b93a7b", "#f3b0d0"),
-    ("#7fb285", "#5a9263", "#bcdcc0"),
+    ("#9aa53c", "#7b8527", "#cfd78f"),
     ("#1b2f7d", "#0e216d", "#7486c8"),
     ("#e3ca3f", "#bfa61a", "#f5eaa0"),
 )
-STICKS = "#ff7fd0"
+STICKS = "#bfe6dc"
 """Colour of periodic motions that rest on a stop: their impacts are infinitely many."""
 OTHER = "#b9ad98"
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.render import axes, style
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIME, REGIMES
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, REGIME, REGIMES
 
 HEIGHT = 4.7
 """Height of a map in inches."""
@@ -44,6 +44,11 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str) -> Plane:
             raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold")
     ds, (x, y) = axes.rising(ds[[*names, REGIME.name]])
     return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
+
+
+def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
+    return (regime >= NO_IMPACT) & (regime <= CHAOTIC)
 
 
 def frame(ds: xr.Dataset) -> tuple[Figure, Axes]:

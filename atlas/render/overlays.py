@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -96,14 +96,14 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
         raise InputError("overlay 'grazing': the atlas does not name a system that is known here")
     fixed = {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
     xs, ys, ratio = grazing_grid(system, fixed, plane.x, plane.y)
-    look = {"color": "black", "linewidth": 1.3, "linestyle": (0, (5, 2))}
-    halo: list[AbstractPathEffect] = [withStroke(linewidth=2.8, foreground="white")]
+    dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
+    label = r"grazing, $|Y| = b$"
     if np.nanmin(ratio) < 0.0 < np.nanmax(ratio):
-        lines = ax.contour(
-            xs, ys, ratio, levels=[0.0], colors="black", linewidths=1.3, linestyles=[look["linestyle"]], zorder=3
-        )
-        lines.set_path_effects(halo)
-    return [Line2D([], [], path_effects=halo, label=r"grazing, $|Y| = b$", **look)]  # type: ignore[arg-type]
+        lines = ax.contour(xs, ys, ratio, levels=[0.0], colors="black", linewidths=1.3, linestyles=[dashes], zorder=3)
+        lines.set_path_effects([*halo])
+    else:
+        label += ": not in this window"
+    return [Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, path_effects=halo, label=label)]
 
 
 def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:

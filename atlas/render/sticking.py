@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import xarray as xr
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -17,4 +18,5 @@ SCALE = scalar.Scale(COLORMAP, False, "share of the time at rest on a stop")
 def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     """The sticking map as a figure; InputError where the atlas does not hold it. Cells that never rest are pale."""
     plane = maps.read(ds, ("stuck_fraction", *overlays.variables(overlaid)), "sticking")
-    return scalar.figure(ds, plane, plane["stuck_fraction"], SCALE, overlaid, zero=("#f3f1ea", "never at rest"))
+    share = np.where(maps.determined(plane.regime), plane["stuck_fraction"], np.nan)
+    return scalar.figure(ds, plane, share, SCALE, overlaid, zero=("#f3f1ea", "never at rest"))
