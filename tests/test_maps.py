@@ -306,3 +306,49 @@ def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
 def test_isolines_of_an_atlas_without_exponents_are_refused() -> None:
     with pytest.raises(InputError, match="'largest', which this atlas does not hold"):
         render.figure(plane().drop_vars("largest"), "period", overlays=["isolines"])
+
+
+# Cells too small to be seen
+
+
+def dense(code: int, cells: list[tuple[int, int]]) -> Figure:
+    n = 400
+    regime = np.full((n, n), PERIODIC, np.int8)
+    for cell in cells:
+        regime[cell] = code
+    ds = atlas(
+        {"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)},
+        regime=regime,
+        largest=np.where(regime == PERIODIC, -1.0, NAN),
+    )
+    return render.figure(ds)
+
+
+@pytest.mark.parametrize("code", [UNDETERMINED, INVALID, FAILED])
+def test_a_lone_cell_without_a_result_is_marked_where_it_is(code: int) -> None:
+    (marks,) = dense(code, [(0, 399), (200, 100)]).axes[0].lines
+    assert colors.same_color(marks.get_color(), np.array(colour(code)) / 255)
+    assert np.sort(marks.get_xdata()) == pytest.approx([1 + 100 / 399, 2.0], rel=1e-3)
+
+
+def test_cells_without_a_result_that_are_seen_anyway_are_not_marked() -> None:
+    block = [(i, j) for i in range(20) for j in range(20)]
+    assert not dense(FAILED, block).axes[0].lines
+    assert not render.figure(plane()).axes[0].lines
+
+
+def test_a_cloud_of_cells_without_a_result_is_not_covered_with_marks() -> None:
+    cloud = [(2 * i, 2 * j) for i in range(20) for j in range(20)]
+    assert not dense(UNDETERMINED, cloud).axes[0].lines
+
+
+def test_impact_free_dust_keeps_its_colour_and_gets_no_outline() -> None:
+    dust = [(3 * i, 3 * j) for i in range(50) for j in range(50)]
+    n = 400
+    regime = np.full((n, n), PERIODIC, np.int8)
+    regime[:, 300:] = NO_IMPACT
+    for cell in dust:
+        regime[cell] = NO_IMPACT
+    ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(1, 2, n)}, regime=regime, largest=-np.ones((n, n)))
+    lines = np.array(render.figure(ds).axes[0].collections[0].get_segments())
+    assert lines[:, :, 0] == pytest.approx(np.full(lines.shape[:2], 1 + 299.5 / 399))

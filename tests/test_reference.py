@@ -12,7 +12,7 @@ from tests.reference import FOLDER, PICTURES, write
 from workers.results import CHAOTIC
 
 TOLERANCE = 8.0
-"""Root mean square over pixels and colours, of 255: other builds of matplotlib move letters by a fraction of a pixel."""
+"""Root mean square over pixels and colours, of 255: builds of matplotlib differ by fractions of a pixel in letters."""
 
 
 def against(name: str, picture: Path, tmp_path: Path) -> str | None:

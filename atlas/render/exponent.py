@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from atlas.render import axes, maps, overlays, style
 from workers.results import LARGEST, NO_IMPACT
@@ -96,6 +97,17 @@ def _colour_bar(drawn: Figure, ax: Axes, norm: TwoSlopeNorm, largest: NDArray[np
     bar.ax.axhline(0.0, color="black", linewidth=0.7)
 
 
+def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
+    thin = min(cells.shape) // 150
+    if thin == 0:
+        return cells
+    padded = np.pad(cells, 2 * thin, mode="symmetric")  # or the picture's frame would eat into them
+    wide = ndimage.binary_opening(padded, structure=np.ones((3, 3)), iterations=thin)
+    wide = ndimage.binary_closing(wide, structure=np.ones((3, 3)), iterations=thin)
+    return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
+
+
 def _ticks(low: float, high: float) -> NDArray[np.float64]:
     """Round numbers on each half, which have scales of their own, and zero."""
     nice = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
@@ -111,5 +123,5 @@ def _mark_no_impact(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm) -> list[Pat
     color = COLORMAP(norm(np.median(plane[LARGEST.name][quiet])))
     ink = style.ink_on(color)
     axes.hatch(ax, plane.x, plane.y, quiet, style.HATCH[NO_IMPACT], ink)
-    axes.outline(ax, plane.x, plane.y, quiet, "#1a2433", 0.35)
+    axes.outline(ax, plane.x, plane.y, _without_dust(quiet), "#1a2433", 0.3)
     return [style.swatch(color, style.name_of(NO_IMPACT), style.HATCH[NO_IMPACT], ink)]

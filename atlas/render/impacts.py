@@ -115,24 +115,27 @@ def _name_regions(
     width, height = (float(size) / ax.figure.dpi * 72.0 for size in (box.width, box.height))
     step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
     for motion, color in colors.items():
-        if motion.p < 0:
-            continue
+        half = 0.29 * _LABEL_SIZE * len(motion.label), 0.62 * _LABEL_SIZE
+        least = 4.0 * half[0] * half[1] / (step[0] * step[1])  # cells that the name takes
         cells = plane.regime == PERIODIC
         for count, wanted in zip(counts, motion, strict=True):
             cells = cells & (count == wanted)
+        if motion.p < 0 or np.count_nonzero(cells) < least:
+            continue
         regions, _ = ndimage.label(cells)
-        for number in np.argsort(-np.bincount(regions.ravel())[1:])[:2] + 1:
-            half = 0.29 * _LABEL_SIZE * len(motion.label), 0.62 * _LABEL_SIZE
-            place = _place(regions == number, step, half)
+        sizes = np.bincount(regions.ravel())
+        boxes = ndimage.find_objects(regions)
+        for number in np.argsort(-sizes[1:], kind="stable")[:2] + 1:
+            box = boxes[number - 1]
+            place = _place(regions[box] == number, step, half) if sizes[number] >= least else None
             if place is not None:
-                row, column, angle = place
                 ax.text(
-                    plane.x.values[column],
-                    plane.y.values[row],
+                    plane.x.values[box[1].start + place[1]],
+                    plane.y.values[box[0].start + place[0]],
                     motion.label,
                     color=style.ink_on(color),
                     fontsize=_LABEL_SIZE,
-                    rotation=angle,
+                    rotation=place[2],
                     ha="center",
                     va="center_baseline",
                     zorder=4,

@@ -11,13 +11,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.render import axes, style
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, REGIME, REGIMES
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, REGIME, REGIMES, UNDETERMINED
 
 HEIGHT = 4.7
 """Height of a map in inches."""
+
+
+SIZE = np.array([5.6, 3.75]) * 72.0
+"""Nominal width and height of a map's plot area in points, for what must be known before the figure is laid out."""
+
+_VISIBLE = 2.0
+"""Points below which a cell on its own is lost to the eye."""
+_MOST_MARKS = 300
+"""Marks of such cells: where there are more, they are seen as a cloud anyway."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +89,32 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
 
 
 def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
-    """Draw the cells in these colours (y, x, 4), and textures over those that are invalid or failed."""
+    """Draw the cells in these colours (y, x, 4), and textures over those that are invalid or failed.
+
+    Cells without a result that would be too small to be seen get a mark of a visible size.
+    """
     axes.draw_cells(ax, plane.x, plane.y, rgba)
     for code in (INVALID, FAILED):
         axes.hatch(ax, plane.x, plane.y, plane.regime == code, style.HATCH[code], style.HATCH_INK[code])
+    for code in (UNDETERMINED, INVALID, FAILED):
+        _mark_small(ax, plane, code)
+
+
+def _mark_small(ax: Axes, plane: Plane, code: int) -> None:
+    width, height = SIZE / np.array(plane.regime.shape[::-1])
+    if max(width, height) >= _VISIBLE:
+        return
+    regions, _ = ndimage.label(plane.regime == code)
+    small = [
+        (rows, columns)
+        for rows, columns in ndimage.find_objects(regions)
+        if (rows.stop - rows.start) * height < _VISIBLE and (columns.stop - columns.start) * width < _VISIBLE
+    ]
+    if 0 < len(small) <= _MOST_MARKS:
+        x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
+        y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
+        look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
+        ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
 
 
 def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:

@@ -1,13 +1,15 @@
 """Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -26,6 +28,12 @@ POINTS = 400
 """Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
 POINTS_BOTH = 60
 """The same where every pair of both axes has to be computed."""
+
+
+_LEAST_LINE = 40.0
+"""Length in points below which a piece of an isoline is left out."""
+_LABEL_ROOM = 30.0
+"""Points between labels of isolines."""
 
 
 def variables(chosen: Sequence[str]) -> tuple[str, ...]:
@@ -76,9 +84,9 @@ def grazing_grid(
     return xs, ys, grazing_ratio(system, fixed, (x.name, xs), (y.name, ys))
 
 
-def large_regions(regime: NDArray[np.int8]) -> NDArray[np.int16]:
-    """Every cell's regime where its connected region is large enough to be outlined; the regime around it elsewhere."""
-    least = max(2, int(LEAST_REGION * regime.size))
+def large_regions(regime: NDArray[np.int8], share: float = LEAST_REGION) -> NDArray[np.int16]:
+    """Every cell's regime where its connected region has at least this share of the plane; else the nearest such."""
+    least = max(2, int(share * regime.size))
     small = np.zeros(regime.shape, dtype=bool)
     for code in np.unique(regime):
         regions, _ = ndimage.label(regime == code)
@@ -114,22 +122,63 @@ def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
 
 
 def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
-    values = np.where(np.isfinite(plane[LARGEST.name]), plane[LARGEST.name], np.nan)
-    if not np.isfinite(values).any() or min(values.shape) < 2:
+    known = maps.determined(plane.regime) & np.isfinite(plane[LARGEST.name])
+    if min(known.shape) < 2:
         return []
     # Each sign on its own: between them exponents jump, and lines there would show the jump and nothing else.
-    for sign in (-1.0, 1.0):
-        size = np.where(sign * values > 0.0, np.abs(values), np.nan)
-        if np.isfinite(size).sum() < 2:
+    for sign, width in ((-1.0, 1.5), (1.0, 2.5)):
+        size = np.where(known & (sign * plane[LARGEST.name] > 0.0), np.abs(plane[LARGEST.name]), np.nan)
+        if np.isfinite(size).sum() < 4:
             continue
         levels = MaxNLocator(5).tick_values(0.0, float(np.nanpercentile(size, 98)))[1:]
-        shown = np.ma.masked_invalid(_smooth(size))
-        lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="#000000", linewidths=0.45)
-        lines.set(alpha=0.75, zorder=2.5)
-        ax.clabel(
-            lines, fmt=lambda level, sign=sign: f"{sign * level:g}".replace("-", "−"), fontsize=6.5, inline_spacing=2
+        shown = np.ma.masked_invalid(_smooth(size, width))
+        lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="black", linewidths=0.5)
+        lines.set(alpha=0.8, zorder=2.5)
+        lines.set_paths([_long_parts(ax, path) for path in lines.get_paths()])
+        names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0, inline=False)
+        _thin_out(ax, names)
+    return [Line2D([], [], color="black", alpha=0.8, linewidth=0.6, label=r"$\lambda_1$ constant")]
+
+
+def _signed(sign: float) -> Callable[[float], str]:
+    return lambda level: f"{sign * level:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _long_parts(ax: Axes, path: Path) -> Path:
+    """The parts of a line that are long enough to be followed by eye."""
+    parts = [np.asarray(each) for each in path.to_polygons(closed_only=False)]
+    long = [
+        each
+        for each in parts
+        if len(each) > 1 and np.hypot(*np.diff(_in_points(ax, each), axis=0).T).sum() >= _LEAST_LINE
+    ]
+    return Path.make_compound_path(*map(Path, long)) if long else Path(np.empty((0, 2)))
+
+
+def _thin_out(ax: Axes, names: Iterable[Text]) -> None:
+    """Take away labels that would stand in another's way or over the frame; give the others a halo."""
+    kept: list[NDArray[np.float64]] = []
+    width, height = _in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]))[0]
+    for name in names:
+        at = _in_points(ax, np.array([name.get_position()]))[0]
+        framed = (
+            _LABEL_ROOM / 2 < at[0] < width - _LABEL_ROOM / 2 and _LABEL_ROOM / 2 < at[1] < height - _LABEL_ROOM / 2
         )
-    return [Line2D([], [], color="black", alpha=0.75, linewidth=0.6, label=r"$\lambda_1$ constant")]
+        if framed and all(np.hypot(*(at - other)) > _LABEL_ROOM for other in kept):
+            kept.append(at)
+            upright = (name.get_rotation() + 90.0) % 180.0 - 90.0
+            name.set(
+                rotation=upright, zorder=3.5, path_effects=[withStroke(linewidth=1.6, foreground="white", alpha=0.85)]
+            )
+        else:
+            name.remove()
+
+
+def _in_points(ax: Axes, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Data coordinates in points from the lower left corner of the plot, by a map's nominal size: as a layout that
+    is not made yet will have them, nearly.
+    """
+    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * maps.SIZE)
 
 
 _DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane], list[Artist]]] = {
@@ -139,7 +188,7 @@ _DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane], list[Artist]]] = {
 }
 
 
-def _smooth(values: NDArray[np.float64], width: float = 1.5) -> NDArray[np.float64]:
+def _smooth(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     """A Gaussian mean over neighbours that have a value, for the error bars of neighbouring cells not to wrinkle lines.
 
     Cells with few such neighbours are left out: what is chopped up has no isolines.
@@ -147,7 +196,7 @@ def _smooth(values: NDArray[np.float64], width: float = 1.5) -> NDArray[np.float
     known = np.isfinite(values)
     weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), width, mode="nearest")
-    return np.where(known & (weight > 0.7), total / np.maximum(weight, 1e-12), np.nan)
+    return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
 
 
 def _points(system: System, axis: axes.Axis, count: int) -> NDArray[np.float64]:
