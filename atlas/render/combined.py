@@ -16,20 +16,20 @@ from atlas.render import exponent, maps, overlays, period, style
 from workers.results import CHAOTIC, LARGEST
 
 CLASSES: tuple[period.Class, ...] = (
-    (1, 1, "#a9cbea"),
-    (2, 2, "#6ea6da"),
-    (3, 3, "#9d8fd6"),
-    (4, 4, "#3672b4"),
-    (5, 5, "#5fb7a8"),
-    (6, 6, "#5a3fa3"),
-    (7, 7, "#17776c"),
-    (8, 8, "#1b4480"),
-    (9, 16, "#0b2350"),
-    (17, None, "#bf8fd0"),
+    (1, 1, "#90d0ff"),
+    (2, 2, "#638fc3"),
+    (3, 3, "#8058e9"),
+    (4, 4, "#01247c"),
+    (5, 5, "#32464f"),
+    (6, 6, "#3f00ca"),
+    (7, 8, "#00c28b"),
+    (9, 16, "#514e81"),
+    (17, None, "#3a0747"),
 )
 """First and last period of each class and its colour: cool ones, since warm ones are the chaos.
 
-A period and its doubles share a hue and darken: 1, 2, 4, 8 blue; 3, 6 violet.
+Doubled periods darken: 1, 2, 4 blue; 3, 6 violet. Chosen, with the colours of the regimes and of the chaos, for the
+greatest least difference between any two, also as seen without red or without green receptors.
 """
 
 COLORMAP = LinearSegmentedColormap.from_list("chaos", exponent.CHAOTIC_COLORS, N=512)
@@ -43,7 +43,7 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend = paint(plane.regime, plane["period"], largest, norm)
-        maps.draw(ax, plane, rgba)
+        maps.draw(ax, plane, rgba, maps.CLASSES_TEXTURED)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
         bar = drawn.colorbar(
             ScalarMappable(norm, COLORMAP),

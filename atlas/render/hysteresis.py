@@ -18,7 +18,7 @@ from atlas.query import axis_names
 from atlas.render import axes, style, sweep
 from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, REGIME, SECTION
 
-_COLORS = ("#0a6ebd", "#e8701a")
+COLORS = ("#0a6ebd", "#e8701a")
 _SHADE = "#ece9f3"
 _COUNTS = ("period", "impacts_upper", "impacts_lower")
 
@@ -94,7 +94,7 @@ def _points(ax: Axes, values: NDArray[np.float64], x: axes.Axis, place: int) -> 
         at[shown],
         values[shown],
         ".",
-        color=_COLORS[place],
+        color=COLORS[place],
         alpha=(0.55, 1.0)[place],
         markersize=size,
         markeredgewidth=0,
@@ -112,7 +112,7 @@ def _shade(ax: Axes, x: axes.Axis, apart: NDArray[np.bool_]) -> None:
 def _legend(atlases: Sequence[xr.Dataset], x: axes.Axis, apart: bool) -> list[Artist]:
     entries: list[Artist] = [
         Line2D([], [], linestyle="", marker="o", markersize=(6, 3.5)[i], color=color, label=_direction(each, x.name))
-        for i, (each, color) in enumerate(zip(atlases, _COLORS, strict=True))
+        for i, (each, color) in enumerate(zip(atlases, COLORS, strict=True))
     ]
     return (
         [*entries, Patch(facecolor=_SHADE, edgecolor="#a9a4b8", linewidth=0.4, label="different motions")]

@@ -13,26 +13,28 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from atlas.render import maps, overlays, style
+from atlas.render import axes, maps, overlays, style
 from workers.results import PERIODIC
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
 
-# Each row: a motion with p = q, or with p > q, or its mirror image with p < q. Mirror images are one motion seen from
-# the other side, and which of the two is reached hangs on the start: they share a hue.
 HUES = (
-    ("#4477aa", "#2f5f94", "#93b8df"),
-    ("#eb8b00", "#c97700", "#ffcb80"),
-    ("#8e44c4", "#7029a3", "#cda9ea"),
-    ("#3bbfd8", "#1d93ad", "#a5e3ef"),
-    ("#7a4a1a", "#6b3f12", "#c7a276"),
-    ("#da5c9b", "#b93a7b", "#f3b0d0"),
-    ("#9aa53c", "#7b8527", "#cfd78f"),
-    ("#1b2f7d", "#0e216d", "#7486c8"),
-    ("#e3ca3f", "#bfa61a", "#f5eaa0"),
+    ("#4477aa", "#73b9ff"),
+    ("#d9830a", "#433b2f"),
+    ("#8d3bf3", "#4f297f"),
+    ("#ffca97", "#9b8066"),
+    ("#ff25d2", "#51314b"),
+    ("#87cde4", "#186177"),
+    ("#dbbc50", "#625a3c"),
 )
-STICKS = "#bfe6dc"
-"""Colour of periodic motions that rest on a stop: their impacts are infinitely many."""
+"""Colours of the motions with p >= q, most frequent first, and of their mirror images with p < q.
+
+Mirror images are one motion seen from the other side, and which of the two is reached hangs on the start: they share
+a hue. Chosen, with the colours of the regimes, for the greatest least difference between any two, also as seen without
+red or without green receptors.
+"""
+STICKS, STICKS_HATCH = "#d5ece6", "----"
+"""Colour and texture of periodic motions that rest on a stop: their impacts are infinitely many."""
 OTHER = "#b9ad98"
 
 _LABEL_SIZE = 7.5
@@ -58,7 +60,9 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend, colors = paint(plane.regime, *counts)
-        maps.draw(ax, plane, rgba)
+        maps.draw(ax, plane, rgba, maps.CLASSES_TEXTURED)
+        rests = (plane.regime == PERIODIC) & (counts[1] < 0)
+        axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
         maps.legend_beside(drawn, entries, title="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
         drawn.draw_without_rendering()  # from here on the plot has its size
@@ -78,8 +82,7 @@ def palette(shares: dict[Motion, int]) -> dict[Motion, str]:
     colors = {}
     for motion in shares:
         group = Motion(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
-        shade = 0 if motion.p == motion.q else 1 if motion.p > motion.q else 2
-        colors[motion] = STICKS if motion.p < 0 else hue[group][shade] if group in hue else OTHER
+        colors[motion] = STICKS if motion.p < 0 else hue[group][motion.p < motion.q] if group in hue else OTHER
     return colors
 
 
@@ -90,7 +93,7 @@ def paint(
     rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
     counted = (regime == PERIODIC) & (period >= 1)
     # Where it sticks the counts are formally infinite: one class, whatever the period.
-    rests = counted & ((upper < 0) | (lower < 0))
+    rests = counted & (upper < 0)
     triples = np.stack([np.where(rests, 0, period), np.where(rests, -1, upper), np.where(rests, -1, lower)], axis=-1)
     kinds, which, cells = np.unique(triples[counted], axis=0, return_inverse=True, return_counts=True)
     motions = [Motion(*map(int, kind)) for kind in kinds]
@@ -99,9 +102,10 @@ def paint(
         rgba[counted] = np.array([style.rgb(colors[motion]) for motion in motions], np.uint8)[which.ravel()]
     named = sorted(m for m in motions if colors[m] not in (OTHER, STICKS))
     legend = [style.swatch(colors[motion], motion.label) for motion in named]
-    for color, label in ((STICKS, "periodic, sticks"), (OTHER, "other periodic")):
-        if color in colors.values():
-            legend.append(style.swatch(color, label))
+    if STICKS in colors.values():
+        legend.append(style.swatch(STICKS, "periodic, sticks", STICKS_HATCH))
+    if OTHER in colors.values():
+        legend.append(style.swatch(OTHER, "other periodic"))
     return rgba, legend + maps.paint_regimes(rgba, regime, ~counted), colors
 
 

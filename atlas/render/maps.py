@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.render import axes, style
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, REGIME, REGIMES, UNDETERMINED
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
 
 HEIGHT = 4.7
 """Height of a map in inches."""
@@ -23,6 +23,11 @@ HEIGHT = 4.7
 
 SIZE = np.array([5.6, 3.75]) * 72.0
 """Nominal width and height of a map's plot area in points, for what must be known before the figure is laid out."""
+
+TEXTURED = (INVALID, FAILED)
+"""Regimes whose texture every map shows."""
+CLASSES_TEXTURED = (QUASIPERIODIC, *TEXTURED)
+"""The same where motions are told by class, and not by a number that tori have too."""
 
 _VISIBLE = 2.0
 """Points below which a cell on its own is lost to the eye."""
@@ -88,13 +93,13 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
     return entries
 
 
-def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
-    """Draw the cells in these colours (y, x, 4), and textures over those that are invalid or failed.
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], textured: Sequence[int] = TEXTURED) -> None:
+    """Draw the cells in these colours (y, x, 4), and textures over those of some regimes.
 
     Cells without a result that would be too small to be seen get a mark of a visible size.
     """
     axes.draw_cells(ax, plane.x, plane.y, rgba)
-    for code in (INVALID, FAILED):
+    for code in textured:
         axes.hatch(ax, plane.x, plane.y, plane.regime == code, style.HATCH[code], style.HATCH_INK[code])
     for code in (UNDETERMINED, INVALID, FAILED):
         _mark_small(ax, plane, code)

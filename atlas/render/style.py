@@ -18,7 +18,7 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from atlas.query import axis_names
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, REGIMES
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
 from workers.system import SYSTEMS, Parameter, System
 
 WIDTH = 7.0
@@ -57,11 +57,11 @@ COLORS = {regime.code: regime.color for regime in REGIMES}
 INK = {**COLORS, NO_IMPACT: "#8c8c8c"}
 """The same for points and lines on white, where the light grey of an area would not be seen."""
 
-HATCH = {PENDING: "////", NO_IMPACT: "...", INVALID: "\\\\\\\\", FAILED: "xxxx"}
-"""The texture of regimes that colour alone does not tell: white is no value, impact-free cells have exponents, and
-grey and black may be the ends of a scale."""
+HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
+"""The texture of regimes that colour alone does not tell: white is no value, impact-free cells have exponents, grey
+and black may be the ends of a scale, and green is seen as a shade of chaos without red receptors."""
 
-HATCH_INK = {PENDING: TEXTURE, INVALID: "#f0f0f0", FAILED: "#ffffff"}
+HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
 """The ink of those textures; what is not named is drawn in an ink that suits its cells."""
 
 _LINE = 110
