@@ -43,7 +43,7 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend = paint(plane.regime, plane["period"], largest, norm)
-        maps.draw(ax, plane, rgba, maps.CLASSES_TEXTURED)
+        maps.draw(ax, plane, rgba)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
         bar = drawn.colorbar(
             ScalarMappable(norm, COLORMAP),

@@ -8,7 +8,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from atlas.render import maps, overlays, scalar
-from workers.results import PENDING
+from workers.results import FAILED, INVALID, PENDING
 
 COLORMAP = LinearSegmentedColormap.from_list(
     "cost", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"), N=512
@@ -17,7 +17,11 @@ SCALE = scalar.Scale(COLORMAP, True, "forcing periods simulated")
 
 
 def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
-    """The cost map as a figure; InputError where the atlas does not hold it. Cells that cost nothing are apart."""
+    """The cost map as a figure; InputError where the atlas does not hold it. Cells that cost nothing are apart.
+
+    An undetermined cell shows what it cost, which is the most that a cell may.
+    """
     plane = maps.read(ds, ("periods_used", *overlays.variables(overlaid)), "cost")
-    used = np.where(plane.regime == PENDING, np.nan, plane["periods_used"].astype(float))
+    solved = ~np.isin(plane.regime, (PENDING, INVALID, FAILED))
+    used = np.where(solved, plane["periods_used"].astype(float), np.nan)
     return scalar.figure(ds, plane, used, SCALE, overlaid, zero=("#dddddd", "none needed"))

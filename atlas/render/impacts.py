@@ -60,7 +60,7 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend, colors = paint(plane.regime, *counts)
-        maps.draw(ax, plane, rgba, maps.CLASSES_TEXTURED)
+        maps.draw(ax, plane, rgba)
         rests = (plane.regime == PERIODIC) & (counts[1] < 0)
         axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]

@@ -24,11 +24,6 @@ HEIGHT = 4.7
 SIZE = np.array([5.6, 3.75]) * 72.0
 """Nominal width and height of a map's plot area in points, for what must be known before the figure is laid out."""
 
-TEXTURED = (INVALID, FAILED)
-"""Regimes whose texture every map shows."""
-CLASSES_TEXTURED = (QUASIPERIODIC, *TEXTURED)
-"""The same where motions are told by class, and not by a number that tori have too."""
-
 _VISIBLE = 2.0
 """Points below which a cell on its own is lost to the eye."""
 _MOST_MARKS = 300
@@ -93,23 +88,27 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
     return entries
 
 
-def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], textured: Sequence[int] = TEXTURED) -> None:
-    """Draw the cells in these colours (y, x, 4), and textures over those of some regimes.
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
+    """Draw the cells in these colours (y, x, 4), with textures over those that show their regime's colour.
 
-    Cells without a result that would be too small to be seen get a mark of a visible size.
+    Such cells without a result that would be too small to be seen get a mark of a visible size.
     """
     axes.draw_cells(ax, plane.x, plane.y, rgba)
-    for code in textured:
-        axes.hatch(ax, plane.x, plane.y, plane.regime == code, style.HATCH[code], style.HATCH_INK[code])
+    shown = {
+        code: (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
+        for code in (QUASIPERIODIC, UNDETERMINED, INVALID, FAILED)
+    }
+    for code in (QUASIPERIODIC, INVALID, FAILED):
+        axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
     for code in (UNDETERMINED, INVALID, FAILED):
-        _mark_small(ax, plane, code)
+        _mark_small(ax, plane, shown[code], code)
 
 
-def _mark_small(ax: Axes, plane: Plane, code: int) -> None:
+def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int) -> None:
     width, height = SIZE / np.array(plane.regime.shape[::-1])
     if max(width, height) >= _VISIBLE:
         return
-    regions, _ = ndimage.label(plane.regime == code)
+    regions, _ = ndimage.label(cells)
     small = [
         (rows, columns)
         for rows, columns in ndimage.find_objects(regions)
