@@ -21,8 +21,8 @@ OPEN_PATH = 40
 """Forcing periods of the path of a motion that does not close; a closed one is followed once around."""
 SECTION = 4000
 """Section states of a motion that does not close."""
-CONVERGENCE = 8000
-"""Forcing periods over which exponents are averaged: the number of Li & Tan (2011)."""
+CONVERGENCE = (8000, 1000, 100, 10)
+"""Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
 _RECORD = 4096
 
 
@@ -72,7 +72,6 @@ def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Setting
     the orbit needs is filled up. Raises InputError for parameters that do not exist or are out of range, and for a
     cell without a motion to show: invalid, failed, or given up for its cost.
     """
-    from workers import trace
     from workers.tile import solve_cells
 
     record = checked_system(system)
@@ -90,10 +89,7 @@ def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Setting
     here = parameters | dict(zip(record.states, map(float, start), strict=True))
     closes = int(cell["period"])
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
-    try:
-        running = trace(record.name, here, CONVERGENCE, asked).exponents
-    except ValueError as error:
-        raise InputError(f"this cell cannot be followed: {error}") from None
+    running = _running(record, here, asked)
     times, states, impacts = _path(record, here, closes or OPEN_PATH)
     osc = record.build(parameters)
     return Orbit(
@@ -111,9 +107,31 @@ def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Setting
     )
 
 
+def _running(system: System, parameters: Mapping[str, float], settings: Settings) -> Array:
+    """Running means of the exponents, over as many periods as can be afforded."""
+    from workers import trace
+
+    reason = ""
+    for periods in CONVERGENCE:
+        try:
+            return trace(system.name, parameters, periods, settings).exponents
+        except ValueError as error:
+            reason = str(error)
+    raise InputError(f"this cell cannot be followed: {reason}")
+
+
 def _path(system: System, parameters: Mapping[str, float], periods: int) -> tuple[Array, Array, Array]:
     """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
-    from workers.section import RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from, travel
+    from workers.section import (
+        RECORDED,
+        RUNNING,
+        STATUS,
+        WORK,
+        WORK_OF_A_TRIAL,
+        blocks_to_physical,
+        motion_from,
+        travel,
+    )
 
     osc = system.build(parameters)
     start = np.array([parameters[name] for name in system.states])
@@ -124,7 +142,7 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
         # A piece of a period is a short motion from a section at another phase of the force.
         begins = osc._replace(tau=osc.tau + (i % SAMPLES) * piece * osc.gap.omega)
         ends = osc._replace(tau=osc.tau + (i % SAMPLES + 1) * piece * osc.gap.omega)
-        motion.tally[RECORDED] = 0.0
+        motion.tally[RECORDED], motion.tally[WORK] = 0.0, WORK_OF_A_TRIAL
         travel(begins, motion, piece)
         if motion.tally[STATUS] != RUNNING:
             raise InputError(f"period {i // SAMPLES}: this cell cannot be followed")
@@ -155,7 +173,7 @@ def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
 
 
 def describe(orbit: Orbit) -> str:
-    """The motion in a few words: ``periodic, 1-1-1, symmetric`` or ``chaotic, 2.64 impacts per period``."""
+    """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``."""
     cell = orbit.cell
     code = int(cell[REGIME.name])
     words = [next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")]

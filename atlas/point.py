@@ -52,6 +52,7 @@ def portrait(
     if path is not None:
         check_path(path)
     orbit = follow(given or {}, system, settings)
+    drawn = orbit_figure(orbit)
     if path is not None:
-        render_orbit(orbit, path)
-    return orbit_figure(orbit)
+        render_orbit(orbit, path, drawn)
+    return drawn

@@ -101,9 +101,7 @@ class Spec:
 
     @property
     def continuation(self) -> tuple[int, bool] | None:
-        """The dimension that is continued, as its place in ``dims``, and whether backward; None where cells are
-        independent.
-        """
+        """Place in ``dims`` of the axis that is continued, and whether backward; None where cells are independent."""
         for place, axis in enumerate(reversed(self.axes)):
             if axis.continuation:
                 return place, axis.continuation == "backward"

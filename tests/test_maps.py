@@ -307,6 +307,19 @@ def test_the_legend_names_the_overlays() -> None:
     assert found[-3:] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
 
 
+def test_there_are_lines_for_every_overlay() -> None:
+    assert tuple(overlays.DRAW) == render.OVERLAYS
+
+
+def test_exponents_without_a_slope_have_no_isolines() -> None:
+    n = 6
+    regime = np.full((n, n), PERIODIC, np.int8)
+    ds = atlas({"omega": np.arange(1, 7), "b": np.arange(1, 7)}, regime=regime, largest=np.full((n, n), -0.3))
+    assert not [
+        each for each in render.figure(ds, overlays=["isolines"]).axes[0].collections if each.get_zorder() == 2.5
+    ]
+
+
 def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
     with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines"):
         render.figure(plane(), overlays=["grid"])

@@ -85,6 +85,13 @@ def test_the_running_exponents_approach_the_exact_ones(closed: Orbit) -> None:
     assert np.sort(closed.running[-1])[::-1] == pytest.approx(closed.cell["spectrum"], abs=2e-3)
 
 
+def test_a_motion_of_very_many_impacts_is_averaged_over_fewer_periods() -> None:
+    """Truth: trace gives up after two million evaluations."""
+    found = follow({"omega": 0.5, "b": 0.002, "R": 0.97}, settings=Settings(max_periods=100))
+    assert len(found.running) in (100, 1000)
+    assert len(found.impacts) > 500
+
+
 def test_averages_are_not_called_exact(chaotic: Orbit) -> None:
     assert not chaotic.exact
     assert not follow(naive.FIGURES[4], settings=Settings(method="fixed", transient_periods=50, periods=50)).exact

@@ -123,12 +123,15 @@ def orbit_figure(orbit: "Orbit") -> "Figure":
     return portrait.figure(orbit)
 
 
-def render_orbit(orbit: "Orbit", path: str | Path) -> Path:
-    """Draw one cell's orbit to a file and return its path; suffixes, metadata and errors as in ``render``."""
+def render_orbit(orbit: "Orbit", path: str | Path, drawn: "Figure | None" = None) -> Path:
+    """Draw one cell's orbit to a file and return its path; suffixes, metadata and errors as in ``render``.
+
+    ``drawn`` is the orbit's figure where there is one already.
+    """
     target, suffix = _target(path)
     from atlas.render import portrait
 
-    return _write(portrait.figure(orbit), target, suffix, portrait.origin(orbit))
+    return _write(drawn or portrait.figure(orbit), target, suffix, portrait.origin(orbit))
 
 
 def check_path(path: str | Path) -> None:

@@ -115,8 +115,8 @@ def _name_regions(
     """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
     if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
         return  # cells differ in size, and distances in cells mean nothing
-    box = ax.get_window_extent()
-    width, height = (float(size) / ax.figure.dpi * 72.0 for size in (box.width, box.height))
+    extent = ax.get_window_extent()
+    width, height = (float(size) / ax.figure.dpi * 72.0 for size in (extent.width, extent.height))
     step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
     for motion, color in colors.items():
         half = 0.29 * _LABEL_SIZE * len(motion.label), 0.62 * _LABEL_SIZE

@@ -19,8 +19,6 @@ from atlas.render import axes, maps, style
 from workers.results import LARGEST, PENDING
 from workers.system import System
 
-NAMES = ("grazing", "boundaries", "isolines")
-
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is not outlined: dust would turn into a black cloud."""
 
@@ -28,7 +26,6 @@ POINTS = 400
 """Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
 POINTS_BOTH = 60
 """The same where every pair of both axes has to be computed."""
-
 
 _LEAST_LINE = 40.0
 """Length in points below which a piece of an isoline is left out."""
@@ -44,9 +41,9 @@ def variables(chosen: Sequence[str]) -> tuple[str, ...]:
 def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, chosen: Sequence[str]) -> list[Artist]:
     """Draw overlays over a map and return their legend entries."""
     entries: list[Artist] = []
-    for name in NAMES:
+    for name, lines in DRAW.items():
         if name in chosen:
-            entries += _DRAW[name](ax, ds, plane)
+            entries += lines(ax, ds, plane)
     return entries
 
 
@@ -106,7 +103,7 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
     xs, ys, ratio = grazing_grid(system, fixed, plane.x, plane.y)
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
     label = r"grazing, $|Y| = b$"
-    if np.nanmin(ratio) < 0.0 < np.nanmax(ratio):
+    if np.any(ratio < 0.0) and np.any(ratio > 0.0):
         lines = ax.contour(xs, ys, ratio, levels=[0.0], colors="black", linewidths=1.3, linestyles=[dashes], zorder=3)
         lines.set_path_effects([*halo])
     else:
@@ -130,8 +127,11 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
         size = np.where(known & (sign * plane[LARGEST.name] > 0.0), np.abs(plane[LARGEST.name]), np.nan)
         if np.isfinite(size).sum() < 4:
             continue
-        levels = MaxNLocator(5).tick_values(0.0, float(np.nanpercentile(size, 98)))[1:]
         shown = np.ma.masked_invalid(_smooth(size, width))
+        ticks = np.asarray(MaxNLocator(5).tick_values(0.0, float(np.nanpercentile(size, 98))))
+        levels = ticks[(ticks > shown.min()) & (ticks < shown.max())] if shown.count() else ticks[:0]
+        if not levels.size:
+            continue
         lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="black", linewidths=0.5)
         lines.set(alpha=0.8, zorder=2.5)
         lines.set_paths([_long_parts(ax, path) for path in lines.get_paths()])
@@ -181,7 +181,7 @@ def _in_points(ax: Axes, at: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * maps.SIZE)
 
 
-_DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane], list[Artist]]] = {
+DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
     "isolines": _isolines,
