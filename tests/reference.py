@@ -16,7 +16,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         kind: (lambda kind=kind: render.figure(plane(), kind))  # type: ignore[misc]
         for kind in ("period", "impacts", "combined", "error", "cost", "sticking")
     },
-    "exponent": lambda: render.figure(plane(), "exponent", render.OVERLAYS),
+    "exponent": lambda: render.figure(plane(), "exponent", overlays=render.OVERLAYS),
     "sweep": lambda: render.figure(line()),
     "spectrum": lambda: render.figure(line(), "spectrum"),
     "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),

@@ -64,7 +64,7 @@ def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: st
     for name in ("largest", "error", "stuck_fraction"):
         ds[name] = ds[name] * NAN
     assert labels(render.figure(ds, kind)) == ["pending"]
-    assert render.render(ds, tmp_path / "map.svg", kind, render.OVERLAYS).exists()
+    assert render.render(ds, tmp_path / "map.svg", kind, overlays=render.OVERLAYS).exists()
 
 
 @pytest.mark.parametrize("kind", ["exponent", "error", "sticking"])

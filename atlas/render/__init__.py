@@ -56,7 +56,7 @@ __all__ = ["FORMATS", "KINDS", "OVERLAYS", "figure", "orbit_figure", "render", "
 
 
 def figure(
-    ds: "xr.Dataset", kind: str | None = None, overlays: Sequence[str] = (), against: "xr.Dataset | None" = None
+    ds: "xr.Dataset", kind: str | None = None, *, overlays: Sequence[str] = (), against: "xr.Dataset | None" = None
 ) -> "Figure":
     """A matplotlib Figure of an atlas, for notebooks; arguments and errors as in ``render``."""
     axes = axis_names(ds)
@@ -96,6 +96,7 @@ def render(
     ds: "xr.Dataset",
     path: str | Path,
     kind: str | None = None,
+    *,
     overlays: Sequence[str] = (),
     against: "xr.Dataset | None" = None,
 ) -> Path:
@@ -110,7 +111,7 @@ def render(
     gives the same bytes with the same software.
     """
     target, suffix = _target(path)
-    drawn = figure(ds, kind, overlays, against)
+    drawn = figure(ds, kind, overlays=overlays, against=against)
     from atlas.render.style import origin_of
 
     return _write(drawn, target, suffix, origin_of(ds, *([] if against is None else [against])))
