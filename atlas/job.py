@@ -3,19 +3,15 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from atlas.errors import RunError
 from atlas.plan import make_plan
-from atlas.spec import Slices, Spec
+from atlas.solving import solve_block
 from atlas.store import read_header, write_tile
 from workers import SOLVER_VERSION
 from workers.results import REGIME, REGIMES
-
-if TYPE_CHECKING:
-    from workers.tile import Solution
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ def run_job(job: Job) -> Receipt:
         raise RunError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
     spec = header.spec
     tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
-    arrays, reasons = _solve(spec, tile.slices)
+    arrays, reasons = solve_block(spec, tile.slices)
     write_tile(header, job.index, arrays)
     codes = arrays[REGIME.name]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
@@ -60,16 +56,3 @@ def run_job(job: Job) -> Receipt:
         seconds=time.perf_counter() - begin,
         periods=int(arrays["periods_used"].sum(dtype="int64")),
     )
-
-
-def _solve(spec: Spec, slices: Slices) -> "Solution":
-    """The cells of a tile: each on its own, or whole lines of them where the spec continues an axis."""
-    params = spec.cell_params(slices)
-    if spec.continuation is not None:
-        from workers.continuation import solve_lines
-
-        axis, backward = spec.continuation
-        return solve_lines(spec.system, params, spec.settings, axis=axis, backward=backward)
-    from workers.tile import solve_cells
-
-    return solve_cells(spec.system, params, spec.settings)

@@ -7,8 +7,9 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.plan import make_plan
+from atlas.solving import solve_block
 from workers import Settings
 from workers.continuation import solve_lines
 from workers.results import INVALID, NO_IMPACT, PERIODIC
@@ -168,3 +169,10 @@ def test_a_run_stores_what_solving_its_lines_gives(tmp_path: Path, client: Clien
     stored = atlas.open(tmp_path / "sweep.zarr")
     assert same(expected, {name: stored[name].values for name in expected})
     assert not same(expected, solve_cells("two-mass", params, one.settings).arrays)
+
+
+def test_a_part_of_a_line_is_not_solved_as_if_it_were_one() -> None:
+    with pytest.raises(RunError, match="part of a line of omega"):
+        solve_block(spec("forward"), (slice(0, 1), slice(1, 5)))
+    assert solve_block(spec("forward"), (slice(0, 1), slice(0, 5))).arrays["regime"].shape == (1, 5)
+    assert solve_block(spec(None), (slice(0, 1), slice(1, 5))).arrays["regime"].shape == (1, 4)
