@@ -12,26 +12,33 @@ import numpy as np
 from atlas.errors import InputError, check_names
 from workers.system import Parameter
 
-KEYS = ("start", "stop", "num", "values", "scale")
+KEYS = ("start", "stop", "num", "values", "scale", "continuation")
 SCALES = ("linear", "log")
+DIRECTIONS = ("forward", "backward")
 MAX_POINTS = 1_000_000
 """Points on one axis: a million already makes a store of many terabytes, so that more is a slip of the pen."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A swept parameter: its name, its strictly increasing values, and the scale it is drawn on."""
+    """A swept parameter: its name, its strictly increasing values, and the scale it is drawn on.
+
+    ``continuation`` is "forward" (rising values) or "backward" where each cell starts from its neighbour's attractor,
+    and None where cells are independent.
+    """
 
     name: str
     values: tuple[float, ...]
     scale: str = "linear"
+    continuation: str | None = None
 
     def __len__(self) -> int:
         return len(self.values)
 
     def __str__(self) -> str:
         scale = ", log" if self.scale == "log" else ""
-        return f"{self.name} {self.values[0]:g}..{self.values[-1]:g} ({len(self)} values{scale})"
+        continued = f", continued {self.continuation}" if self.continuation else ""
+        return f"{self.name} {self.values[0]:g}..{self.values[-1]:g} ({len(self)} values{scale}{continued})"
 
 
 def number(where: str, value: object) -> float:
@@ -56,10 +63,13 @@ def admitted(parameter: Parameter, value: object) -> float:
 
 
 def read_axis(parameter: Parameter, given: object) -> Axis:
-    """An Axis from ``{start, stop, num}``, ``{values}`` (each with an optional scale) or a sequence of values."""
+    """An Axis from ``{start, stop, num}``, ``{values}`` or a sequence of values.
+
+    A table may also have a scale and a continuation.
+    """
     where = f"axes.{parameter.name}"
     if isinstance(given, Axis):
-        given = {"values": given.values, "scale": given.scale}
+        given = {"values": given.values, "scale": given.scale, "continuation": given.continuation}
     if isinstance(given, np.ndarray) or (isinstance(given, Sequence) and not isinstance(given, str)):
         given = {"values": given}
     if not isinstance(given, Mapping):
@@ -68,12 +78,15 @@ def read_axis(parameter: Parameter, given: object) -> Axis:
     scale = given.get("scale", "linear")
     if scale not in SCALES:
         raise InputError(f"{where}.scale: found {scale!r}, must be one of {', '.join(SCALES)}")
+    continuation = given.get("continuation")
+    if continuation is not None and continuation not in DIRECTIONS:
+        raise InputError(f"{where}.continuation: found {continuation!r}, must be one of {', '.join(DIRECTIONS)}")
     values = _listed(where, given) if "values" in given else _spaced(where, given, scale)
     if scale == "log" and values[0] <= 0:
         raise InputError(f"{where}: found {values[0]!r} on a log scale, must be > 0")
     for value in values:
         admitted(parameter, value)
-    return Axis(parameter.name, values, scale)
+    return Axis(parameter.name, values, scale, continuation)
 
 
 def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:

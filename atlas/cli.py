@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from atlas.errors import InputError, RunError
+from atlas.render import FORMATS, KINDS, OVERLAYS
 from atlas.spec import Spec, checked_parameters, checked_settings, checked_system, example_names
 from workers import Settings
 from workers.settings import EXPONENTS, METHODS
@@ -155,34 +156,78 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json:
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="The picture; the suffix decides how."
 )
-@click.option("--kind", metavar="KIND", help="exponent or period (two axes), sweep (one); default: by the axes.")
-def render(store: Path, out: Path, kind: str | None) -> None:
-    """Draw STORE."""
+@click.option("--kind", metavar="KIND", help=f"One of {', '.join(KINDS)}; default: by the axes.")
+@click.option(
+    "--overlay", "overlays", type=click.Choice(OVERLAYS), multiple=True, help="Lines over a map; may be given again."
+)
+@click.option(
+    "--against",
+    metavar="STORE",
+    type=click.Path(path_type=Path),
+    help="A second sweep of the same axis, for hysteresis.",
+)
+def render(store: Path, out: Path, kind: str | None, overlays: tuple[str, ...], against: Path | None) -> None:
+    """Draw STORE: a map of two axes, or a sweep of one."""
     from atlas.store import open_atlas
 
     with _input_errors():
         dataset = open_atlas(store)
+        other = None if against is None else open_atlas(against)
         _say("drawing")
         from atlas.render import render as draw
 
-        draw(dataset, out, kind=kind)
+        draw(dataset, out, kind=kind, overlays=overlays, against=other)
     click.echo(str(out))
 
 
-def _settings_options(command: Callable[..., None]) -> Callable[..., None]:
-    """One option for each setting, from the record of settings itself."""
-    choices = {"exponents": click.Choice(EXPONENTS), "method": click.Choice(METHODS)}
-    for field in reversed(fields(Settings)):
-        kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
-        name = f"--{field.name.replace('_', '-')}"
-        command = click.option(name, type=kind, default=field.default, show_default=True)(command)
-    return command
+@cli.command()
+@click.option("--paper", is_flag=True, required=True, help="Figs 3, 4, 5 and 6 of Li & Tan (2011).")
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The folder to write them into.")
+@click.option(
+    "--format",
+    "formats",
+    type=click.Choice(FORMATS),
+    multiple=True,
+    default=("png",),
+    show_default=True,
+    help="May be given again.",
+)
+@_workers_option
+def figures(paper: bool, out: Path, formats: tuple[str, ...], workers: int | None) -> None:
+    """Compute and draw the figures of the paper."""
+    from atlas.paper import figures as draw_figures
+    from atlas.progress import reporter
+
+    with _input_errors(), reporter(sys.stderr) as show:
+        written = draw_figures(out, formats, workers, on_progress=show)
+    for path in written:
+        click.echo(str(path))
+
+
+def _settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """One option for each setting but these, from the record of settings itself."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        choices = {"exponents": click.Choice(EXPONENTS), "method": click.Choice(METHODS)}
+        for field in reversed([field for field in fields(Settings) if field.name not in without]):
+            kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
+            name = f"--{field.name.replace('_', '-')}"
+            command = click.option(name, type=kind, default=field.default, show_default=True)(command)
+        return command
+
+    return decorate
+
+
+_set_option = click.option(
+    "--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default."
+)
+_system_option = click.option("--system", default=next(iter(SYSTEMS)), show_default=True, help="See: atlas systems.")
 
 
 @cli.command()
-@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default.")
-@click.option("--system", default=next(iter(SYSTEMS)), show_default=True, help="See: atlas systems.")
-@_settings_options
+@_set_option
+@_system_option
+@_settings_options()
 @_json_option
 def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> None:
     """Solve one cell and print all its results."""
@@ -198,6 +243,25 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
         click.echo(to_json(found))
     else:
         print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+
+
+@cli.command()
+@_set_option
+@_system_option
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help="The picture; the suffix decides how."
+)
+@_settings_options("exponents", "section_samples")
+def portrait(given: tuple[str, ...], system: str, out: Path, **solve: Any) -> None:
+    """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
+    from atlas.point import portrait as draw_portrait
+
+    pairs, settings = _pairs("--set", given, _number), checked_settings(solve)
+    checked_parameters(checked_system(system), pairs)
+    _say("compiling (kept for the next run), solving and drawing")
+    with _input_errors():
+        draw_portrait(pairs, system=system, settings=settings, path=out)
+    click.echo(str(out))
 
 
 @cli.command()

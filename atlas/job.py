@@ -8,6 +8,7 @@ import numpy as np
 
 from atlas.errors import RunError
 from atlas.plan import make_plan
+from atlas.solving import solve_block
 from atlas.store import read_header, write_tile
 from workers import SOLVER_VERSION
 from workers.results import REGIME, REGIMES
@@ -36,8 +37,6 @@ class Receipt:
 
 def run_job(job: Job) -> Receipt:
     """Solve a tile and write it; RunError where this worker must not: another solver, or another store at the path."""
-    from workers.tile import solve_cells
-
     begin = time.perf_counter()
     if job.solver_version != SOLVER_VERSION:
         raise RunError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
@@ -46,7 +45,7 @@ def run_job(job: Job) -> Receipt:
         raise RunError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
     spec = header.spec
     tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
-    arrays, reasons = solve_cells(spec.system, spec.cell_params(tile.slices), spec.settings)
+    arrays, reasons = solve_block(spec, tile.slices)
     write_tile(header, job.index, arrays)
     codes = arrays[REGIME.name]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}

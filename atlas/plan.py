@@ -125,7 +125,7 @@ class Plan:
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
     """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins."""
     count = default_workers() if workers is None else workers
-    chosen = tile or spec.tile or _default_tile(spec.shape, count)
+    chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
     plan = Plan(spec.dims, tuple(str(axis) for axis in spec.axes), spec.shape, chosen, count, bytes=0)
     return replace(plan, bytes=_bytes_needed(spec, plan))
@@ -170,12 +170,18 @@ def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
         raise InputError(f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk")
 
 
-def _default_tile(shape: tuple[int, ...], workers: int) -> tuple[int, ...]:
-    """64 along each dimension, the longer side halved until there are 16 tiles a worker."""
+def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
+    """64 along each dimension, the longer side halved until there are 16 tiles a worker; lines continued are whole."""
+    shape = spec.shape
     tile = [min(DEFAULT_TILE, n) for n in shape]
+    free = list(range(len(shape)))
+    if spec.continuation is not None:
+        place, _ = spec.continuation
+        tile[place] = shape[place]
+        free.remove(place)
     while math.prod(-(-n // t) for n, t in zip(shape, tile, strict=True)) < TILES_PER_WORKER * workers:
-        longest = max(range(len(tile)), key=tile.__getitem__)
-        if tile[longest] == 1:
+        longest = max(free, key=tile.__getitem__, default=None)
+        if longest is None or tile[longest] == 1:
             break
         tile[longest] = -(-tile[longest] // 2)
     return tuple(tile)

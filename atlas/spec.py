@@ -26,7 +26,8 @@ class Spec:
 
     ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes what the
     TOML file has in its tables; an axis may also be a sequence of values. The first axis is x, the last dimension
-    of every array. ``tile`` is the (y, x) shape asked for, or None; it does not change a number.
+    of every array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a
+    whole line of cells is in one tile. ``tile`` is the (y, x) shape asked for, or None; it does not change a number.
     Raises InputError for anything that cannot be solved.
     """
 
@@ -58,10 +59,12 @@ class Spec:
         put = object.__setattr__
         put(self, "system", record.name)
         put(self, "axes", tuple(read_axis(record.parameter(name), given) for name, given in axes.items()))
+        _check_continuation(self.axes, record)
         fixed = checked_parameters(record, parameters or {})
         put(self, "parameters", {name: value for name, value in fixed.items() if name not in axes})
         put(self, "settings", solve if isinstance(solve, Settings) else checked_settings(solve or {}))
         put(self, "tile", _checked_tile(store or {}, len(axes)))
+        _check_whole_lines(self)
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> "Spec":
@@ -97,27 +100,43 @@ class Spec:
         return tuple(len(axis) for axis in reversed(self.axes))
 
     @property
+    def continuation(self) -> tuple[int, bool] | None:
+        """Place in ``dims`` of the axis that is continued, and whether backward; None where cells are independent."""
+        for place, axis in enumerate(reversed(self.axes)):
+            if axis.continuation:
+                return place, axis.continuation == "backward"
+        return None
+
+    @property
     def record(self) -> System:
         """The system's own record: its parameters with their units and meanings."""
         return find_system(self.system)
 
     def resolved(self) -> dict[str, Any]:
         """The spec as plain JSON: what the store keeps, and enough to build an equal spec with ``from_resolved``."""
-        axes = [{"name": axis.name, "scale": axis.scale, "values": list(axis.values)} for axis in self.axes]
+        axes = [
+            {"name": axis.name, "scale": axis.scale, "values": list(axis.values)}
+            | ({"continuation": axis.continuation} if axis.continuation else {})
+            for axis in self.axes
+        ]
         return {"system": self.system, "parameters": self.parameters, "axes": axes, "solve": asdict(self.settings)}
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
         """The inverse of ``resolved``, tile shape aside."""
-        axes = {axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"]) for axis in resolved["axes"]}
+        axes = {
+            axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
+            for axis in resolved["axes"]
+        }
         return cls(resolved["system"], axes, resolved["parameters"], resolved["solve"])
 
     @property
     def digest(self) -> str:
         """SHA-256 of all that decides the numbers: axes as an ordered list of names and exact values, no tile."""
-        # Python writes a float as its shortest exact decimal, so that equal text means equal bits.
-        identity = self.resolved() | {"axes": [[axis.name, list(axis.values)] for axis in self.axes]}
-        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+        axes = [
+            [axis.name, list(axis.values)] + ([axis.continuation] if axis.continuation else []) for axis in self.axes
+        ]
+        return digest_of(self.resolved() | {"axes": axes})
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
         """Parameters of a block of cells as solve_tile takes them: axes as arrays that broadcast to its shape."""
@@ -127,6 +146,11 @@ class Spec:
             along[i] = -1
             params[axis.name] = np.array(axis.values[part], dtype="float64").reshape(along)
         return params
+
+
+def digest_of(identity: Mapping[str, Any]) -> str:
+    """SHA-256 of a mapping as JSON. Python writes a float as its shortest exact decimal: equal text is equal bits."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
 
 
 def checked_system(name: object) -> System:
@@ -183,6 +207,25 @@ def _check_tables(**tables: object) -> None:
     for name, table in tables.items():
         if table is not None and not isinstance(table, Mapping):
             raise InputError(f"{name}: found {table!r}, must be a table")
+
+
+def _check_continuation(axes: tuple[Axis, ...], record: System) -> None:
+    continued = [axis.name for axis in axes if axis.continuation]
+    if len(continued) > 1:
+        raise InputError(f"axes: found continuation on {' and '.join(continued)}, must be on one")
+    if continued and continued[0] in record.states:
+        raise InputError(f"axes.{continued[0]}: an initial state cannot be continued; continue another parameter")
+
+
+def _check_whole_lines(spec: Spec) -> None:
+    if spec.tile is None or spec.continuation is None:
+        return
+    place, _ = spec.continuation
+    if spec.tile[place] < spec.shape[place]:
+        raise InputError(
+            f"store.tile: found {list(spec.tile)}, must hold whole lines of {spec.dims[place]}, "
+            f"which is continued over {spec.shape[place]} cells"
+        )
 
 
 def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None:

@@ -125,7 +125,11 @@ def differences(stored: Spec, given: Spec) -> list[str]:
         found.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
     else:
         pairs = zip(stored.axes, given.axes, strict=True)
-        found += [f"axis {old} in the store, {new} in the spec" for old, new in pairs if old.values != new.values]
+        found += [
+            f"axis {old} in the store, {new} in the spec"
+            for old, new in pairs
+            if (old.values, old.continuation) != (new.values, new.continuation)
+        ]
     for before, after in (
         (stored.parameters, given.parameters),
         (stored.resolved()["solve"], given.resolved()["solve"]),

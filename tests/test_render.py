@@ -1,6 +1,5 @@
 """Claims about atlas.render, on atlases made by hand: what is drawn where, in which colour, and what the file says."""
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -9,72 +8,14 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib import colors
-from matplotlib.figure import Figure
 from PIL import Image
 
 from atlas import render
 from atlas.errors import InputError
 from atlas.query import cell_edges
 from atlas.render import exponent, period, style
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
-from workers.system import TWO_MASS
-
-NAN = float("nan")
-EVERY = [PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED]
-"""One cell of each regime, as in ``every_regime``."""
-
-
-def atlas(axes: dict[str, Any], scales: dict[str, str] | None = None, **variables: Any) -> xr.Dataset:
-    """An atlas with the coordinates and attributes of a store; variables are arrays (y, x, ...)."""
-    dims = tuple(reversed(axes))
-    coords: dict[str, Any] = {}
-    for p in TWO_MASS.parameters:
-        values = np.asarray(axes.get(p.name, p.default), dtype=float)
-        coords[p.name] = ((p.name,) * values.ndim, values, {"long_name": p.meaning, "units": p.unit})
-    extra = ("sample", "component")
-    arrays = {name: np.asarray(values) for name, values in variables.items()}
-    spec = {"system": "two-mass", "axes": [{"name": n, "scale": s} for n, s in (scales or {}).items()]}
-    return xr.Dataset(
-        {name: (dims + extra[: array.ndim - len(dims)], array) for name, array in arrays.items()},
-        coords,
-        {"digest": "d1ge57", "spec": json.dumps(spec), "software": "numpy 2"},
-    )
-
-
-def every_regime() -> xr.Dataset:
-    largest = [[NAN, -0.3, -0.5, 0.0], [1.0, NAN, NAN, NAN]]
-    return atlas(
-        {"omega": [1, 2, 3, 4], "b": [0.1, 0.2]},
-        regime=np.array(EVERY, np.int8).reshape(2, 4),
-        largest=largest,
-        period=np.array([[0, 1, 1, 0], [0, 0, 0, 0]], np.int32),
-    )
-
-
-def sweep(**variables: Any) -> xr.Dataset:
-    return atlas({"omega": [2.0, 2.5, 3.0, 4.0]}, regime=np.array([3, 1, 1, 3], np.int8), **variables)
-
-
-def section() -> np.ndarray:
-    return np.broadcast_to(np.arange(3.0)[:, None] / 10, (4, 3, 4))
-
-
-def colour(code: int) -> tuple[int, ...]:
-    return tuple(round(255 * part) for part in colors.to_rgba(style.COLORS[code]))
-
-
-def labels(figure: Figure) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
-def pixel(path: Path, figure: Figure, x: float, y: float) -> tuple[int, ...]:
-    """The colour of a written PNG at data coordinates of the first plot area."""
-    with Image.open(path) as written:
-        image = np.asarray(written.convert("RGB"))
-    figure.savefig(path.with_suffix(".again.png"))  # lays the figure out, at its own resolution
-    right, up = figure.axes[0].transData.transform((x, y)) / figure.dpi * style.STYLE["savefig.dpi"]
-    return tuple(int(part) for part in image[image.shape[0] - 1 - int(up), int(right)])
-
+from tests.pictures import EVERY, NAN, atlas, colour, every_regime, labels, pixel, section, sweep
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, REGIMES, UNDETERMINED
 
 # What the file is
 
@@ -144,11 +85,14 @@ def test_another_format_is_refused_with_those_possible(tmp_path: Path, name: str
 def test_a_kind_for_other_axes_is_refused_with_those_possible(tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         render.render(every_regime(), tmp_path / "map.png", "sweep")
-    assert str(error.value) == "kind 'sweep' draws one axis, found two axes (omega, b); possible here: exponent, period"
+    assert str(error.value) == (
+        "kind 'sweep' draws one axis, found two axes (omega, b); "
+        "possible here: exponent, period, impacts, combined, error, cost, sticking"
+    )
 
 
 def test_an_unknown_kind_is_refused_with_those_possible(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="unknown kind of picture 'pie'; possible here: sweep"):
+    with pytest.raises(InputError, match="unknown kind of picture 'pie'; possible here: sweep, spectrum"):
         render.render(sweep(largest=np.zeros(4)), tmp_path / "map.png", "pie")
 
 
@@ -255,7 +199,7 @@ def test_every_class_of_periods_has_its_own_colour() -> None:
     rgba, legend = period.paint(np.full(periods.shape, PERIODIC, np.int8), periods)
     taken = {tuple(cell) for cell in rgba[0]} | {colour(code) for code in EVERY if code != PERIODIC}
     assert len(taken) == 11 + 7
-    assert [entry.get_label() for entry in legend][-3:] == ["period 9 to 16", "period 17 to 64", "period 65 or more"]
+    assert [entry.get_label() for entry in legend][-3:] == ["period 9–16", "period 17–64", "period ≥ 65"]
 
 
 def test_periods_of_one_class_share_a_colour() -> None:
@@ -386,8 +330,8 @@ def test_the_border_of_impact_free_cells_runs_along_their_edges() -> None:
 
 def test_impact_free_cells_are_textured_and_keep_their_colour(tmp_path: Path) -> None:
     ds = every_regime()
-    (texture,) = render.figure(ds).axes[0].patches
-    assert texture.get_hatch() == style.HATCH[NO_IMPACT]
+    textures = {patch.get_hatch(): patch for patch in render.figure(ds).axes[0].patches}
+    texture = textures[style.HATCH[NO_IMPACT]]
     assert not texture.get_fill()
     assert texture.get_path().get_extents().bounds == pytest.approx((1.5, 0.05, 1.0, 0.1))
 

@@ -1,8 +1,11 @@
 """The chaos map: the largest Lyapunov exponent over a plane, blue where motion is stable, yellow to red in chaos."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
@@ -10,12 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from atlas.render import axes, maps, style
+from atlas.render import axes, maps, overlays, style
 from workers.results import LARGEST, NO_IMPACT
 
 _STABLE = ("#06103a", "#123a7c", "#2c6fb3", "#6aa7d6", "#b3d4ec", "#eff6fc")
-_CHAOTIC = ("#fff3c4", "#fdd27a", "#f79a3f", "#df5327", "#a81c24", "#4f0717")
+CHAOTIC_COLORS = ("#fff3c4", "#fdd27a", "#f79a3f", "#df5327", "#a81c24", "#4f0717")
 
 _SHARE = 2.0
 """Per cent of each half's cells that may lie beyond the end of the scale: outliers must not flatten the rest."""
@@ -25,26 +29,26 @@ def _two_sided() -> LinearSegmentedColormap:
     # Each half has lightness of its own from zero outwards, so that it reads in grey and without red or green;
     # the small step at zero keeps the border of chaos sharp where exponents on both sides are small.
     stable = list(zip(np.linspace(0.0, 0.5, len(_STABLE)), _STABLE, strict=True))
-    chaotic = list(zip(np.linspace(0.5, 1.0, len(_CHAOTIC)), _CHAOTIC, strict=True))
+    chaotic = list(zip(np.linspace(0.5, 1.0, len(CHAOTIC_COLORS)), CHAOTIC_COLORS, strict=True))
     return LinearSegmentedColormap.from_list("exponent", stable + chaotic, N=1024)
 
 
 COLORMAP = _two_sided()
 
 
-def figure(ds: xr.Dataset) -> Figure:
-    """The chaos map as a figure; InputError where the atlas holds no exponents."""
-    plane = maps.read(ds, LARGEST.name, "exponent")
-    low, high = ends = scale_ends(plane.values)
-    norm = TwoSlopeNorm(0.0, low, high)
+def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+    """The chaos map as a figure, with these overlays; InputError where the atlas holds no exponents."""
+    plane = maps.read(ds, (LARGEST.name, *overlays.variables(overlaid)), "exponent")
+    largest = np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
+    norm = TwoSlopeNorm(0.0, *scale_ends(largest))
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
-        rgba, legend = paint(plane.regime, plane.values, norm)
-        axes.draw_cells(ax, plane.x, plane.y, rgba)
-        legend += _mark_no_impact(ax, plane, norm)
-        _colour_bar(drawn, ax, norm, ends, plane.values)
-        if legend:
-            drawn.legend(handles=legend, loc="outside lower center", ncols=len(legend), columnspacing=1.6)
+        rgba, legend = paint(plane.regime, largest, norm)
+        maps.draw(ax, plane, rgba)
+        entries: list[Artist] = [*legend, *_mark_no_impact(ax, plane, norm)]
+        entries += overlays.draw(ax, ds, plane, overlaid)
+        _colour_bar(drawn, ax, norm, largest)
+        maps.legend_below(drawn, entries)
     return drawn
 
 
@@ -63,7 +67,7 @@ def paint(
     regime: NDArray[np.int8], largest: NDArray[np.float64], norm: TwoSlopeNorm
 ) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the regimes that have no exponent."""
-    known = ~np.isnan(largest)
+    known = maps.determined(regime) & ~np.isnan(largest)
     rgba = COLORMAP(norm(np.where(known, largest, 0.0)), bytes=True)
     return rgba, maps.paint_regimes(rgba, regime, ~known)
 
@@ -77,16 +81,31 @@ def _reach(sizes: NDArray[np.float64]) -> float:
     return float(np.ceil(reach / digit - 1e-9) * digit)
 
 
-def _colour_bar(
-    drawn: Figure, ax: Axes, norm: TwoSlopeNorm, ends: tuple[float, float], largest: NDArray[np.float64]
-) -> None:
-    below, above = bool(np.any(largest < ends[0])), bool(np.any(largest > ends[1]))
-    extend = {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}[below, above]
-    mappable = ScalarMappable(norm, COLORMAP)
-    bar = drawn.colorbar(mappable, ax=ax, extend=extend, ticks=_ticks(*ends), aspect=28, pad=0.02, extendfrac=0.03)
+def _colour_bar(drawn: Figure, ax: Axes, norm: TwoSlopeNorm, largest: NDArray[np.float64]) -> None:
+    ends = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    bar = drawn.colorbar(
+        ScalarMappable(norm, COLORMAP),
+        ax=ax,
+        extend=style.beyond(largest, *ends),
+        ticks=_ticks(*ends),
+        aspect=28,
+        pad=0.02,
+        extendfrac=0.03,
+    )
     bar.set_label(r"largest Lyapunov exponent $\lambda_1$ [per forcing period]")
     bar.outline.set_linewidth(0.6)
     bar.ax.axhline(0.0, color="black", linewidth=0.7)
+
+
+def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
+    thin = min(cells.shape) // 150
+    if thin == 0:
+        return cells
+    padded = np.pad(cells, 2 * thin, mode="symmetric")  # or the picture's frame would eat into them
+    wide = ndimage.binary_opening(padded, structure=np.ones((3, 3)), iterations=thin)
+    wide = ndimage.binary_closing(wide, structure=np.ones((3, 3)), iterations=thin)
+    return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
 
 
 def _ticks(low: float, high: float) -> NDArray[np.float64]:
@@ -98,11 +117,11 @@ def _ticks(low: float, high: float) -> NDArray[np.float64]:
 
 def _mark_no_impact(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm) -> list[Patch]:
     """Outline impact-free cells and dot them, since they have exponents as others do; the legend entry, if any."""
-    quiet = (plane.regime == NO_IMPACT) & ~np.isnan(plane.values)
+    quiet = (plane.regime == NO_IMPACT) & ~np.isnan(plane[LARGEST.name])
     if not quiet.any():
         return []
-    color = COLORMAP(norm(np.median(plane.values[quiet])))
-    ink = "#1a2433" if sum(color[:3]) > 1.2 else "#e8eef6"  # dots must be seen on what they cover
+    color = COLORMAP(norm(np.median(plane[LARGEST.name][quiet])))
+    ink = style.ink_on(color)
     axes.hatch(ax, plane.x, plane.y, quiet, style.HATCH[NO_IMPACT], ink)
-    axes.outline(ax, plane.x, plane.y, quiet, "#1a2433", 0.35)
+    axes.outline(ax, plane.x, plane.y, _without_dust(quiet), "#1a2433", 0.3)
     return [style.swatch(color, style.name_of(NO_IMPACT), style.HATCH[NO_IMPACT], ink)]

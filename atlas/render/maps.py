@@ -1,39 +1,64 @@
 """What all pictures of a plane share: its cells read in drawing order, the frame around them, the legends."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.render import axes, style
-from workers.results import PENDING, REGIME, REGIMES
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
 
 HEIGHT = 4.7
 """Height of a map in inches."""
 
 
+SIZE = np.array([5.6, 3.75]) * 72.0
+"""Nominal width and height of a map's plot area in points, for what must be known before the figure is laid out."""
+
+_VISIBLE = 2.0
+"""Points below which a cell on its own is lost to the eye."""
+_MOST_MARKS = 300
+"""Marks of such cells: where there are more, they are seen as a cloud anyway."""
+
+
 @dataclass(frozen=True)
 class Plane:
-    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of one more variable."""
+    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
 
     x: axes.Axis
     y: axes.Axis
     regime: NDArray[np.int8]
-    values: NDArray[Any]
+    values: Mapping[str, NDArray[Any]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.values[name]
 
 
-def read(ds: xr.Dataset, variable: str, kind: str) -> Plane:
-    """Read one variable and the regimes of a plane, nothing else; InputError if the atlas does not hold it."""
-    if variable not in ds:
-        raise InputError(f"kind {kind!r} draws the variable {variable!r}, which this atlas does not hold")
-    ds, (x, y) = axes.rising(ds[[variable, REGIME.name]])
-    return Plane(x, y, ds[REGIME.name].values, ds[variable].values)
+def read(ds: xr.Dataset, variables: Iterable[str], kind: str) -> Plane:
+    """Read these variables and the regimes of a plane, nothing else; InputError if the atlas does not hold one.
+
+    The only place where the pictures of planes read an atlas.
+    """
+    names = [name for name in dict.fromkeys(variables) if name != REGIME.name]
+    for name in names:
+        if name not in ds:
+            raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold")
+    ds, (x, y) = axes.rising(ds[[*names, REGIME.name]])
+    return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
+
+
+def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
+    return (regime >= NO_IMPACT) & (regime <= CHAOTIC)
 
 
 def frame(ds: xr.Dataset) -> tuple[Figure, Axes]:
@@ -56,6 +81,60 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
         cells = where & (regime == each.code)
         if cells.any():
             rgba[cells] = style.rgb(each.color, alpha=0 if each.code == PENDING else 255)
-            hatch = style.HATCH[PENDING] if each.code == PENDING else None
-            entries.append(style.swatch(each.color, style.name_of(each.code), hatch))
+            # An impact-free cell is textured only where it is not seen by its colour.
+            hatch = None if each.code == NO_IMPACT else style.HATCH.get(each.code)
+            ink = style.HATCH_INK.get(each.code, style.TEXTURE)
+            entries.append(style.swatch(each.color, style.name_of(each.code), hatch, ink))
     return entries
+
+
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
+    """Draw the cells in these colours (y, x, 4), with textures over those that show their regime's colour.
+
+    Such cells without a result that would be too small to be seen get a mark of a visible size.
+    """
+    axes.draw_cells(ax, plane.x, plane.y, rgba)
+    shown = {
+        code: (plane.regime == code) & (rgba == style.rgb(style.COLORS[code])).all(axis=-1)
+        for code in (QUASIPERIODIC, UNDETERMINED, INVALID, FAILED)
+    }
+    for code in (QUASIPERIODIC, INVALID, FAILED):
+        axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
+    for code in (UNDETERMINED, INVALID, FAILED):
+        _mark_small(ax, plane, shown[code], code)
+
+
+def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int) -> None:
+    width, height = SIZE / np.array(plane.regime.shape[::-1])
+    if max(width, height) >= _VISIBLE:
+        return
+    regions, _ = ndimage.label(cells)
+    small = [
+        (rows, columns)
+        for rows, columns in ndimage.find_objects(regions)
+        if (rows.stop - rows.start) * height < _VISIBLE and (columns.stop - columns.start) * width < _VISIBLE
+    ]
+    if 0 < len(small) <= _MOST_MARKS:
+        x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
+        y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
+        look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
+        ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
+
+
+def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
+    """A legend under the plot, in as many rows as its entries need; none without entries."""
+    if not entries:
+        return
+    # What is read counts: mathtext spells a symbol in several characters.
+    longest = max(len(str(entry.get_label()).replace("\\", "").replace("$", "")) for entry in entries)
+    columns = max(1, min(len(entries), int(style.WIDTH / (0.45 + 0.056 * longest))))
+    rows = -(-len(entries) // columns)
+    # Filled column by column, rows of equal length look best.
+    figure.legend(handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows), columnspacing=1.4)
+
+
+def legend_beside(figure: Figure, entries: Sequence[Artist], title: str | None = None) -> None:
+    """A legend in a column to the right of the plot."""
+    if entries:
+        handles = list(entries)
+        figure.legend(handles=handles, loc="outside right upper", labelspacing=0.45, title=title, alignment="left")

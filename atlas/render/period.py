@@ -1,16 +1,23 @@
 """The isoperiodic map: how many forcing periods an orbit takes over a plane, and the regime where it never closes."""
 
+from collections.abc import Sequence
+from typing import TypeAlias
+
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from atlas.render import axes, maps, style
+from atlas.render import maps, overlays, style
 from workers.results import PERIODIC
 
-CLASSES: tuple[tuple[int, int | None, str], ...] = (
+Class: TypeAlias = tuple[int, int | None, str]
+"""First period, last period (None: no last) and colour."""
+
+CLASSES: tuple[Class, ...] = (
     (1, 1, style.COLORS[PERIODIC]),
     (2, 2, "#45deff"),
     (3, 3, "#eb8b00"),
@@ -23,30 +30,33 @@ CLASSES: tuple[tuple[int, int | None, str], ...] = (
     (17, 64, "#da8cb6"),
     (65, None, "#8634bc"),
 )
-"""First and last period of each class and its colour.
+"""The classes of periods.
 
 A period and its doubles share a hue (1, 2, 4, 8 blue; 3, 6 amber). Chosen together with the colours of the regimes
 for the greatest least difference between any two, also as seen without red or without green receptors.
 """
 
 
-def figure(ds: xr.Dataset) -> Figure:
+def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
     """The isoperiodic map as a figure; InputError where the atlas holds no periods."""
-    plane = maps.read(ds, "period", "period")
+    plane = maps.read(ds, ("period", *overlays.variables(overlaid)), "period")
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
-        rgba, legend = paint(plane.regime, plane.values)
-        axes.draw_cells(ax, plane.x, plane.y, rgba)
-        drawn.legend(handles=legend, loc="outside right upper", labelspacing=0.45)
+        rgba, legend = paint(plane.regime, plane["period"])
+        maps.draw(ax, plane, rgba)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        maps.legend_beside(drawn, entries)
     return drawn
 
 
-def paint(regime: NDArray[np.int8], period: NDArray[np.int32]) -> tuple[NDArray[np.uint8], list[Patch]]:
+def paint(
+    regime: NDArray[np.int8], period: NDArray[np.int32], classes: Sequence[Class] = CLASSES
+) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the classes present."""
     rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
     counted = (regime == PERIODIC) & (period >= 1)
     legend = []
-    for first, last, color in CLASSES:
+    for first, last, color in classes:
         cells = counted & (period >= first) & (period <= (last or np.iinfo(np.int32).max))
         if cells.any():
             rgba[cells] = style.rgb(color)
@@ -56,5 +66,5 @@ def paint(regime: NDArray[np.int8], period: NDArray[np.int32]) -> tuple[NDArray[
 
 def _label(first: int, last: int | None) -> str:
     if last is None:
-        return f"period {first} or more"
-    return f"period {first}" if first == last else f"period {first} to {last}"
+        return f"period ≥ {first}"
+    return f"period {first}" if first == last else f"period {first}–{last}"

@@ -2,21 +2,24 @@
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
+import numpy as np
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
+from numpy.typing import NDArray
 
 from atlas.query import axis_names
-from workers.results import NO_IMPACT, PENDING, REGIMES
-from workers.system import SYSTEMS, Parameter
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
+from workers.system import SYSTEMS, Parameter, System
 
 WIDTH = 7.0
 """Width of a figure in inches: two columns of a journal."""
@@ -54,8 +57,12 @@ COLORS = {regime.code: regime.color for regime in REGIMES}
 INK = {**COLORS, NO_IMPACT: "#8c8c8c"}
 """The same for points and lines on white, where the light grey of an area would not be seen."""
 
-HATCH = {PENDING: "////", NO_IMPACT: "..."}
-"""The texture of regimes that colour alone does not tell: white is no value, and impact-free cells have exponents."""
+HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
+"""The texture of regimes that colour alone does not tell: white is no value, impact-free cells have exponents, grey
+and black may be the ends of a scale, and green is seen as a shade of chaos without red receptors."""
+
+HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
+"""The ink of those textures; what is not named is drawn in an ink that suits its cells."""
 
 _LINE = 110
 """Characters that fit in one line of the title."""
@@ -78,6 +85,18 @@ def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TE
     return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
 
 
+def beyond(values: NDArray[np.float64], low: float, high: float) -> str:
+    """At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
+    below, above = bool(np.any(values < low)), bool(np.any(values > high))
+    return {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}[below, above]
+
+
+def ink_on(color: ColorType) -> str:
+    """Dark or light, whichever is seen on a colour."""
+    red, green, blue = to_rgb(color)
+    return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
+
+
 def new_figure(height: float) -> Figure:
     """An empty figure of the standard width that leaves room for what stands outside its axes."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained", facecolor="white")
@@ -89,6 +108,11 @@ def parameter_of(ds: xr.Dataset, name: str) -> Parameter | None:
     """What the atlas's system says of a parameter, or None where system or parameter is unknown."""
     system = SYSTEMS.get(_system_name(ds))
     return next((p for p in system.parameters if p.name == name), None) if system else None
+
+
+def system_of(ds: xr.Dataset) -> System | None:
+    """The atlas's system, or None where it names none that is known."""
+    return SYSTEMS.get(_system_name(ds))
 
 
 def first_state(ds: xr.Dataset) -> str:
@@ -125,19 +149,30 @@ def title_line(ds: xr.Dataset) -> str:
     """
     system = SYSTEMS.get(_system_name(ds))
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
-    states = system.states if system else ()
     fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
+    states = system.states if system else ()
     values = {name: float(ds[name]) for name in fixed}
-    items = [(symbol(ds, name), number(value)) for name, value in values.items() if value or name not in states]
+    return parameter_lines([(symbol(ds, name), value) for name, value in values.items() if value or name not in states])
+
+
+def parameter_title(system: System, values: Mapping[str, float]) -> str:
+    """The same for one cell of a system."""
+    shown = [p for p in system.parameters if values[p.name] or p.name not in system.states]
+    return parameter_lines([(p.symbol, values[p.name]) for p in shown])
+
+
+def parameter_lines(items: Sequence[tuple[str, float]]) -> str:
+    """Symbols with their values, in as many lines as they need."""
     lines: list[list[str]] = [[]]
     used = 0
     for sign, value in items:
         # What is read counts, not how mathtext spells it: a symbol takes about two characters.
-        width = len(value.replace("\\", "")) + 7
+        text = number(value)
+        width = len(text.replace("\\", "")) + 7
         if used + width > _LINE:
             lines.append([])
             used = 0
-        lines[-1].append(f"${sign} = {value}$")
+        lines[-1].append(f"${sign} = {text}$")
         used += width
     return "\n".join(",  ".join(line) for line in lines)
 
@@ -154,17 +189,45 @@ def number(value: float) -> str:
     return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
 
 
-def save(figure: Figure, path: Path, suffix: str, ds: xr.Dataset) -> None:
-    """Write a figure, with the atlas's digest and the software in the file's metadata and no time of day."""
-    digest = str(ds.attrs.get("digest", "unknown"))
-    title = f"impact-atlas: {_system_name(ds)}, axes {', '.join(axis_names(ds))}"
-    software = f"impact-atlas {_own_version()}, matplotlib {mpl.__version__}"
-    origin = f"computed by {ds.attrs.get('software', 'unknown software')}"
+class Origin(NamedTuple):
+    """What a file says about the numbers it shows: a title, the digest of their spec, the software that made them."""
+
+    title: str
+    digest: str
+    software: str
+
+
+def origin_of(*atlases: xr.Dataset) -> Origin:
+    """The origin of a picture of one atlas, or of several: then all their digests, in order."""
+    ds = atlases[0]
+    return Origin(
+        title=f"impact-atlas: {_system_name(ds)}, axes {', '.join(axis_names(ds))}",
+        digest=" ".join(str(each.attrs.get("digest", "unknown")) for each in atlases),
+        software=str(ds.attrs.get("software", "unknown software")),
+    )
+
+
+def save(figure: Figure, path: Path, suffix: str, origin: Origin) -> None:
+    """Write a figure, with the digest of its spec and the software in the file's metadata and no time of day."""
+    software = f"impact-atlas {own_version()}, matplotlib {mpl.__version__}"
+    source = f"computed by {origin.software}"
     # Each format has its own words for the same four; a date would make equal pictures unequal files.
     words = {
-        "png": {"Title": title, "Software": software, "Digest": digest, "Source": origin},
-        "svg": {"Title": title, "Creator": software, "Identifier": digest, "Source": origin, "Date": None},
-        "pdf": {"Title": title, "Creator": software, "Subject": digest, "Keywords": origin, "CreationDate": None},
+        "png": {"Title": origin.title, "Software": software, "Digest": origin.digest, "Source": source},
+        "svg": {
+            "Title": origin.title,
+            "Creator": software,
+            "Identifier": origin.digest,
+            "Source": source,
+            "Date": None,
+        },
+        "pdf": {
+            "Title": origin.title,
+            "Creator": software,
+            "Subject": origin.digest,
+            "Keywords": source,
+            "CreationDate": None,
+        },
     }
     with mpl.rc_context(STYLE):
         figure.savefig(path, format=suffix, metadata=words[suffix])
@@ -177,7 +240,8 @@ def _system_name(ds: xr.Dataset) -> str:
         return "unknown system"
 
 
-def _own_version() -> str:
+def own_version() -> str:
+    """The version of this distribution, as files name it."""
     try:
         return version("impact-atlas")
     except PackageNotFoundError:

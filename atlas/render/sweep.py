@@ -1,8 +1,12 @@
 """The sweep: the bifurcation diagram, section values of the first state, over the largest exponent, on one axis."""
 
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
+
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -12,43 +16,65 @@ from atlas.errors import InputError
 from atlas.render import axes, style
 from workers.results import ERROR, LARGEST, PENDING, REGIME, REGIMES, SECTION
 
-_HEIGHT = {1: 3.0, 2: 5.2}
-_PANELS = (SECTION.name, LARGEST.name)
+Panel: TypeAlias = Callable[[Axes, xr.Dataset, axes.Axis], None]
+"""Draws one panel of a sweep from what was read of it."""
+
+LARGEST_LABEL = "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
+
+HEIGHT = {1: 3.0, 2: 5.2}
+"""Height in inches of a figure with one panel, or two."""
 
 
 def figure(ds: xr.Dataset) -> Figure:
     """The sweep as a figure, each panel only if the atlas holds its variable; InputError if it holds neither."""
-    panels = [name for name in _PANELS if name in ds and ds[name].size]
+    panels: dict[str, Panel] = {SECTION.name: draw_section, LARGEST.name: _draw_largest}
+    panels = {name: panel for name, panel in panels.items() if name in ds and ds[name].size}
     if not panels:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
     # The error bars come with the exponents; an atlas of another origin may lack them.
-    wanted = [*panels, REGIME.name, *([ERROR.name] if ERROR.name in ds else [])]
-    title = style.title_line(ds)
-    ds, (x,) = axes.rising(ds[wanted])
-    regime = ds[REGIME.name].values
+    read, x = line(ds, [*panels, *([ERROR.name] if ERROR.name in ds else [])])
     with rc_context(style.STYLE):
-        drawn = style.new_figure(_HEIGHT[len(panels)])
-        plots = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for ax, name in zip(plots, panels, strict=True):
-            _PANEL[name](ax, ds, x, regime)
-            axes.scale_x(ax, x, label=ax is plots[-1])
-        drawn.align_ylabels(plots)
-        plots[0].set_title(title, loc="left")
-        drawn.legend(handles=_legend(regime), loc="outside lower center", ncols=len(REGIMES), handlelength=0.8)
+        return stack(ds, read, x, panels, regime_legend(read[REGIME.name].values))
+
+
+def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.Axis]:
+    """These variables and the regimes along the axis of a sweep in rising order, and that axis.
+
+    The only place where the pictures of sweeps choose what they read.
+    """
+    read, (x,) = axes.rising(ds[[*dict.fromkeys(variables), REGIME.name]])
+    return read, x
+
+
+def stack(
+    ds: xr.Dataset, read: xr.Dataset, x: axes.Axis, panels: Mapping[str, Panel], legend: Sequence[Artist]
+) -> Figure:
+    """Panels over one shared axis, under the title line of the fixed parameters."""
+    drawn = style.new_figure(HEIGHT[len(panels)])
+    plots = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, panel in zip(plots, panels.values(), strict=True):
+        panel(ax, read, x)
+        axes.scale_x(ax, x, label=ax is plots[-1])
+    drawn.align_ylabels(plots)
+    plots[0].set_title(style.title_line(ds), loc="left")
+    drawn.legend(handles=list(legend), loc="outside lower center", ncols=max(1, len(legend)), handlelength=0.8)
     return drawn
 
 
-def _draw_section(ax: Axes, ds: xr.Dataset, x: axes.Axis, regime: NDArray[np.int8]) -> None:
+def draw_section(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
+    """The bifurcation diagram: section values of the first state in the colours of their regimes."""
+    regime = ds[REGIME.name].values
     # The dimensions are cell, sample, component; only the first component is read.
     section = ds[SECTION.name][..., 0].values
     at = np.broadcast_to(x.values[:, None], section.shape)
     for code in np.unique(regime[regime != PENDING]):
         shown = np.isfinite(section) & (regime == code)[:, None]
         _points(ax, at[shown], section[shown], x, int(code))
-    ax.set_ylabel(_state_label(ds))
+    ax.set_ylabel(state_label(ds))
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.Axis, regime: NDArray[np.int8]) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
+    regime = ds[REGIME.name].values
     largest = np.where(np.isfinite(ds[LARGEST.name].values), ds[LARGEST.name].values, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     if ERROR.name in ds:
@@ -58,21 +84,23 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.Axis, regime: NDArray[np.int
     for code in np.unique(regime[regime != PENDING]):
         shown = (regime == code) & np.isfinite(largest)
         _points(ax, x.values[shown], largest[shown], x, int(code), least=1.8)
-    ax.set_ylabel(r"largest Lyapunov exponent" "\n" r"$\lambda_1$ [per forcing period]")
+    ax.set_ylabel(LARGEST_LABEL)
 
 
-_PANEL = {SECTION.name: _draw_section, LARGEST.name: _draw_largest}
+def point_size(x: axes.Axis, least: float) -> float:
+    """The diameter of a point in points: as wide as a cell, within what is seen and what separates neighbours."""
+    return float(np.clip(0.8 * style.WIDTH * 72.0 / x.values.size, least, 4.0))
 
 
 def _points(
     ax: Axes, at: NDArray[np.float64], values: NDArray[np.float64], x: axes.Axis, code: int, least: float = 1.1
 ) -> None:
-    # As wide as a cell, within what can be seen and what still separates neighbours.
-    size = float(np.clip(0.8 * style.WIDTH * 72.0 / x.values.size, least, 4.0))
+    size = point_size(x, least)
     ax.plot(at, values, ".", color=style.INK[code], markersize=size, markeredgewidth=0, zorder=3, rasterized=True)
 
 
-def _legend(regime: NDArray[np.int8]) -> list[Line2D]:
+def regime_legend(regime: NDArray[np.int8]) -> list[Artist]:
+    """Legend entries for the regimes of points."""
     codes = [each.code for each in REGIMES if each.code != PENDING and np.any(regime == each.code)]
     return [
         Line2D([], [], linestyle="", marker="o", markersize=4, color=style.INK[code], label=style.name_of(code))
@@ -80,7 +108,7 @@ def _legend(regime: NDArray[np.int8]) -> list[Line2D]:
     ]
 
 
-def _state_label(ds: xr.Dataset) -> str:
+def state_label(ds: xr.Dataset) -> str:
     """The first state's label; the system knows a state as the parameter that sets its initial value."""
     name = style.first_state(ds)
     initial = style.parameter_of(ds, name)

@@ -1,0 +1,183 @@
+"""The impact map: periodic motions by period and impacts at either stop, n-p-q, as this field names them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from atlas.render import axes, maps, overlays, style
+from workers.results import PERIODIC
+
+VARIABLES = ("period", "impacts_upper", "impacts_lower")
+
+HUES = (
+    ("#4477aa", "#73b9ff"),
+    ("#d9830a", "#433b2f"),
+    ("#8d3bf3", "#4f297f"),
+    ("#ffca97", "#9b8066"),
+    ("#ff25d2", "#51314b"),
+    ("#87cde4", "#186177"),
+    ("#dbbc50", "#625a3c"),
+)
+"""Colours of the motions with p >= q, most frequent first, and of their mirror images with p < q.
+
+Mirror images are one motion seen from the other side, and which of the two is reached hangs on the start: they share
+a hue. Chosen, with the colours of the regimes, for the greatest least difference between any two, also as seen without
+red or without green receptors.
+"""
+STICKS, STICKS_HATCH = "#d5ece6", "----"
+"""Colour and texture of periodic motions that rest on a stop: their impacts are infinitely many."""
+OTHER = "#b9ad98"
+
+_LABEL_SIZE = 7.5
+
+
+class Motion(NamedTuple):
+    """A periodic motion: n forcing periods, p impacts at the upper stop, q at the lower; p = q = -1 where it sticks."""
+
+    n: int
+    p: int
+    q: int
+
+    @property
+    def label(self) -> str:
+        """As a legend says it."""
+        return f"{self.n}-{self.p}-{self.q}" if self.p >= 0 else "periodic, sticks"
+
+
+def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+    """The impact map as a figure; InputError where the atlas holds no impact counts."""
+    plane = maps.read(ds, (*VARIABLES, *overlays.variables(overlaid)), "impacts")
+    counts = tuple(plane[name] for name in VARIABLES)
+    with rc_context(style.STYLE):
+        drawn, ax = maps.frame(ds)
+        rgba, legend, colors = paint(plane.regime, *counts)
+        maps.draw(ax, plane, rgba)
+        rests = (plane.regime == PERIODIC) & (counts[1] < 0)
+        axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        maps.legend_beside(drawn, entries, title="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        drawn.draw_without_rendering()  # from here on the plot has its size
+        _name_regions(ax, plane, counts, colors)
+    return drawn
+
+
+def palette(shares: dict[Motion, int]) -> dict[Motion, str]:
+    """A colour for every motion, given its number of cells: hues by area, mirror images one hue, the rest OTHER."""
+    groups: dict[Motion, int] = {}
+    for motion, cells in shares.items():
+        if motion.p >= 0:
+            group = Motion(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+            groups[group] = groups.get(group, 0) + cells
+    by_area = sorted(groups, key=lambda group: (-groups[group], group))
+    hue = dict(zip(by_area, HUES, strict=False))
+    colors = {}
+    for motion in shares:
+        group = Motion(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+        colors[motion] = STICKS if motion.p < 0 else hue[group][motion.p < motion.q] if group in hue else OTHER
+    return colors
+
+
+def paint(
+    regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
+) -> tuple[NDArray[np.uint8], list[Patch], dict[Motion, str]]:
+    """The colour of every cell, (y, x, 4) in bytes, legend entries, and the colour of each motion."""
+    rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
+    counted = (regime == PERIODIC) & (period >= 1)
+    # Where it sticks the counts are formally infinite: one class, whatever the period.
+    rests = counted & (upper < 0)
+    triples = np.stack([np.where(rests, 0, period), np.where(rests, -1, upper), np.where(rests, -1, lower)], axis=-1)
+    kinds, which, cells = np.unique(triples[counted], axis=0, return_inverse=True, return_counts=True)
+    motions = [Motion(*map(int, kind)) for kind in kinds]
+    colors = palette(dict(zip(motions, cells.tolist(), strict=True)))
+    if motions:
+        rgba[counted] = np.array([style.rgb(colors[motion]) for motion in motions], np.uint8)[which.ravel()]
+    named = sorted(m for m in motions if colors[m] not in (OTHER, STICKS))
+    legend = [style.swatch(colors[motion], motion.label) for motion in named]
+    if STICKS in colors.values():
+        legend.append(style.swatch(STICKS, "periodic, sticks", STICKS_HATCH))
+    if OTHER in colors.values():
+        legend.append(style.swatch(OTHER, "other periodic"))
+    return rgba, legend + maps.paint_regimes(rgba, regime, ~counted), colors
+
+
+def _name_regions(
+    ax: Axes, plane: maps.Plane, counts: tuple[NDArray[np.int32], ...], colors: dict[Motion, str]
+) -> None:
+    """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
+    if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
+        return  # cells differ in size, and distances in cells mean nothing
+    extent = ax.get_window_extent()
+    width, height = (float(size) / ax.figure.dpi * 72.0 for size in (extent.width, extent.height))
+    step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
+    for motion, color in colors.items():
+        half = 0.29 * _LABEL_SIZE * len(motion.label), 0.62 * _LABEL_SIZE
+        least = 4.0 * half[0] * half[1] / (step[0] * step[1])  # cells that the name takes
+        cells = plane.regime == PERIODIC
+        for count, wanted in zip(counts, motion, strict=True):
+            cells = cells & (count == wanted)
+        if motion.p < 0 or np.count_nonzero(cells) < least:
+            continue
+        regions, _ = ndimage.label(cells)
+        sizes = np.bincount(regions.ravel())
+        boxes = ndimage.find_objects(regions)
+        for number in np.argsort(-sizes[1:], kind="stable")[:2] + 1:
+            box = boxes[number - 1]
+            place = _place(regions[box] == number, step, half) if sizes[number] >= least else None
+            if place is not None:
+                ax.text(
+                    plane.x.values[box[1].start + place[1]],
+                    plane.y.values[box[0].start + place[0]],
+                    motion.label,
+                    color=style.ink_on(color),
+                    fontsize=_LABEL_SIZE,
+                    rotation=place[2],
+                    ha="center",
+                    va="center_baseline",
+                    zorder=4,
+                )
+
+
+def _place(
+    region: NDArray[np.bool_], step: tuple[float, float], half: tuple[float, float]
+) -> tuple[int, int, float] | None:
+    """Row, column and angle in degrees where a box of half sizes (along, across) in points lies inside a region.
+
+    ``step`` are the points per cell (y, x). The angle follows the region, so that a name fits in a band; the widest
+    places are tried first. None where none will do.
+    """
+    # A frame of cells that do not belong: a name must not run over the picture's edge.
+    room = ndimage.distance_transform_edt(np.pad(region, 1), sampling=step)[1:-1, 1:-1]
+    candidates = np.flatnonzero(room.ravel() >= half[1])
+    candidates = candidates[np.argsort(-room.ravel()[candidates], kind="stable")]
+    along, across = np.meshgrid(np.linspace(-half[0], half[0], 13), np.linspace(-half[1], half[1], 5))
+    for flat in candidates[:: max(1, candidates.size // 60)]:
+        row, column = (int(i) for i in np.unravel_index(flat, region.shape))
+        angle = 0.0 if room[row, column] >= np.hypot(*half) else _direction(region, (row, column), step, half[0])
+        # Rows count upward in the picture, as angles do.
+        rows = np.rint(row + (along * np.sin(angle) + across * np.cos(angle)) / step[0]).astype(int)
+        columns = np.rint(column + (along * np.cos(angle) - across * np.sin(angle)) / step[1]).astype(int)
+        inside = (rows >= 0) & (rows < region.shape[0]) & (columns >= 0) & (columns < region.shape[1])
+        if inside.all() and region[rows, columns].all():
+            return row, column, float(np.degrees(angle))
+    return None
+
+
+def _direction(region: NDArray[np.bool_], at: tuple[int, int], step: tuple[float, float], reach: float) -> float:
+    """The angle, within 90 degrees either way, in which a region extends around a cell: its principal axis there."""
+    span = [int(np.ceil(reach / each)) for each in step]
+    low = [max(0, i - n) for i, n in zip(at, span, strict=True)]
+    rows, columns = np.nonzero(region[low[0] : at[0] + span[0] + 1, low[1] : at[1] + span[1] + 1])
+    points = np.stack([(columns + low[1] - at[1]) * step[1], (rows + low[0] - at[0]) * step[0]])
+    points = points[:, np.hypot(*points) <= reach]
+    _, axes = np.linalg.eigh(points @ points.T)
+    x, y = axes[:, -1]
+    return float(np.arctan2(y, x) if x >= 0 else np.arctan2(-y, -x))

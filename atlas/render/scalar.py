@@ -1,0 +1,96 @@
+"""Maps of one number that has no natural middle: an even scale from pale to dark, by the same steps of lightness."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
+from numpy.typing import NDArray
+
+from atlas.render import maps, overlays, style
+
+_SHARE = 0.5
+"""Per cent of cells that may lie beyond each end of the scale."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a number becomes a colour: its map, whether by its logarithm, and what the colour bar says."""
+
+    colormap: Colormap
+    log: bool
+    label: str
+
+
+def figure(
+    ds: xr.Dataset,
+    plane: maps.Plane,
+    values: NDArray[np.float64],
+    scale: Scale,
+    overlaid: Sequence[str],
+    zero: tuple[str, str] | None = None,
+) -> Figure:
+    """A map of ``values`` (y, x); cells that are NaN show their regime.
+
+    ``zero``: colour and name of cells that are 0; where there are no others the figure has no colour bar.
+    """
+    norm = _norm(values, scale.log)
+    with rc_context(style.STYLE):
+        drawn, ax = maps.frame(ds)
+        rgba, legend = paint(plane.regime, values, norm, scale.colormap, zero)
+        maps.draw(ax, plane, rgba)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        if zero is None or np.any(values > 0.0):
+            _colour_bar(drawn, ax, values, norm, scale)
+        maps.legend_below(drawn, entries)
+    return drawn
+
+
+def paint(
+    regime: NDArray[np.int8],
+    values: NDArray[np.float64],
+    norm: Normalize,
+    colormap: Colormap,
+    zero: tuple[str, str] | None = None,
+) -> tuple[NDArray[np.uint8], list[Patch]]:
+    """The colour of every cell, (y, x, 4) in bytes, and legend entries for what the scale does not say."""
+    known = np.isfinite(values)
+    # Zero has no logarithm; like all below the scale's lower end it has that end's colour.
+    least = float(norm.vmin or 0.0)
+    rgba = colormap(norm(np.where(known, np.maximum(values, least), least)), bytes=True)
+    legend = []
+    if zero is not None and np.any(values == 0.0):
+        rgba[values == 0.0] = style.rgb(zero[0])
+        legend.append(style.swatch(*zero))
+    return rgba, legend + maps.paint_regimes(rgba, regime, ~known)
+
+
+def _colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Normalize, scale: Scale) -> None:
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
+    extend = style.beyond(values[values > 0.0], low, high)
+    mappable = ScalarMappable(norm, scale.colormap)
+    bar = drawn.colorbar(mappable, ax=ax, extend=extend, aspect=28, pad=0.02, extendfrac=0.03)
+    bar.set_label(scale.label)
+    bar.outline.set_linewidth(0.6)
+    if scale.log and high / low > 1e4:
+        bar.ax.yaxis.set_minor_locator(NullLocator())
+
+
+def _norm(values: NDArray[np.float64], log: bool) -> Normalize:
+    finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
+    if finite.size == 0:
+        return LogNorm(0.1, 1.0) if log else Normalize(0.0, 1.0)
+    low, high = np.percentile(finite, [_SHARE, 100.0 - _SHARE])
+    if log:
+        # Whole decades at least: a scale within one has ticks that nobody reads.
+        low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
+        return LogNorm(float(low), float(high))
+    return Normalize(float(low), float(high) if high > low else float(low) + 1.0)

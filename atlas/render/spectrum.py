@@ -1,0 +1,66 @@
+"""The sweep with the whole spectrum: the bifurcation diagram over all Lyapunov exponents, on one axis."""
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from atlas.errors import InputError
+from atlas.render import axes, style, sweep
+from workers.results import REGIME, SECTION, SPECTRUM
+
+COLORS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
+"""The colour of each exponent, largest first; those of systems with more begin again."""
+
+
+def figure(ds: xr.Dataset) -> Figure:
+    """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
+    if SPECTRUM.name not in ds:
+        raise InputError(
+            "kind 'spectrum' draws the variable 'spectrum', which this atlas does not hold; "
+            'see [solve] exponents = "spectrum"'
+        )
+    panels: dict[str, sweep.Panel] = (
+        {SECTION.name: sweep.draw_section} if ds.get(SECTION.name, np.empty(0)).size else {}
+    )
+    panels[SPECTRUM.name] = _draw_spectrum
+    read, x = sweep.line(ds, list(panels))
+    with rc_context(style.STYLE):
+        legend: list[Artist] = list(sweep.regime_legend(read[REGIME.name].values)) if len(panels) > 1 else []
+        for i in range(read[SPECTRUM.name].shape[-1]):
+            legend.append(Line2D([], [], color=color(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
+        return sweep.stack(ds, read, x, panels, legend)
+
+
+def color(i: int) -> str:
+    """The colour of the exponent of that place, the largest at 0."""
+    return COLORS[i % len(COLORS)]
+
+
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
+    spectrum = ds[SPECTRUM.name].values
+    ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
+    size = sweep.point_size(x, 1.4)
+    for i in reversed(range(spectrum.shape[-1])):  # the largest on top
+        values = np.where(np.isfinite(spectrum[:, i]), spectrum[:, i], np.nan)
+        # Equal ones come in pairs: the lower ones are wider, and so seen beneath.
+        wide = size * (1.0 + 0.5 * i)
+        ax.plot(x.values, values, ".-", color=color(i), linewidth=0.4, markersize=wide, markeredgewidth=0, zorder=2)
+    lost = np.isneginf(spectrum).any(axis=1)
+    if lost.any():
+        # A direction lost for good has no place on the axis: a mark at its foot says so.
+        ax.plot(
+            x.values[lost],
+            np.full(lost.sum(), 0.015),
+            "v",
+            color="black",
+            markersize=2.5,
+            transform=ax.get_xaxis_transform(),
+        )
+    unit = style.unit_text(SPECTRUM.units)
+    ax.set_ylabel(
+        rf"Lyapunov exponents" "\n" rf"$\lambda_i$ [{unit}]" + ("\n(▾: some $-\\infty$)" if lost.any() else "")
+    )

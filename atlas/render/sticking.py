@@ -1,0 +1,22 @@
+"""The sticking map: the share of time that the impacting mass rests on a stop."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from atlas.render import maps, overlays, scalar
+
+COLORMAP = LinearSegmentedColormap.from_list(
+    "sticking", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"), N=512
+)
+SCALE = scalar.Scale(COLORMAP, False, "share of the time at rest on a stop")
+
+
+def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+    """The sticking map as a figure; InputError where the atlas does not hold it. Cells that never rest are pale."""
+    plane = maps.read(ds, ("stuck_fraction", *overlays.variables(overlaid)), "sticking")
+    share = np.where(maps.determined(plane.regime), plane["stuck_fraction"], np.nan)
+    return scalar.figure(ds, plane, share, SCALE, overlaid, zero=("#f3f1ea", "never at rest"))

@@ -1,0 +1,160 @@
+"""Atlases made by hand, and what tests read off the pictures of them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import colors
+from matplotlib.figure import Figure
+from PIL import Image
+
+from atlas.orbit import Orbit
+from atlas.render import style
+from workers import Settings
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, UNDETERMINED
+from workers.system import TWO_MASS
+
+NAN = float("nan")
+EVERY = [PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED]
+"""One cell of each regime, as in ``every_regime``."""
+
+
+def atlas(axes: dict[str, Any], scales: dict[str, str] | None = None, **variables: Any) -> xr.Dataset:
+    """An atlas with the coordinates and attributes of a store; variables are arrays (y, x, ...)."""
+    dims = tuple(reversed(axes))
+    coords: dict[str, Any] = {}
+    for p in TWO_MASS.parameters:
+        values = np.asarray(axes.get(p.name, p.default), dtype=float)
+        coords[p.name] = ((p.name,) * values.ndim, values, {"long_name": p.meaning, "units": p.unit})
+    extra = ("sample", "component")
+    arrays = {name: np.asarray(values) for name, values in variables.items()}
+    spec = {"system": "two-mass", "axes": [{"name": n, "scale": s} for n, s in (scales or {}).items()]}
+    return xr.Dataset(
+        {name: (dims + extra[: array.ndim - len(dims)], array) for name, array in arrays.items()},
+        coords,
+        {"digest": "d1ge57", "spec": json.dumps(spec), "software": "numpy 2"},
+    )
+
+
+def every_regime() -> xr.Dataset:
+    largest = [[NAN, -0.3, -0.5, 0.0], [1.0, NAN, NAN, NAN]]
+    return atlas(
+        {"omega": [1, 2, 3, 4], "b": [0.1, 0.2]},
+        regime=np.array(EVERY, np.int8).reshape(2, 4),
+        largest=largest,
+        period=np.array([[0, 1, 1, 0], [0, 0, 0, 0]], np.int32),
+    )
+
+
+def sweep(**variables: Any) -> xr.Dataset:
+    return atlas({"omega": [2.0, 2.5, 3.0, 4.0]}, regime=np.array([3, 1, 1, 3], np.int8), **variables)
+
+
+def section() -> np.ndarray:
+    return np.broadcast_to(np.arange(3.0)[:, None] / 10, (4, 3, 4))
+
+
+def colour(code: int) -> tuple[int, ...]:
+    return tuple(round(255 * part) for part in colors.to_rgba(style.COLORS[code]))
+
+
+def labels(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def pixel(path: Path, figure: Figure, x: float, y: float) -> tuple[int, ...]:
+    """The colour of a written PNG at data coordinates of the first plot area."""
+    with Image.open(path) as written:
+        image = np.asarray(written.convert("RGB"))
+    figure.savefig(path.with_suffix(".again.png"))  # lays the figure out, at its own resolution
+    right, up = figure.axes[0].transData.transform((x, y)) / figure.dpi * style.STYLE["savefig.dpi"]
+    return tuple(int(part) for part in image[image.shape[0] - 1 - int(up), int(right)])
+
+
+def plane() -> xr.Dataset:
+    """9 x 6 cells that hold every variable of a map: bands of motions, and one cell of each regime."""
+    ny, nx = 6, 9
+    regime = np.full((ny, nx), PERIODIC, np.int8)
+    regime[0, :8] = EVERY
+    regime[3:, :3] = CHAOTIC
+    regime[5, 6:] = NO_IMPACT
+    periodic, chaotic = regime == PERIODIC, regime == CHAOTIC
+    column = np.arange(nx)[None, :] + np.zeros((ny, 1), int)
+    solved = periodic | chaotic | (regime == NO_IMPACT)
+    period = np.where(periodic, 1 + column // 3, np.where(regime == NO_IMPACT, 1, 0))
+    upper = np.where(periodic, period, 0)
+    lower = np.where(periodic, period + (column == 4), 0)
+    upper[2, 8] = lower[2, 8] = -1
+    stuck = np.where(solved, 0.0, NAN)
+    stuck[2, 8] = 0.25
+    return atlas(
+        {"omega": np.linspace(1, 5, nx), "b": np.linspace(0.1, 0.6, ny)},
+        regime=regime,
+        largest=np.where(chaotic, 0.2 + 0.1 * column, np.where(solved, -0.1 * (1 + column), NAN)),
+        error=np.where(chaotic, 1e-2, np.where(solved, 1e-14 * (1 + column), NAN)),
+        period=period.astype(np.int32),
+        impacts_upper=upper.astype(np.int32),
+        impacts_lower=lower.astype(np.int32),
+        periods_used=np.where(chaotic, 5000, np.where(regime == NO_IMPACT, 0, np.where(solved, 40, 20000))).astype(
+            np.int32
+        ),
+        stuck_fraction=stuck,
+    )
+
+
+def line(direction: str | None = None, jump: int = 4) -> xr.Dataset:
+    """A sweep of 8 cells that jumps from one motion to another at cell ``jump``."""
+    n = 8
+    after = np.arange(n) >= jump
+    section = np.where(after[:, None, None], 0.1, -0.05) + np.zeros((n, 3, 4))
+    largest = np.where(after, -0.2, -0.4)
+    ds = atlas(
+        {"omega": np.linspace(2, 4, n)},
+        {"omega": "linear"},
+        regime=np.full(n, PERIODIC, np.int8),
+        period=np.full(n, 1, np.int32),
+        largest=largest,
+        error=np.full(n, 1e-12),
+        section=section,
+    )
+    ds["spectrum"] = (("omega", "exponent"), np.stack([largest - 0.1 * i for i in range(4)], axis=-1))
+    spec = json.loads(ds.attrs["spec"])
+    if direction:
+        spec["axes"][0]["continuation"] = direction
+    return ds.assign_attrs(spec=json.dumps(spec), digest=f"d1ge57-{direction}")
+
+
+def orbit() -> Orbit:
+    """A made-up periodic orbit of one impact at the upper stop: no solver is behind it."""
+    parameters = {p.name: p.default for p in TWO_MASS.parameters}
+    phase = np.linspace(0.0, 2 * np.pi, 201)
+    states = np.stack([0.15 * np.cos(phase), 0.05 * np.sin(phase), -0.15 * np.sin(phase), 0.05 * np.cos(phase)], axis=1)
+    exact = np.array([-0.2, -0.3, -0.5, -np.inf])
+    settled = 1.0 + 1.0 / np.arange(1, 101)[:, None]
+    return Orbit(
+        system=TWO_MASS,
+        parameters=parameters,
+        settings=Settings(exponents="spectrum"),
+        cell={
+            "regime": PERIODIC,
+            "period": 1,
+            "impacts_upper": 1,
+            "impacts_lower": 0,
+            "impacts_per_period": 1.0,
+            "symmetric": False,
+            "sticks": False,
+            "stuck_fraction": 0.0,
+            "largest": -0.2,
+            "error": 1e-14,
+            "spectrum": exact,
+        },
+        period=np.pi / 2,
+        stops=(-0.15, 0.15),
+        times=phase / 4,
+        states=states,
+        impacts=np.array([[0.0, 1.0, 0.4]]),
+        section=states[:1],
+        running=exact * settled,
+    )

@@ -1,0 +1,36 @@
+"""A small reference picture of each kind, of atlases made by hand; ``python -m tests.reference`` makes them anew."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from atlas import render
+from tests.pictures import line, orbit, plane
+
+FOLDER = Path(__file__).parent / "reference"
+DPI = 50
+
+PICTURES: dict[str, Callable[[], Figure]] = {
+    **{
+        kind: (lambda kind=kind: render.figure(plane(), kind))  # type: ignore[misc]
+        for kind in ("period", "impacts", "combined", "error", "cost", "sticking")
+    },
+    "exponent": lambda: render.figure(plane(), "exponent", overlays=render.OVERLAYS),
+    "sweep": lambda: render.figure(line()),
+    "spectrum": lambda: render.figure(line(), "spectrum"),
+    "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),
+    "portrait": lambda: render.orbit_figure(orbit()),
+}
+
+
+def write(figure: Figure, path: Path) -> Path:
+    """The figure as a small PNG without metadata."""
+    figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    return path
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for name, draw in PICTURES.items():
+        write(draw(), FOLDER / f"{name}.png")

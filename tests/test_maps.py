@@ -1,0 +1,376 @@
+"""Claims about the kinds of map and their overlays: known cells in known colours, and lines where they belong."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import colors
+from matplotlib.figure import Figure
+
+from atlas import render
+from atlas.errors import InputError
+from atlas.render import combined, error, impacts, maps, overlays, scalar, sticking
+from tests.pictures import NAN, atlas, colour, labels, pixel, plane
+from workers import solve_tile
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+from workers.system import TWO_MASS
+
+MAPS = [kind for kind in render.KINDS if kind not in ("sweep", "spectrum", "hysteresis")]
+
+
+def rgb(color: str) -> tuple[int, ...]:
+    return tuple(round(255 * part) for part in colors.to_rgb(color))
+
+
+def drawn(figure: Figure) -> np.ndarray:
+    """The colours (y, x, 4) of the cells of a map."""
+    return np.asarray(figure.axes[0].images[0].get_array())
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
+    cells = drawn(render.figure(plane(), kind))
+    regime = plane()["regime"].values
+    codes = (UNDETERMINED, INVALID, FAILED) if kind != "cost" else (INVALID, FAILED)  # what it did cost is known
+    for code in codes:
+        assert tuple(cells[regime == code][0]) == colour(code)
+    assert cells[regime == PENDING][0, 3] == 0
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_invalid_and_failed_cells_are_textured_in_every_map(kind: str) -> None:
+    textures = {patch.get_hatch() for patch in render.figure(plane(), kind).axes[0].patches}
+    assert textures >= {"\\\\\\\\", "xxxx"}
+
+
+@pytest.mark.parametrize("kind", [kind for kind in MAPS if kind != "cost"])
+def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, kind: str) -> None:
+    path = render.render(plane(), tmp_path / "map.png", kind)
+    assert pixel(path, render.figure(plane(), kind), 3.5, 0.1) == colour(UNDETERMINED)[:3]
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_every_map_has_its_axes_with_symbols_and_units_and_the_fixed_parameters(kind: str) -> None:
+    ax = render.figure(plane(), kind).axes[0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$ [–]", "clearance $b$ [–]")
+    assert "$R = 0.8$" in ax.get_title(loc="left")
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: str) -> None:
+    ds = plane()
+    ds["regime"] = ds["regime"] * 0 + np.int8(PENDING)
+    for name in ("largest", "error", "stuck_fraction"):
+        ds[name] = ds[name] * NAN
+    assert labels(render.figure(ds, kind)) == ["pending"]
+    assert render.render(ds, tmp_path / "map.svg", kind, overlays=render.OVERLAYS).exists()
+
+
+@pytest.mark.parametrize("kind", ["exponent", "error", "sticking"])
+def test_averages_of_an_undetermined_cell_do_not_pass_for_results(kind: str) -> None:
+    ds = plane()
+    for name in ("largest", "error", "stuck_fraction"):
+        ds[name] = ds[name].fillna(0.3)
+    assert tuple(drawn(render.figure(ds, kind))[ds["regime"].values == UNDETERMINED][0]) == colour(UNDETERMINED)
+
+
+def test_averages_of_an_undetermined_cell_do_not_stretch_the_scale() -> None:
+    ds = plane()
+    ds["largest"] = ds["largest"].where(ds["regime"] != UNDETERMINED, 50.0)
+    bars = [render.figure(each).axes[1].get_ylim() for each in (ds, plane())]
+    assert bars[0] == bars[1]
+
+
+def test_a_torus_is_textured_where_it_shows_its_class_and_not_where_it_shows_its_exponent() -> None:
+    ds = plane()
+    ds["largest"] = ds["largest"].fillna(1e-6)
+    hatches = {
+        kind: {patch.get_hatch() for patch in render.figure(ds, kind).axes[0].patches}
+        for kind in ("period", "exponent")
+    }
+    assert "++" in hatches["period"]
+    assert "++" not in hatches["exponent"]
+
+
+# Impact pairs
+
+
+def counted(*motions: tuple[int, int, int]) -> tuple[np.ndarray, ...]:
+    n, p, q = (np.array([column], np.int32) for column in zip(*motions, strict=True))
+    return np.full(n.shape, PERIODIC, np.int8), n, p, q
+
+
+def test_motions_of_different_impacts_have_different_colours() -> None:
+    rgba, legend, _ = impacts.paint(*counted((1, 1, 1), (1, 2, 2), (2, 2, 2), (2, 2, 3)))
+    assert len({tuple(cell) for cell in rgba[0]}) == 4
+    assert [entry.get_label() for entry in legend] == ["1-1-1", "1-2-2", "2-2-2", "2-2-3"]
+
+
+def test_mirror_images_share_a_hue_and_differ_in_lightness() -> None:
+    rgba, _, _ = impacts.paint(*counted((1, 2, 1), (1, 1, 2)))
+    (hue, _, value), (mirrored, _, other) = (colors.rgb_to_hsv(cell[:3] / 255) for cell in rgba[0])
+    assert hue == pytest.approx(mirrored, abs=0.05)
+    assert abs(value - other) > 0.2
+
+
+def test_motions_that_stick_are_one_class() -> None:
+    rgba, legend, _ = impacts.paint(*counted((1, -1, -1), (2, -1, -1), (1, 1, 1)))
+    assert tuple(rgba[0, 0]) == tuple(rgba[0, 1]) != tuple(rgba[0, 2])
+    assert [entry.get_label() for entry in legend] == ["1-1-1", "periodic, sticks"]
+
+
+def test_the_rarest_motions_share_the_class_of_others_so_that_the_legend_fits() -> None:
+    many = [(1, k, k) for k in range(1, 15)]
+    frequent = many * 3 + [(7, 9, 9)]
+    rgba, legend, palette = impacts.paint(*counted(*frequent))
+    assert palette[impacts.Motion(7, 9, 9)] == impacts.OTHER
+    assert tuple(rgba[0, -1][:3]) == rgb(impacts.OTHER)
+    assert len(legend) == len(impacts.HUES) + 1
+
+
+def test_a_motion_is_named_inside_its_region() -> None:
+    n = 60
+    ds = atlas(
+        {"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)},
+        regime=np.full((n, n), PERIODIC, np.int8),
+        period=np.full((n, n), 1, np.int32),
+        impacts_upper=np.where(np.arange(n) < 30, 1, 2)[None, :] + np.zeros((n, 1), np.int32),
+        impacts_lower=np.ones((n, n), np.int32),
+    )
+    names = {text.get_text(): text.get_position()[0] for text in render.figure(ds, "impacts").axes[0].texts}
+    assert set(names) == {"1-1-1", "1-2-1"}
+    assert names["1-1-1"] < 1.5 < names["1-2-1"]
+
+
+def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
+    rows, columns = np.mgrid[:200, :200]
+    band = np.abs(rows - columns) < 12
+    row, column, angle = impacts._place(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    assert angle == pytest.approx(45.0, abs=3.0)
+    assert abs(row - column) < 6
+    assert impacts._place(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+
+
+# Combined
+
+
+def test_the_combined_map_gives_periods_their_class_and_chaos_its_exponent() -> None:
+    cells, ds = drawn(render.figure(plane(), "combined")), plane()
+    assert tuple(cells[1, 0][:3]) == rgb(combined.CLASSES[0][2])
+    assert tuple(cells[1, 4][:3]) == rgb(combined.CLASSES[1][2])
+    chaotic = cells[ds["regime"].values == CHAOTIC][:, :3].astype(int)
+    assert len({tuple(cell) for cell in chaotic}) > 2
+    assert np.all(chaotic[:, 0] > chaotic[:, 2])
+
+
+def test_the_combined_map_keeps_periods_cool_and_chaos_warm() -> None:
+    for _, _, color in combined.CLASSES:
+        red, _, blue = rgb(color)
+        assert blue >= red
+    assert np.all([red > blue for red, _, blue, _ in combined.COLORMAP(np.linspace(0, 1, 9))])
+
+
+def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() -> None:
+    ds = plane()
+    ds["largest"] = ds["largest"] * NAN
+    figure = render.figure(ds, "combined")
+    assert tuple(drawn(figure)[4, 1]) == colour(CHAOTIC)
+    assert "chaotic" in labels(figure)
+    assert "chaotic" not in labels(render.figure(plane(), "combined"))
+
+
+# Error, cost, sticking
+
+
+def test_a_larger_error_is_darker() -> None:
+    cells = drawn(render.figure(plane(), "error")).astype(int).sum(axis=-1)
+    assert cells[4, 1] < cells[2, 1]
+
+
+def test_an_error_of_zero_is_drawn_as_the_smallest() -> None:
+    ds = plane()
+    ds["error"] = ds["error"] * 0.0 + np.where(np.arange(9) < 4, 0.0, 1e-10)[None, :]
+    cells = drawn(render.figure(ds, "error")).astype(int).sum(axis=-1)
+    assert cells[1, 1] > cells[1, 6]
+
+
+def test_a_cell_that_cost_nothing_is_told_from_one_that_cost_little() -> None:
+    figure = render.figure(plane(), "cost")
+    assert "none needed" in labels(figure)
+    assert tuple(drawn(figure)[5, 7][:3]) == (0xDD, 0xDD, 0xDD) != tuple(drawn(figure)[1, 7][:3])
+
+
+def test_a_cell_that_rests_is_told_from_those_that_do_not() -> None:
+    figure = render.figure(plane(), "sticking")
+    assert "never at rest" in labels(figure)
+    assert tuple(drawn(figure)[2, 8]) != tuple(drawn(figure)[2, 7]) == tuple(drawn(figure)[2, 1])
+
+
+def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
+    ds = plane()
+    ds["stuck_fraction"] = ds["stuck_fraction"] * 0.0
+    assert len(render.figure(ds, "sticking").axes) == 1
+
+
+@pytest.mark.parametrize("colormap", [error.COLORMAP, sticking.COLORMAP, combined.COLORMAP])
+def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
+    """What darkens is read in grey, and without red or green."""
+    shades = colormap(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(shades) < 0)
+
+
+def test_a_log_scale_spans_a_decade_at_least() -> None:
+    norm = scalar._norm(np.array([50.0, 60.0]), log=True)
+    assert (norm.vmax or 0) / (norm.vmin or 1) >= 10
+
+
+# Overlays
+
+
+def test_the_grazing_line_lies_where_the_impact_free_response_reaches_the_stops() -> None:
+    """Truth: |Y| from the transfer matrix, written out here."""
+    axes_of = render.figure(plane(), overlays=["grazing"]).axes[0]
+    line = next(each for each in axes_of.collections if each.get_zorder() == 3)
+    points = np.concatenate([path.vertices for path in line.get_paths()])
+    assert len(points) > 20
+    for omega, b in points[:: len(points) // 10]:
+        stiffness = np.array([[1.0, -1.0], [-1.0, 6.0]])
+        dynamic = stiffness * (1 + 0.1j * omega) - omega**2 * np.diag([1.0, 2.0])
+        assert abs(np.linalg.solve(dynamic, [1.0, 0.0])[0]) == pytest.approx(b, rel=2e-3)
+
+
+def test_the_grazing_line_is_that_of_the_solver() -> None:
+    """Just above it a start on the forced response stays impact-free, just below it cannot."""
+    fixed = {p.name: p.default for p in TWO_MASS.parameters}
+    ratio = overlays.grazing_ratio(TWO_MASS, fixed, ("omega", np.array([3.0])), ("b", np.array([0.2])))[0, 0]
+    touching = 0.2 * math.exp(ratio)
+    quiet = solve_tile("two-mass", {"omega": 3.0, "b": 0.6})["state"]
+    start = dict(zip(("x1", "x2", "v1", "v2"), quiet, strict=True))
+    found = solve_tile("two-mass", {"omega": 3.0, "b": touching * np.array([0.999, 1.001])} | start)["regime"]
+    assert found[0] != NO_IMPACT
+    assert found[1] == NO_IMPACT
+
+
+def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = (maps.read(plane(), (), "test").x, maps.read(plane(), (), "test").y)
+    fixed = {p.name: p.default for p in TWO_MASS.parameters}
+    monkeypatch.setattr(overlays, "POINTS", 12)
+    xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    assert quick == pytest.approx(overlays.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
+
+
+def test_a_grazing_line_out_of_view_is_said_to_be() -> None:
+    ds = plane().assign_coords(b=plane()["b"] * 1e4)
+    assert labels(render.figure(ds, overlays=["grazing"]))[-1] == "grazing, $|Y| = b$: not in this window"
+
+
+def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:
+    n = 5
+    ds = atlas(
+        {"omega": np.linspace(1, 4, n), "zeta": np.linspace(0.02, 0.4, n)},
+        regime=np.full((n, n), PERIODIC, np.int8),
+        largest=-np.ones((n, n)),
+    )
+    axes_of = render.figure(ds, overlays=["grazing"]).axes[0]
+    assert any(each.get_zorder() == 3 and each.get_paths() for each in axes_of.collections)
+
+
+def test_regions_that_are_large_are_outlined_and_dust_is_not() -> None:
+    regime = np.full((100, 100), PERIODIC, np.int8)
+    regime[:, 50:] = CHAOTIC
+    regime[10, 10] = CHAOTIC
+    regions = overlays.large_regions(regime)
+    assert regions[10, 10] == PERIODIC
+    assert regions[10, 70] == CHAOTIC
+    assert np.count_nonzero(regions[:, 1:] != regions[:, :-1]) == 100
+
+
+def test_isolines_lie_at_the_exponents_that_they_name() -> None:
+    n = 40
+    values = -np.linspace(0.05, 1.0, n)[None, :] + np.zeros((n, 1))
+    ds = atlas(
+        {"omega": np.linspace(0.05, 1.0, n), "b": np.linspace(0.1, 0.2, n)},
+        regime=np.full((n, n), PERIODIC, np.int8),
+        largest=values,
+    )
+    axes_of = render.figure(ds, overlays=["isolines"]).axes[0]
+    lines = next(each for each in axes_of.collections if each.get_zorder() == 2.5)
+    at = {
+        round(float(path.vertices[len(path.vertices) // 2, 0]), 2) for path in lines.get_paths() if len(path.vertices)
+    }
+    assert {0.2, 0.4, 0.6, 0.8} <= at
+
+
+def test_the_legend_names_the_overlays() -> None:
+    found = labels(render.figure(plane(), "period", overlays=render.OVERLAYS))
+    assert found[-3:] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+
+
+def test_there_are_lines_for_every_overlay() -> None:
+    assert tuple(overlays.DRAW) == render.OVERLAYS
+
+
+def test_exponents_without_a_slope_have_no_isolines() -> None:
+    n = 6
+    regime = np.full((n, n), PERIODIC, np.int8)
+    ds = atlas({"omega": np.arange(1, 7), "b": np.arange(1, 7)}, regime=regime, largest=np.full((n, n), -0.3))
+    assert not [
+        each for each in render.figure(ds, overlays=["isolines"]).axes[0].collections if each.get_zorder() == 2.5
+    ]
+
+
+def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
+    with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines"):
+        render.figure(plane(), overlays=["grid"])
+
+
+def test_isolines_of_an_atlas_without_exponents_are_refused() -> None:
+    with pytest.raises(InputError, match="'largest', which this atlas does not hold"):
+        render.figure(plane().drop_vars("largest"), "period", overlays=["isolines"])
+
+
+# Cells too small to be seen
+
+
+def dense(code: int, cells: list[tuple[int, int]]) -> Figure:
+    n = 400
+    regime = np.full((n, n), PERIODIC, np.int8)
+    for cell in cells:
+        regime[cell] = code
+    ds = atlas(
+        {"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)},
+        regime=regime,
+        largest=np.where(regime == PERIODIC, -1.0, NAN),
+    )
+    return render.figure(ds)
+
+
+@pytest.mark.parametrize("code", [UNDETERMINED, INVALID, FAILED])
+def test_a_lone_cell_without_a_result_is_marked_where_it_is(code: int) -> None:
+    (marks,) = dense(code, [(0, 399), (200, 100)]).axes[0].lines
+    assert colors.same_color(marks.get_color(), np.array(colour(code)) / 255)
+    assert np.sort(marks.get_xdata()) == pytest.approx([1 + 100 / 399, 2.0], rel=1e-3)
+
+
+def test_cells_without_a_result_that_are_seen_anyway_are_not_marked() -> None:
+    block = [(i, j) for i in range(20) for j in range(20)]
+    assert not dense(FAILED, block).axes[0].lines
+    assert not render.figure(plane()).axes[0].lines
+
+
+def test_a_cloud_of_cells_without_a_result_is_not_covered_with_marks() -> None:
+    cloud = [(2 * i, 2 * j) for i in range(20) for j in range(20)]
+    assert not dense(UNDETERMINED, cloud).axes[0].lines
+
+
+def test_impact_free_dust_keeps_its_colour_and_gets_no_outline() -> None:
+    dust = [(3 * i, 3 * j) for i in range(50) for j in range(50)]
+    n = 400
+    regime = np.full((n, n), PERIODIC, np.int8)
+    regime[:, 300:] = NO_IMPACT
+    for cell in dust:
+        regime[cell] = NO_IMPACT
+    ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(1, 2, n)}, regime=regime, largest=-np.ones((n, n)))
+    lines = np.array(render.figure(ds).axes[0].collections[0].get_segments())
+    assert lines[:, :, 0] == pytest.approx(np.full(lines.shape[:2], 1 + 299.5 / 399))

@@ -1,0 +1,198 @@
+"""Claims about the portrait of a cell: its path is the solver's motion, and each panel shows what it says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+import atlas
+from atlas import render
+from atlas.errors import InputError
+from atlas.orbit import SAMPLES, Orbit, describe, follow
+from tests import naive
+from tests.pictures import orbit
+from workers import Settings, trace
+from workers.results import CHAOTIC, PERIODIC
+
+
+@pytest.fixture(scope="module")
+def chaotic() -> Orbit:
+    return follow(naive.FIGURES[5], settings=Settings(tolerance=0.1))
+
+
+@pytest.fixture(scope="module")
+def sticking() -> Orbit:
+    return follow(naive.STICKING)
+
+
+@pytest.fixture(scope="module")
+def closed() -> Orbit:
+    return follow(naive.FIGURES[4])
+
+
+def at_sections(found: Orbit) -> np.ndarray:
+    """The states of a path at t = 0, T, 2T."""
+    whole = [i for i in range(round(found.times[-1] / found.period) + 1)]
+    return found.states[[np.argmin(np.abs(found.times - i * found.period)) for i in whole]]
+
+
+@pytest.mark.parametrize("which", ["chaotic", "closed", "sticking"])
+def test_the_path_goes_through_the_sections_of_the_solver(which: str, request: pytest.FixtureRequest) -> None:
+    """Truth: trace, which takes whole periods where the path takes 400 pieces; chaos parts them after some periods."""
+    found: Orbit = request.getfixturevalue(which)
+    start = dict(zip(("x1", "x2", "v1", "v2"), map(float, found.cell["state"]), strict=True))
+    periods = min(3, round(found.times[-1] / found.period))
+    history = trace("two-mass", dict(found.parameters) | start, periods)
+    assert at_sections(found)[: periods + 1] == pytest.approx(history.states, abs=1e-8)
+
+
+def test_the_path_has_the_impacts_of_the_solver(chaotic: Orbit) -> None:
+    start = dict(zip(("x1", "x2", "v1", "v2"), map(float, chaotic.cell["state"]), strict=True))
+    expected = trace("two-mass", dict(chaotic.parameters) | start, 3).impacts
+    assert chaotic.impacts[: len(expected)] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_velocity_jumps_on_the_stop_and_nowhere_else(chaotic: Orbit) -> None:
+    b, R = chaotic.parameters["b"], chaotic.parameters["R"]
+    jumps = np.flatnonzero(np.diff(chaotic.times) == 0.0)
+    assert len(jumps) == len(chaotic.impacts) > 50
+    assert np.abs(chaotic.states[jumps, 0]) == pytest.approx(np.full(jumps.size, b), rel=1e-12)
+    assert chaotic.states[jumps + 1, 2] == pytest.approx(-R * chaotic.states[jumps, 2], rel=1e-9)
+    steps = np.diff(chaotic.states[:, 2])
+    assert np.abs(np.delete(steps, jumps)).max() < 0.1 < np.abs(steps[jumps]).max()
+
+
+@pytest.mark.parametrize("which", ["chaotic", "closed", "sticking"])
+def test_the_path_never_leaves_the_gap(which: str, request: pytest.FixtureRequest) -> None:
+    found: Orbit = request.getfixturevalue(which)
+    assert np.abs(found.states[:, 0]).max() <= found.parameters["b"] * (1 + 1e-12)
+
+
+def test_a_mass_at_rest_stays_on_its_stop(sticking: Orbit) -> None:
+    resting = (np.abs(sticking.states[:, 0]) == sticking.parameters["b"]) & (sticking.states[:, 2] == 0.0)
+    assert np.count_nonzero(resting) / SAMPLES == pytest.approx(float(sticking.cell["stuck_fraction"]), abs=0.02)
+
+
+def test_a_closed_path_ends_where_it_began(closed: Orbit) -> None:
+    assert closed.states[-1] == pytest.approx(closed.states[0], abs=1e-9)
+    assert len(closed.section) == 1
+
+
+def test_the_running_exponents_approach_the_exact_ones(closed: Orbit) -> None:
+    assert closed.exact
+    assert np.sort(closed.running[-1])[::-1] == pytest.approx(closed.cell["spectrum"], abs=2e-3)
+
+
+def test_a_motion_of_very_many_impacts_is_averaged_over_fewer_periods() -> None:
+    """Truth: trace gives up after two million evaluations."""
+    found = follow({"omega": 0.5, "b": 0.002, "R": 0.97}, settings=Settings(max_periods=100))
+    assert len(found.running) in (100, 1000)
+    assert len(found.impacts) > 500
+
+
+def test_averages_are_not_called_exact(chaotic: Orbit) -> None:
+    assert not chaotic.exact
+    assert not follow(naive.FIGURES[4], settings=Settings(method="fixed", transient_periods=50, periods=50)).exact
+
+
+def test_the_digest_is_that_of_the_parameters_and_settings(closed: Orbit) -> None:
+    assert closed.digest == follow(dict(naive.FIGURES[4])).digest
+    assert closed.digest != follow(naive.FIGURES[4] | {"x1": 0.01}).digest
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"omega": 0.0}, "0 < omega"),
+        ({"omg": 1.0}, "did you mean 'omega'"),
+        ({"x1": 1.0}, "no motion to show: the initial"),
+    ],
+)
+def test_a_cell_without_a_motion_is_refused_in_one_line(given: dict[str, float], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        follow(given)
+
+
+def test_a_motion_is_described_in_words(closed: Orbit, chaotic: Orbit, sticking: Orbit) -> None:
+    assert describe(closed) == "periodic, period 1, impacts 2 above and 2 below, symmetric"
+    assert describe(chaotic).startswith("chaotic, 2.6")
+    assert "at rest on a stop" in describe(sticking)
+    assert (closed.cell["regime"], chaotic.cell["regime"]) == (PERIODIC, CHAOTIC)
+
+
+# The figure
+
+
+@pytest.fixture(scope="module")
+def page() -> Figure:
+    return render.orbit_figure(orbit())
+
+
+def test_a_portrait_has_all_its_panels_with_symbols_and_units(page: Figure) -> None:
+    found = [(ax.get_xlabel(), ax.get_ylabel()) for ax in page.axes]
+    assert found == [
+        ("", "$x_1$ [–]"),
+        ("time $t/T$ [forcing periods]", "$x_2$ [–]"),
+        ("$x_1$ [–]", r"$\dot x_1$ [–]"),
+        ("$x_2$ [–]", r"$\dot x_2$ [–]"),
+        ("$x_1$ [–]", "$x_2$ [–]"),
+        ("$x_1$ [–] at $t = kT$", r"$\dot x_1$ [–]"),
+        ("forcing periods averaged over", r"$\lambda_i$ [per forcing period]"),
+        ("", ""),
+    ]
+
+
+def test_impacts_are_marked_in_both_histories(page: Figure) -> None:
+    for i, ax in enumerate(page.axes[:2]):
+        (marks,) = (each for each in ax.lines if each.get_marker() == "o" and len(each.get_xdata()))
+        assert list(marks.get_xdata()) == pytest.approx([0, 1, 2, 3, 4, 5, 6][: len(marks.get_xdata())])
+        assert marks.get_ydata()[0] == pytest.approx(orbit().states[0, i])
+
+
+def test_the_stops_are_drawn_where_they_are(page: Figure) -> None:
+    levels = [each.get_ydata()[0] for each in page.axes[0].lines if len(set(each.get_ydata())) == 1]
+    assert {-0.15, 0.15} <= set(levels)
+
+
+def test_exact_exponents_are_written_in_numbers_and_a_lost_one_as_infinite(page: Figure) -> None:
+    texts = [text.get_text() for text in page.axes[-1].texts]
+    assert texts == [
+        "exact:",
+        *(rf"$\lambda_{{{i}}} = {v}$" for i, v in ((1, "-0.200000"), (2, "-0.300000"), (3, "-0.500000"))),
+        r"$\lambda_{4} = -\infty$",
+    ]
+
+
+def test_exact_exponents_are_lines_that_the_averages_run_into(page: Figure) -> None:
+    flat = {round(float(each.get_ydata()[0]), 6) for each in page.axes[6].lines if len(set(each.get_ydata())) == 1}
+    assert {-0.2, -0.3, -0.5} <= flat
+
+
+def test_the_title_names_the_parameters_and_the_motion(page: Figure) -> None:
+    title = page.get_suptitle()
+    assert r"$\omega = 4$" in title
+    assert "period 1, impacts 1 above and 0 below" in title
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_a_portrait_carries_its_digest(tmp_path: Path, suffix: str) -> None:
+    path = render.render_orbit(orbit(), tmp_path / f"cell.{suffix}")
+    if suffix == "png":
+        with Image.open(path) as image:
+            assert image.info["Digest"] == orbit().digest
+    else:
+        assert orbit().digest.encode() in path.read_bytes()
+
+
+def test_the_door_draws_and_writes(tmp_path: Path) -> None:
+    figure = atlas.portrait({"omega": 4.0, "b": 0.6}, path=tmp_path / "cell.png")
+    assert (tmp_path / "cell.png").exists()
+    assert "no impact" in figure.get_suptitle()
+
+
+def test_a_bad_suffix_is_refused_before_anything_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("atlas.orbit.follow", lambda *_: pytest.fail("solved"))
+    with pytest.raises(InputError, match=r"possible: \.png, \.svg, \.pdf"):
+        atlas.portrait({}, path=tmp_path / "cell.gif")
