@@ -8,18 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
-from atlas.query import axis_names
+from atlas.grid import Window, axis_names, within
+from atlas.query import fractions
+from atlas.view import counted
+from workers.results import FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-# Kind: its module and the number of axes that it draws; the first of that number is the kind drawn unasked.
+# Kind: its module, the number of axes that it draws, and a variable that it cannot do without; the first of that
+# number whose variable the atlas holds is the kind drawn unasked.
 # Modules are imported at first use: the command's help needs the names and neither matplotlib nor xarray.
 _KINDS = {
-    "exponent": ("atlas.render.exponent", 2),
-    "period": ("atlas.render.period", 2),
-    "sweep": ("atlas.render.sweep", 1),
+    "exponent": ("atlas.render.exponent", 2, LARGEST.name),
+    "period": ("atlas.render.period", 2, "period"),
+    "sweep": ("atlas.render.sweep", 1, REGIME.name),
 }
 _COUNT = {1: "one axis", 2: "two axes"}
 KINDS = tuple(_KINDS)
@@ -31,11 +35,11 @@ FORMATS = ("png", "svg", "pdf")
 __all__ = ["FORMATS", "KINDS", "figure", "render"]
 
 
-def figure(ds: "xr.Dataset", kind: str | None = None) -> "Figure":
+def figure(ds: "xr.Dataset", kind: str | None = None, window: Window | None = None) -> "Figure":
     """A matplotlib Figure of an atlas, for notebooks; arguments and errors as in ``render``."""
     axes = axis_names(ds)
-    possible = [name for name, (_, count) in _KINDS.items() if count == len(axes)]
-    chosen = possible[0] if kind is None else kind
+    possible = [name for name, (_, count, _) in _KINDS.items() if count == len(axes)]
+    chosen = next((name for name in possible if _KINDS[name][2] in ds), possible[0]) if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")
     if chosen not in possible:
@@ -43,18 +47,32 @@ def figure(ds: "xr.Dataset", kind: str | None = None) -> "Figure":
             f"kind {chosen!r} draws {_COUNT[_KINDS[chosen][1]]}, found {_COUNT[len(axes)]} ({', '.join(axes)}); "
             f"possible here: {', '.join(possible)}"
         )
-    drawn: Figure = import_module(_KINDS[chosen][0]).figure(ds)
+    part = within(ds, window)
+    with counted() as reads:
+        drawn: Figure = import_module(_KINDS[chosen][0]).figure(part)
+    if reads.level:
+        drawn.supxlabel(_coarse_note(part, 2**reads.level), fontsize="small")
     return drawn
 
 
-def render(ds: "xr.Dataset", path: str | Path, kind: str | None = None) -> Path:
+def _coarse_note(ds: "xr.Dataset", factor: int) -> str:
+    """That a map is coarser than its atlas, and the exact shares of the doubtful cells, which may be too few to see."""
+    shares = fractions(ds)
+    doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    told = [f"{name} {100 * shares[name]:.2g} %" for name in doubtful if name in shares]
+    return f"each cell drawn stands for {factor} × {factor}" + (f"; {', '.join(told)} of the area" if told else "")
+
+
+def render(ds: "xr.Dataset", path: str | Path, kind: str | None = None, window: Window | None = None) -> Path:
     """Draw an atlas to a file and return its path.
 
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
-    ``kind`` is one of KINDS, by default "exponent" for two axes and "sweep" for one.
+    ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
+    for one axis; ``window`` gives, for any axis, the (low, high) ends of the part to draw.
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the
     atlas does not hold what the kind draws, and for a path that cannot be written.
-    Reads only the variables that the kind draws. The file's metadata carry the atlas's digest; the same atlas
+    Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
+    as large as pixels. The file's metadata carry the atlas's digest; the same atlas
     gives the same bytes with the same software.
     """
     target = Path(path)
@@ -62,7 +80,7 @@ def render(ds: "xr.Dataset", path: str | Path, kind: str | None = None) -> Path:
     if suffix not in FORMATS:
         found = f"found {target.suffix!r}" if suffix else "found none"
         raise InputError(f"{target.name}: the suffix chooses the format, {found}; possible: .{', .'.join(FORMATS)}")
-    drawn = figure(ds, kind)
+    drawn = figure(ds, kind, window)
     from atlas.render.style import save
 
     try:

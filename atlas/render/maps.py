@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.render import axes, style
+from atlas.view import view
 from workers.results import PENDING, REGIME, REGIMES
 
 HEIGHT = 4.7
 """Height of a map in inches."""
+
+PIXELS = (1500, 1100)
+"""Least size, (x, y), of a map's plot area in a file, in pixels: cells not smaller than these are all drawn."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +33,13 @@ class Plane:
 
 
 def read(ds: xr.Dataset, variable: str, kind: str) -> Plane:
-    """Read one variable and the regimes of a plane, nothing else; InputError if the atlas does not hold it."""
+    """Read one variable and the regimes of a plane, nothing else and not finer than PIXELS.
+
+    InputError if the atlas does not hold the variable.
+    """
     if variable not in ds:
         raise InputError(f"kind {kind!r} draws the variable {variable!r}, which this atlas does not hold")
-    ds, (x, y) = axes.rising(ds[[variable, REGIME.name]])
+    ds, (x, y) = axes.rising(view(ds, [variable], pixels=PIXELS))
     return Plane(x, y, ds[REGIME.name].values, ds[variable].values)
 
 
