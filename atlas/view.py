@@ -316,18 +316,9 @@ def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":
 
 
 def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int], marks: bool) -> "xr.Dataset":
-    level = min(steps)
-    piece = part.at(level)
-    wanted = [REGIME_SHOWN.name if marks and name == REGIME.name else name for name in names]
-    cells = part.read(level, piece, part.closed(wanted) if max(steps) > level else wanted)
-    widths = [w[p] for w, p in zip(part.widths[level], piece, strict=True)]
-    cuts = [np.arange(p.start, p.stop + 1) << level for p in piece]
-    for dim, count in enumerate(steps):
-        for _ in range(count - level):  # a plane long and narrow in cells: only its long side is coarser than this
-            cells = coarsen(cells, tuple(widths), [dim])
-            widths[dim] = halved(widths[dim])
-            cuts[dim] = np.append(cuts[dim][:-1:2], cuts[dim][-1])
-    cells[REGIME.name] = cells[wanted[names.index(REGIME.name)]]
+    shown = [REGIME_SHOWN.name if marks and name == REGIME.name else name for name in names]
+    cells, cuts = _coarsened(part, shown, steps)
+    cells[REGIME.name] = cells[REGIME_SHOWN.name if marks else REGIME.name]
     if marks:
         _blank(cells)
     coords: dict[str, Any] = {}
@@ -337,7 +328,34 @@ def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int]
         bounds = bounds_name(axis.name)
         coords[axis.name] = (axis.name, centres(edges, log), {**ds[axis.name].attrs, "bounds": bounds})
         coords[bounds] = ((axis.name, "bound"), np.stack([edges[:-1], edges[1:]], axis=1))
+    level = min(steps)
     return _dataset(ds, {name: (ds[name].dims, cells[name], ds[name].attrs) for name in names}, coords, level)
+
+
+def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
+    """Variables of a part, each dimension halved so many times, and the cells of the atlas where theirs begin and end.
+
+    What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
+    one dimension, some rows at a time.
+    """
+    level = min(steps)
+    more = [count - level for count in steps]
+    piece = part.at(level)
+    cuts = [np.append(np.arange(p.start, p.stop, 2**n), p.stop) << level for p, n in zip(piece, more, strict=True)]
+    if not any(more):
+        return part.read(level, piece, names), cuts
+    rows = -(-part.pyramid.levels.chunk[0] // 2 ** more[0]) * 2 ** more[0]
+    made = []
+    for first in range(piece[0].start, piece[0].stop, rows):
+        block = (slice(first, min(first + rows, piece[0].stop)), *piece[1:])
+        cells = part.read(level, block, part.closed(names))
+        widths = [w[p] for w, p in zip(part.widths[level], block, strict=True)]
+        for dim, count in enumerate(more):
+            for _ in range(count):
+                cells = coarsen(cells, tuple(widths), [dim])
+                widths[dim] = halved(widths[dim])
+        made.append({name: cells[name] for name in names})
+    return {name: np.concatenate([cells[name] for cells in made]) for name in names}, cuts
 
 
 def _blank(cells: Cells) -> None:
