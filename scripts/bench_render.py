@@ -10,6 +10,7 @@ solving; store and overviews are written as a run writes them. Each question is 
 import argparse
 import json
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -78,16 +79,16 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
 
 
 def ask(*command: str) -> dict[str, Any]:
-    """One ``atlas`` command as a process: its seconds, peak memory in MB and the chunks it says it read."""
+    """One ``atlas`` command as a process: seconds, those of the processor, peak memory in MB, chunks it says it read."""
     code = (
         "import atexit, sys; from pathlib import Path; from atlas.cli import cli\n"
         "atexit.register(lambda: print(Path('/proc/self/status').read_text(), file=sys.stderr))\n"
         "cli(sys.argv[1:])"
     )
     with tempfile.TemporaryFile("w+") as told:
-        begin = time.perf_counter()
+        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         ended = subprocess.run([sys.executable, "-c", code, *command], stdout=told, stderr=told, check=False)
-        seconds = time.perf_counter() - begin
+        seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
         told.seek(0)
         text = told.read()
     if ended.returncode:
@@ -96,6 +97,7 @@ def ask(*command: str) -> dict[str, Any]:
     peak = re.search(r"VmHWM:\s+(\d+) kB", text)  # of this process alone, which its exit status would not give
     return {
         "seconds": seconds,
+        "cpu": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
         "MB": int(peak[1]) / 1e3 if peak else None,
         "chunks": int(chunks[1]) if chunks else None,
     }
@@ -126,10 +128,10 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         return found
     print(f"{given.cells} x {given.cells} cells in tiles of {given.tile}")
     print(f"written now in {made['tiles']:.1f} s, overviews in {made['overviews']:.1f} s")
-    print(f"{'':20}{'seconds':>9}{'MB':>7}{'chunks':>8}")
+    print(f"{'':20}{'seconds':>9}{'of CPU':>8}{'MB':>7}{'chunks':>8}")
     for name, row in found.items():
         peak, chunks = ("-" if row[key] is None else f"{row[key]:.0f}" for key in ("MB", "chunks"))
-        print(f"{name:20}{row['seconds']:9.2f}{peak:>7}{chunks:>8}")
+        print(f"{name:20}{row['seconds']:9.2f}{row['cpu']:8.2f}{peak:>7}{chunks:>8}")
     return found
 
 

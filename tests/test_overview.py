@@ -340,13 +340,13 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
 ) -> None:
     monkeypatch.setattr(levels, "LEAST", 10)
     spec = spec_of(nx=20, ny=18)
-    whole = store.create(tmp_path / "whole.zarr", spec, (4, 4))
+    whole = store.create(tmp_path / "whole.zarr", spec, (8, 8))
     fill(whole)
-    store.write_tile(whole, (4, 4), results(whole, (4, 4), seed=1))
+    store.write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
     keep(whole)
-    header = complete(tmp_path / "a.zarr", (4, 4), spec)
+    header = complete(tmp_path / "a.zarr", (8, 8), spec)
     steps = 0
-    while not survive(header, monkeypatch, steps, (4, 4)):
+    while not survive(header, monkeypatch, steps, (2, 2)):
         # A kill while the tile itself is written leaves it half new: not the overviews' matter, the claim is on them.
         assert_overviews_are_of(header)
         steps += 1

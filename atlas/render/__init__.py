@@ -50,17 +50,26 @@ def figure(ds: "xr.Dataset", kind: str | None = None, window: Window | None = No
     part = within(ds, window)
     with counted() as reads:
         drawn: Figure = import_module(_KINDS[chosen][0]).figure(part)
-    if reads.level:
-        drawn.supxlabel(_coarse_note(part, 2**reads.level), fontsize="small")
+    if max(reads.block) > 1:
+        _tell_coarse(drawn, part, reads.block)
     return drawn
 
 
-def _coarse_note(ds: "xr.Dataset", factor: int) -> str:
-    """That a map is coarser than its atlas, and the exact shares of the doubtful cells, which may be too few to see."""
+def _tell_coarse(drawn: "Figure", ds: "xr.Dataset", block: tuple[int, ...]) -> None:
+    """Say above a map that it is coarser than its atlas, and the exact shares of doubtful cells, too few to be seen."""
+    from matplotlib import rc_context
+
+    from atlas.render.style import STYLE
+
     shares = fractions(ds)
     doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
-    told = [f"{name} {100 * shares[name]:.2g} %" for name in doubtful if name in shares]
-    return f"each cell drawn stands for {factor} × {factor}" + (f"; {', '.join(told)} of the area" if told else "")
+    least = 1e-4  # less is not worth its digits, but that there is some is
+    parts = {name: f"{100 * shares[name]:.2g} %" if shares[name] >= least else "< 0.01 %" for name in shares}
+    told = "".join(f",  {name} {parts[name]}" for name in doubtful if name in parts)
+    cells = " × ".join(map(str, block))
+    ax = drawn.axes[0]
+    with rc_context(STYLE):
+        ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{told}".strip(), loc="left")
 
 
 def render(ds: "xr.Dataset", path: str | Path, kind: str | None = None, window: Window | None = None) -> Path:
