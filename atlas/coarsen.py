@@ -100,7 +100,10 @@ def needed(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
 
 
 def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
-    """Cells of the atlas itself in the form of a level: means of one value, shares of 0 and 1."""
+    """Cells of the atlas itself in the form of a level: means of one value, shares of 0 and 1.
+
+    Without a regime a cell has no result yet, whatever a worker may have written of it.
+    """
     codes = arrays[REGIME.name]
     solved, periodic = codes != PENDING, codes == PERIODIC
     made: Cells = {REGIME.name: codes, REGIME_SHOWN.name: codes}
@@ -113,15 +116,13 @@ def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cell
             made[name] = periodic.astype(np.int32)
         elif name == POSITIVE.name:
             largest = arrays[LARGEST.name]
-            made[name] = np.where(np.isfinite(largest), (largest > 0).astype(np.float64), np.nan)
+            made[name] = np.where(solved & np.isfinite(largest), (largest > 0).astype(np.float64), np.nan)
         elif name in CLASSES:
             made[name] = np.where(periodic, arrays[name], 0).astype(np.int32)
-        elif name in arrays and arrays[name].dtype == np.float64:
-            made[name] = arrays[name]
         elif name in arrays:
             made[name] = np.where(solved, arrays[name], np.nan).astype(np.float64)
         else:
-            made[name] = np.isfinite(arrays[name.removesuffix("_count")]).astype(np.int32)
+            made[name] = (solved & np.isfinite(arrays[name.removesuffix("_count")])).astype(np.int32)
     return made
 
 

@@ -11,6 +11,7 @@ So a kill at any moment leaves a chunk current or missing, and what is missing i
 it is asked for (``atlas.view``).
 """
 
+import itertools
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -34,7 +35,7 @@ from atlas.errors import RunError
 from atlas.grid import edges_of, widths_of
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
-from atlas.store import Header
+from atlas.store import Header, done_tiles
 from workers.results import PENDING, REGIME, REGIMES
 
 GROUP = "overviews"
@@ -82,11 +83,12 @@ class Pyramid:
 class Overviews(AbstractContextManager["Overviews"]):
     """The overviews of a store kept up during a run: a thread of the coordinator makes each chunk when it can.
 
-    On entry, what lies over ``pending`` tiles, those about to be written, is dropped. ``add`` tells of a tile that is
-    written; ``finish`` waits until everything that can be made is. On the way out what is not yet begun is left.
+    On entry, what lies over unfinished tiles and over ``pending`` ones, finished but to be written again, is dropped.
+    ``add`` tells of a tile that is written; ``finish`` waits until everything that can be made is. On the way out what
+    is not yet begun is left.
     """
 
-    def __init__(self, header: Header, pending: Iterable[Index]) -> None:
+    def __init__(self, header: Header, pending: Iterable[Index] = ()) -> None:
         self._header = header
         self._levels = levels_of(header)
         self._threads = ThreadPoolExecutor(1, thread_name_prefix="overviews")
@@ -95,7 +97,8 @@ class Overviews(AbstractContextManager["Overviews"]):
         if not self._levels.count:
             return
         _ensure(header)
-        waiting = list(pending)
+        grid = (range(-(-n // t)) for n, t in zip(self._levels.shape, self._levels.tile, strict=True))
+        waiting = {*itertools.product(*grid)} - done_tiles(header) | {*pending}
         drop(header, waiting)
         for tile in waiting:
             over = self._levels.over(tile)

@@ -82,7 +82,7 @@ def run(
             tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
             client = stack.enter_context(_local_cluster(count))
         # Before the first tile is written: what overviews say of it is dropped.
-        overviews = stack.enter_context(Overviews(header, [tile.index for tile in pending]))
+        overviews = stack.enter_context(Overviews(header))
         if client is not None:
             tally.start()
             tell(tally.progress("solving"))

@@ -167,8 +167,7 @@ def _place(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | No
 def _untouched(ds: "xr.Dataset", name: str, pyramid: Pyramid) -> bool:
     if name not in ds:
         return False
-    # Xarray has no public word for "not loaded". Should this one go, the cells are read from the dataset: true, slow.
-    if getattr(ds[name].variable, "_in_memory", True):
+    if not _on_disk(ds[name].variable):
         return False
     try:
         stored = pyramid.array(0, name)
@@ -178,6 +177,18 @@ def _untouched(ds: "xr.Dataset", name: str, pyramid: Pyramid) -> bool:
     same = ds[name].attrs.get("long_name") == stored.attrs.get("long_name")
     dims = len(pyramid.levels.shape)
     return bool(same and ds[name].dtype == stored.dtype and ds[name].shape[dims:] == stored.shape[dims:])
+
+
+def _on_disk(variable: "xr.Variable") -> bool:
+    """Whether a variable's values are still those of a Zarr array, neither loaded nor assigned to.
+
+    Xarray has no public word for that, so its wrappers are followed down. Should they change, nothing is found on disk
+    and the cells are read from the dataset: slower, never wrong.
+    """
+    data: Any = getattr(variable, "_data", None)
+    while hasattr(data, "array") and not getattr(data, "_copied", False):
+        data = data.array
+    return type(data).__name__ == "ZarrArrayWrapper"
 
 
 @dataclass(frozen=True)
@@ -317,7 +328,12 @@ def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
 
 
 def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":
-    arrays = {name: (ds[name].dims, part.pyramid.read(0, name, part.cells), ds[name].attrs) for name in names}
+    read = {name: part.pyramid.read(0, name, part.cells) for name in names}
+    pending = read[REGIME.name] == PENDING
+    for name in names:
+        if pending.any() and name != REGIME.name:  # a worker may be at it: a cell without a regime has no result yet
+            read[name][pending] = part.pyramid.array(0, name).fill_value
+    arrays = {name: (ds[name].dims, values, ds[name].attrs) for name, values in read.items()}
     return _dataset(ds, arrays, {name: ds[name] for name in axis_names(ds)}, 0)
 
 

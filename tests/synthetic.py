@@ -1,9 +1,11 @@
 """Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
+import zarr
 
 import atlas
 from atlas import store
@@ -27,9 +29,9 @@ def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.n
     shape = tuple(p.stop - p.start for p in make_plan(header.spec, 1, header.tile).at(index).slices)
     made = empty_results(result_variables(header.spec.settings), shape, {"exponent": 4, "state": 4, "sample": 0})
     made["regime"] = rng.choice([0, 1, 1, 1, 2, 3, 3, 4, 5], shape).astype(np.int8)
-    made["largest"] = np.where(made["regime"] == CHAOTIC, 1.0, -1.0) * rng.random(shape)
-    made["largest"][rng.random(shape) < 0.1] = -np.inf
-    made["largest"][made["regime"] >= 4] = np.nan
+    made["largest"] = largest = np.where(made["regime"] == CHAOTIC, 1.0, -1.0) * rng.random(shape)
+    largest[rng.random(shape) < 0.1] = -np.inf
+    largest[made["regime"] >= 4] = np.nan
     made["period"] = np.where(made["regime"] == PERIODIC, rng.integers(1, 4, shape), 0).astype(np.int32)
     made["impacts_upper"] = np.where(made["regime"] == PERIODIC, rng.integers(0, 2, shape), 0).astype(np.int32)
     made["sticks"] = rng.random(shape) < 0.3
@@ -41,12 +43,19 @@ def indices(header: store.Header) -> list[Index]:
     return [tile.index for tile in make_plan(header.spec, 1, header.tile).tiles()]
 
 
-def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> list[Index]:
-    """Write all tiles but some, without overviews; those written."""
-    written = [index for index in indices(header) if index not in skip]
-    for index in written:
-        store.write_tile(header, index, results(header, index, seed))
-    return written
+def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
+    """Write all tiles but some, without overviews."""
+    plan = make_plan(header.spec, 1, header.tile)
+    tiles = {index: results(header, index, seed) for index in indices(header)}
+    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
+    for variable in result_variables(header.spec.settings):
+        array: Any = group[variable.name]
+        whole = array[...]
+        for index, made in tiles.items():
+            whole[plan.at(index).slices] = made[variable.name]
+        array.with_config({"write_empty_chunks": True})[...] = whole  # all chunks at once: a tenth of the time
+    for index in skip:
+        header.path.joinpath("regime", "c", *map(str, index)).unlink()
 
 
 def keep(header: store.Header, pending: tuple[Index, ...] = ()) -> int:
@@ -82,7 +91,8 @@ def assert_view_is_true(header: store.Header) -> None:
     """Every level that can be looked at is what the cells in the store say, by definitions applied to the cells."""
     ds = atlas.open(header.path)
     base = atlas.open(header.path).load()
-    codes, largest = base.regime.values, base.largest.values
+    codes = base.regime.values
+    largest = np.where(codes == PENDING, np.nan, base.largest.values)
     for level in range(1, store_levels(header) + 1):
         ny, nx = (-(-n // 2**level) for n in codes.shape)
         seen = view(ds, ["largest"], pixels=(nx, ny), marks=False)

@@ -206,7 +206,7 @@ def test_making_overviews_again_makes_nothing(filled: store.Header) -> None:
 
 def test_a_chunk_above_an_unfinished_tile_is_not_made(header: store.Header) -> None:
     fill(header, skip=((0, 0),))
-    keep(header, pending=((0, 0),))
+    keep(header)
     for level in range(1, 4):
         missing = np.argwhere(xr.open_zarr(header.path, group=f"overviews/{level}").regime.values == PENDING)
         assert len(missing)
@@ -216,7 +216,7 @@ def test_a_chunk_above_an_unfinished_tile_is_not_made(header: store.Header) -> N
 def test_views_and_shares_of_a_half_done_atlas_are_true(header: store.Header) -> None:
     pending = ((0, 0), (2, 3), (4, 5))
     fill(header, skip=pending)
-    keep(header, pending=pending)
+    keep(header)
     assert_view_is_true(header)
 
 
@@ -240,7 +240,7 @@ def test_a_run_leaves_overviews_of_all_levels(tmp_path: Path, client: Client, mo
 def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header) -> None:
     tiles = indices(header)
     first = [tile for tile in tiles if levels_of(header).over(tile) == (0, 0)]
-    with Overviews(header, tiles) as overviews:
+    with Overviews(header) as overviews:
         for tile in first:
             store.write_tile(header, tile, results(header, tile))
             overviews.add(tile)

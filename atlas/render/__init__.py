@@ -47,6 +47,9 @@ def figure(ds: "xr.Dataset", kind: str | None = None, window: Window | None = No
             f"kind {chosen!r} draws {_COUNT[_KINDS[chosen][1]]}, found {_COUNT[len(axes)]} ({', '.join(axes)}); "
             f"possible here: {', '.join(possible)}"
         )
+    units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
+    if units != LARGEST.units:
+        raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
     part = within(ds, window)
     with counted() as reads:
         drawn: Figure = import_module(_KINDS[chosen][0]).figure(part)
