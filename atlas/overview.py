@@ -14,7 +14,7 @@ it is asked for (``atlas.view``).
 import itertools
 import warnings
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Any, Literal
@@ -39,6 +39,8 @@ from atlas.store import Header, done_tiles
 from workers.results import PENDING, REGIME, REGIMES
 
 GROUP = "overviews"
+WAIT_SECONDS = 5.0
+"""Between two signs of life at the end of a run."""
 _VERSION = 1
 """Of the form of the levels; those of another version are not read, and made anew by the next run."""
 
@@ -131,23 +133,28 @@ class Overviews(AbstractContextManager["Overviews"]):
         elif left == 0:
             self._submit(1, [over])
 
-    def finish(self, tell: Callable[[], None] = lambda: None) -> int:
+    def finish(self, tell: Callable[[int, int], None] = lambda _done, _all: None) -> int:
         """Wait until all that can be made is made; the number of chunks made since the beginning.
 
-        ``tell`` is called now and then while there is something to wait for. Raises RunError where a write failed.
+        ``tell`` is called, now and every few seconds, with the parts done and all parts while there is something to
+        wait for. Raises RunError where a write failed.
         """
-        made = 0
-        for future in self._futures:
-            if not future.done():
-                tell()
-            try:
-                made += future.result()
-            except (OSError, ValueError) as error:
-                raise RunError(
-                    f"{self._header.path}: the tiles done are kept, but the overviews could not be written ({error}); "
-                    "run again to make them"
-                ) from error
-        return made
+        left = set(self._futures)
+        while left and self._failure() is None:
+            if any(not future.done() for future in left):
+                tell(len(self._futures) - len(left), len(self._futures))
+            _, left = wait(left, timeout=WAIT_SECONDS, return_when=FIRST_EXCEPTION)
+        if (failure := self._failure()) is not None:
+            if not isinstance(failure, OSError | ValueError):
+                raise failure
+            raise RunError(
+                f"{self._header.path}: the tiles done are kept, but the overviews could not be written ({failure}); "
+                "run again to make them"
+            ) from failure
+        return sum(future.result() for future in self._futures)
+
+    def _failure(self) -> BaseException | None:
+        return next((future.exception() for future in self._futures if future.done() and future.exception()), None)
 
     def _submit(self, level: int, indices: Iterable[Index]) -> None:
         self._futures += [self._threads.submit(self._make, level, index) for index in indices]

@@ -95,7 +95,7 @@ def run(
             except KeyboardInterrupt:
                 tell(tally.progress("interrupted, dropping the tiles under way"))
                 raise
-        overviews.finish(lambda: tell(tally.progress("writing overviews")))
+        overviews.finish(lambda done, parts: tell(tally.progress(f"writing overviews: {done} of {parts} parts")))
         return tally.summary(header.path)
 
 
