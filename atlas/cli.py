@@ -143,8 +143,8 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Pat
     from atlas import query as questions
     from atlas.export import check_path, export
     from atlas.output import print_table, text, to_json
+    from atlas.part import counted
     from atlas.store import open_atlas
-    from atlas.view import counted
 
     if point and window:
         raise InputError("--at asks for one cell, --window for shares; give one of the two")
@@ -180,8 +180,8 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Pat
 @_window_option
 def render(store: Path, out: Path, kind: str | None, window: tuple[str, ...]) -> None:
     """Draw STORE, or a window of it."""
+    from atlas.part import counted
     from atlas.store import open_atlas
-    from atlas.view import counted
 
     bounds = _pairs("--window", window, _bounds)
     with _input_errors(), counted() as reads:

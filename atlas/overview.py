@@ -59,7 +59,8 @@ class Pyramid:
     def __init__(self, header: Header) -> None:
         import zarr
 
-        self._store = _counting(_open(header, "r").store)
+        self._plain = _open(header, "r").store
+        self._store = _counting(self._plain)
         self._root = zarr.open_group(self._store, mode="r", use_consolidated=False)
         self._arrays: dict[str, Any] = {}
         self.levels = levels_of(header)
@@ -69,6 +70,11 @@ class Pyramid:
     def chunks_read(self) -> int:
         """Chunks found and read so far; one that does not exist is not counted."""
         return int(self._store.chunks_read)
+
+    def holds(self, array: Any, name: str) -> bool:
+        """Whether this store is where a Zarr array lies, by that name."""
+        place = getattr(array, "store_path", None)
+        return place is not None and place.path == name and bool(place.store == self._plain)
 
     def array(self, level: int, name: str) -> Any:
         """A variable of a level as a Zarr array."""

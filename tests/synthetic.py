@@ -110,6 +110,17 @@ def assert_view_is_true(header: store.Header) -> None:
     np.testing.assert_allclose([found[names[code]] for code in naive], list(naive.values()), rtol=1e-12)
 
 
+def assert_overviews_are_of(header: store.Header) -> None:
+    """Every chunk that counts as current, by either mark, says what the cells say now."""
+    codes, largest = (atlas.open(header.path)[name].values for name in ("regime", "largest"))
+    coarse = xr.open_zarr(header.path, group="overviews/1")
+    for mark in (coarse.regime.values, coarse.regime_shown.values):
+        current = mark != PENDING
+        np.testing.assert_allclose(coarse.largest.values[current], each_block(largest, 1, mean)[current], rtol=1e-12)
+    current = coarse.regime.values != PENDING
+    np.testing.assert_array_equal(coarse.regime.values[current], each_block(codes, 1, mode)[current])
+
+
 def store_levels(header: store.Header) -> int:
     from atlas.overview import levels_of
 

@@ -24,6 +24,7 @@ from atlas.view import view
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
+    assert_overviews_are_of,
     assert_view_is_true,
     complete,
     each_block,
@@ -353,17 +354,6 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     assert steps > 25  # arrays of the tile and of the chunk over it
     assert_view_is_true(header)
     assert arrays_of(header.path, "overviews/1") == arrays_of(whole.path, "overviews/1")
-
-
-def assert_overviews_are_of(header: store.Header) -> None:
-    """Every chunk that counts as current, by either mark, says what the cells say now."""
-    codes, largest = (atlas.open(header.path)[name].values for name in ("regime", "largest"))
-    coarse = xr.open_zarr(header.path, group="overviews/1")
-    for mark in (coarse.regime.values, coarse.regime_shown.values):
-        current = mark != PENDING
-        np.testing.assert_allclose(coarse.largest.values[current], each_block(largest, 1, mean)[current], rtol=1e-12)
-    current = coarse.regime.values != PENDING
-    np.testing.assert_array_equal(coarse.regime.values[current], each_block(codes, 1, mode)[current])
 
 
 def test_a_kill_while_levels_are_created_leaves_a_store_that_works_and_goes_on(

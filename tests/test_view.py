@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 import atlas
 from atlas import levels, render, store
 from atlas.grid import cell_edges
+from atlas.part import counted
 from atlas.query import fractions
 from atlas.render import maps
-from atlas.view import counted, view
+from atlas.view import view
 from scripts import bench_render
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
@@ -185,6 +186,14 @@ def test_a_changed_atlas_is_drawn_as_it_is_and_not_as_the_store(ds: xr.Dataset, 
     other = change(ds[["largest", "error", "regime"]])  # type: ignore[operator]
     seen = view(other, ["largest"], pixels=(10, 10))
     xr.testing.assert_equal(seen.load(), other[["largest", "regime"]].load())
+
+
+def test_a_variable_of_another_atlas_is_drawn_as_what_it_is(ds: xr.Dataset, tmp_path: Path) -> None:
+    header = store.create(tmp_path / "b.zarr", spec_of(nx=100, ny=90), (50, 50))
+    fill(header, seed=1)
+    mixed = ds.assign(largest=atlas.open(header.path).largest)
+    seen = view(mixed, ["largest"], pixels=(10, 10))
+    np.testing.assert_array_equal(seen.largest, atlas.open(header.path).largest)
 
 
 def test_an_assignment_in_place_is_seen(ds: xr.Dataset) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
 from atlas.grid import Window, axis_names, within
+from atlas.part import counted
 from atlas.query import fractions
-from atlas.view import counted
 from workers.results import FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, UNDETERMINED
 
 if TYPE_CHECKING:
