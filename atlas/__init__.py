@@ -1,17 +1,33 @@
 """Impact Atlas: maps of chaos in vibro-impact oscillators.
 
-``Spec`` says what to compute, ``run`` computes it into a store, ``open`` gives the store as an xarray Dataset;
-``portrait`` draws the motion of a single cell.
+``Spec`` says what to compute, ``run`` computes it into a store, ``open`` gives the store as an xarray Dataset, whose
+``.atlas`` answers questions and draws; ``portrait`` draws the motion of a single cell.
 """
+
+import os
+from typing import TYPE_CHECKING
 
 # Imported here and not at first use: the function ``run`` must take its name back from the module of that name.
 # None of them loads Dask, Zarr, xarray or Numba before it is called.
 from atlas.point import portrait
 from atlas.run import run
 from atlas.spec import Spec
-from atlas.store import open_atlas as open
+from atlas.store import open_atlas
+
+if TYPE_CHECKING:
+    import xarray
 
 __all__ = ["Spec", "__version__", "open", "portrait", "run"]
+
+
+def open(store: str | os.PathLike[str]) -> "xarray.Dataset":
+    """The atlas of a store as an xarray Dataset, read from disk as it is used; ``ds.atlas`` is its accessor.
+
+    Raises atlas.errors.InputError where the store is not an atlas.
+    """
+    import atlas.accessor  # noqa: F401  registers it
+
+    return open_atlas(store)
 
 
 def __getattr__(name: str) -> str:

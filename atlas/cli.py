@@ -59,6 +59,9 @@ _json_option = click.option(
 _workers_option = click.option(
     "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
 )
+_window_option = click.option(
+    "--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis; may be given for each."
+)
 _store_argument = click.argument("store", type=click.Path(path_type=Path))
 
 
@@ -128,27 +131,45 @@ def status(store: Path, as_json: bool) -> None:
 @cli.command()
 @_store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
-@click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis.")
+@_window_option
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="Write the cells of the window to a .csv or .nc (netCDF) file."
+)
 @_json_option
-def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json: bool) -> None:
-    """What STORE holds at a point, or the share of each regime in a window (default: everywhere)."""
+def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+    """What STORE holds at a point, or the share of each regime in a window (default: everywhere), or a window's cells.
+
+    Shares are of the area in the axes' own units. Also see: atlas render.
+    """
     from atlas import query as questions
+    from atlas.export import check_path, export
     from atlas.output import print_table, text, to_json
+    from atlas.part import counted
     from atlas.store import open_atlas
 
     if point and window:
         raise InputError("--at asks for one cell, --window for shares; give one of the two")
     wanted = _pairs("--at", point, _number)
     bounds = _pairs("--window", window, _bounds)
-    with _input_errors():
+    if out is not None and point:
+        raise InputError("--at prints one cell, --out writes a window; give one of the two")
+    found: dict[str, Any]
+    with _input_errors(), counted() as reads:
+        if out is not None:
+            check_path(out)
         dataset = open_atlas(store)
-        found: dict[str, Any] = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds or None)
+        if out is not None:
+            _say("reading and writing")
+            found = {"file": str(out), "cells": export(dataset, out, bounds)}
+        else:
+            found = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds)
     if as_json:
         click.echo(to_json(found))
-    elif point:
+    elif point or out:
         print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
     else:
         print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
+        _say(f"{reads.chunks} chunks read")
 
 
 @cli.command()
@@ -166,17 +187,30 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json:
     type=click.Path(path_type=Path),
     help="A second sweep of the same axis, for hysteresis.",
 )
-def render(store: Path, out: Path, kind: str | None, overlays: tuple[str, ...], against: Path | None) -> None:
-    """Draw STORE: a map of two axes, or a sweep of one."""
+@_window_option
+def render(
+    store: Path,
+    out: Path,
+    kind: str | None,
+    overlays: tuple[str, ...],
+    against: Path | None,
+    window: tuple[str, ...],
+) -> None:
+    """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
+    from atlas.part import counted
     from atlas.store import open_atlas
 
-    with _input_errors():
+    bounds = _pairs("--window", window, _bounds)
+    with _input_errors(), counted() as reads:
         dataset = open_atlas(store)
         other = None if against is None else open_atlas(against)
         _say("drawing")
         from atlas.render import render as draw
 
-        draw(dataset, out, kind=kind, overlays=overlays, against=other)
+        draw(dataset, out, kind=kind, window=bounds, overlays=overlays, against=other)
+    if reads.chunks:
+        cells = f"overview {reads.level}" if reads.level else "the cells themselves"
+        _say(f"{reads.chunks} chunks read, of {cells}")
     click.echo(str(out))
 
 

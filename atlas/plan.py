@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from atlas.coarsen import overview_bytes
 from atlas.errors import InputError
 from atlas.spec import Slices, Spec
 from workers import Settings
@@ -188,7 +189,7 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 
 def _bytes_needed(spec: Spec, plan: Plan) -> int:
-    """Every chunk of every variable in whole file blocks, and the coordinates."""
+    """Every chunk of every variable in whole file blocks, the coordinates, and the overviews."""
     states = len(spec.record.states)
     sizes = {"exponent": states, "state": states, "sample": spec.settings.section_samples}
     total = 8 * sum(spec.shape)
@@ -196,7 +197,7 @@ def _bytes_needed(spec: Spec, plan: Plan) -> int:
         item = {"bool": 1, "int8": 1, "int32": 4, "float64": 8}[variable.dtype]
         chunk = item * math.prod(plan.tile) * math.prod(sizes[dim] for dim in variable.extra)
         total += plan.tile_count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
-    return total
+    return total + overview_bytes(spec, plan.tile)
 
 
 def _spread(shape: tuple[int, ...], k: int) -> Slices:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from atlas import plan as planning
 from atlas.errors import InputError, RunError
 from atlas.job import Job, Receipt, run_job
+from atlas.overview import Overviews
 from atlas.progress import Progress
 from atlas.spec import Spec
 from atlas.store import create, done_tiles, find
@@ -80,16 +81,21 @@ def run(
         if pending and client is None:
             tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
             client = stack.enter_context(_local_cluster(count))
+        # Before the first tile is written: what overviews say of it is dropped.
+        overviews = stack.enter_context(Overviews(header))
         if client is not None:
             tally.start()
             tell(tally.progress("solving"))
             try:
                 for outcome in _outcomes(client, jobs, tally):
                     tally.add(outcome)
+                    if isinstance(outcome, Receipt):
+                        overviews.add(outcome.index)
                     tell(tally.progress("solving"))
             except KeyboardInterrupt:
                 tell(tally.progress("interrupted, dropping the tiles under way"))
                 raise
+        overviews.finish(lambda done, parts: tell(tally.progress(f"writing overviews: {done} of {parts} parts")))
         return tally.summary(header.path)
 
 

@@ -185,7 +185,9 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     import xarray
 
     header = read_header(Path(store))
-    return xarray.open_dataset(header.path, engine="zarr", chunks=None, consolidated=True)
+    opened = xarray.open_dataset(header.path, engine="zarr", chunks=None, consolidated=True)
+    opened.encoding["source"] = str(header.path)  # by which a view finds the overviews
+    return opened
 
 
 def _build(path: Path, spec: Spec, tile: tuple[int, ...]) -> None:

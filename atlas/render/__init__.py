@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
-from atlas.query import axis_names
+from atlas.grid import Window, axis_names, within
+from atlas.part import counted
+from atlas.query import fractions
+from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,25 +25,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Kind:
-    """How many axes and how many atlases a kind of picture draws."""
+    """How many axes and how many atlases a kind of picture draws, and a variable that it cannot do without."""
 
     axes: int
+    variable: str
     atlases: int = 1
 
 
-# The first of each number of axes is the kind drawn unasked. Each is a module here, imported at first use: the
-# command's help needs the names and neither matplotlib nor xarray.
+# The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
+# imported at first use: the command's help needs the names and neither matplotlib nor xarray.
 _KINDS = {
-    "exponent": _Kind(axes=2),
-    "period": _Kind(axes=2),
-    "impacts": _Kind(axes=2),
-    "combined": _Kind(axes=2),
-    "error": _Kind(axes=2),
-    "cost": _Kind(axes=2),
-    "sticking": _Kind(axes=2),
-    "sweep": _Kind(axes=1),
-    "spectrum": _Kind(axes=1),
-    "hysteresis": _Kind(axes=1, atlases=2),
+    "exponent": _Kind(axes=2, variable=LARGEST.name),
+    "period": _Kind(axes=2, variable="period"),
+    "impacts": _Kind(axes=2, variable="impacts_upper"),
+    "combined": _Kind(axes=2, variable=LARGEST.name),
+    "error": _Kind(axes=2, variable=ERROR.name),
+    "cost": _Kind(axes=2, variable="periods_used"),
+    "sticking": _Kind(axes=2, variable="stuck_fraction"),
+    "sweep": _Kind(axes=1, variable=REGIME.name),
+    "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
+    "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
 }
 _COUNT = {1: "one axis", 2: "two axes"}
 KINDS = tuple(_KINDS)
@@ -56,7 +60,12 @@ __all__ = ["FORMATS", "KINDS", "OVERLAYS", "figure", "orbit_figure", "render", "
 
 
 def figure(
-    ds: "xr.Dataset", kind: str | None = None, *, overlays: Sequence[str] = (), against: "xr.Dataset | None" = None
+    ds: "xr.Dataset",
+    kind: str | None = None,
+    window: Window | None = None,
+    *,
+    overlays: Sequence[str] = (),
+    against: "xr.Dataset | None" = None,
 ) -> "Figure":
     """A matplotlib Figure of an atlas, for notebooks; arguments and errors as in ``render``."""
     axes = axis_names(ds)
@@ -65,7 +74,7 @@ def figure(
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, found {_COUNT[len(axes)]} ({', '.join(axes)})")
-    chosen = possible[0] if kind is None else kind
+    chosen = next((name for name in possible if _KINDS[name].variable in ds), possible[0]) if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")
     if chosen not in fitting:
@@ -81,21 +90,45 @@ def figure(
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
     if overlays and len(axes) != 2:
         raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_COUNT[len(axes)]} ({', '.join(axes)})")
-    module = import_module(f"atlas.render.{chosen}")
+    units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
+    if units != LARGEST.units:
+        raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
+    module, part = import_module(f"atlas.render.{chosen}"), within(ds, window)
     drawn: Figure
-    if against is not None:
-        drawn = module.figure(ds, against)
-    elif len(axes) == 2:
-        drawn = module.figure(ds, overlays)
-    else:
-        drawn = module.figure(ds)
+    with counted() as reads:
+        if against is not None:
+            drawn = module.figure(part, within(against, window))
+        elif len(axes) == 2:
+            drawn = module.figure(part, overlays)
+        else:
+            drawn = module.figure(part)
+    if max(reads.block) > 1:
+        _tell_coarse(drawn, part, reads.block)
     return drawn
+
+
+def _tell_coarse(drawn: "Figure", ds: "xr.Dataset", block: tuple[int, ...]) -> None:
+    """Say above a map that it is coarser than its atlas, and the exact shares of doubtful cells, too few to be seen."""
+    from matplotlib import rc_context
+
+    from atlas.render.style import STYLE
+
+    shares = fractions(ds)
+    doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
+    least = 1e-4  # less is not worth its digits, but that there is some is
+    parts = {name: f"{100 * shares[name]:.2g} %" if shares[name] >= least else "< 0.01 %" for name in shares}
+    told = "".join(f",  {name} {parts[name]}" for name in doubtful if name in parts)
+    cells = " × ".join(map(str, block))
+    ax = drawn.axes[0]
+    with rc_context(STYLE):
+        ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{told}".strip(), loc="left")
 
 
 def render(
     ds: "xr.Dataset",
     path: str | Path,
     kind: str | None = None,
+    window: Window | None = None,
     *,
     overlays: Sequence[str] = (),
     against: "xr.Dataset | None" = None,
@@ -103,15 +136,17 @@ def render(
     """Draw an atlas to a file and return its path.
 
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
-    ``kind`` is one of KINDS, by default "exponent" for two axes and "sweep" for one; ``overlays`` are of OVERLAYS;
-    ``against`` is the sweep the other way, which makes the kind "hysteresis".
+    ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
+    for one axis; ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of
+    OVERLAYS; ``against`` is the sweep the other way, which makes the kind "hysteresis".
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the
     atlas does not hold what the kind draws, and for a path that cannot be written.
-    Reads only the variables that the kind draws. The file's metadata carry the atlas's digest; the same atlas
-    gives the same bytes with the same software.
+    Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
+    as large as pixels. The file's metadata carry the atlas's digest; the same atlas gives the same bytes with the
+    same software.
     """
     target, suffix = _target(path)
-    drawn = figure(ds, kind, overlays=overlays, against=against)
+    drawn = figure(ds, kind, window, overlays=overlays, against=against)
     from atlas.render.style import origin_of
 
     return _write(drawn, target, suffix, origin_of(ds, *([] if against is None else [against])))

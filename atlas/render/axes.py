@@ -13,11 +13,8 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from atlas.query import axis_names, cell_edges, is_log, is_uniform
+from atlas.grid import LOG_SPAN, axis_names, cell_edges, is_log, is_uniform
 from atlas.render.style import axis_label
-
-LOG_SPAN = 4.0
-"""A logarithmic axis is drawn on a log scale from this ratio of its ends on; below, log ticks say nothing."""
 
 
 @dataclass(frozen=True)

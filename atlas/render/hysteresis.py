@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query import axis_names
+from atlas.grid import axis_names
 from atlas.render import axes, style, sweep
 from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, REGIME, SECTION
 

@@ -15,10 +15,14 @@ from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.render import axes, style
+from atlas.view import view
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
 
 HEIGHT = 4.7
 """Height of a map in inches."""
+
+PIXELS = (1500, 1100)
+"""Least size, (x, y), of a map's plot area in a file, in pixels: cells not smaller than these are all drawn."""
 
 
 SIZE = np.array([5.6, 3.75]) * 72.0
@@ -44,15 +48,15 @@ class Plane:
 
 
 def read(ds: xr.Dataset, variables: Iterable[str], kind: str) -> Plane:
-    """Read these variables and the regimes of a plane, nothing else; InputError if the atlas does not hold one.
+    """Read these variables and the regimes of a plane, nothing else and not finer than PIXELS.
 
-    The only place where the pictures of planes read an atlas.
+    InputError if the atlas does not hold one. The only place where the pictures of planes read an atlas.
     """
     names = [name for name in dict.fromkeys(variables) if name != REGIME.name]
     for name in names:
         if name not in ds:
             raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold")
-    ds, (x, y) = axes.rising(ds[[*names, REGIME.name]])
+    ds, (x, y) = axes.rising(view(ds, names, pixels=PIXELS))
     return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
 
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
-from atlas.query import axis_names
+from atlas.grid import axis_names
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
 from workers.system import SYSTEMS, Parameter, System
 

@@ -1,0 +1,86 @@
+"""``ds.atlas``: questions to an atlas and pictures of it, as methods of the dataset. It keeps nothing but the dataset.
+
+Registered with xarray by ``atlas.open``, or by importing this module.
+"""
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from atlas import query
+from atlas.errors import InputError
+from atlas.grid import Window
+from workers import Settings
+from workers.system import find_system
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@xr.register_dataset_accessor("atlas")
+class AtlasAccessor:
+    """Questions to the atlas that a dataset is, and pictures of it.
+
+    All take any selection of an atlas along its axes. A ``window`` gives, for any axis, the (low, high) ends of the
+    part that is meant. Bad input raises ``atlas.errors.InputError`` in one line.
+    """
+
+    def __init__(self, ds: xr.Dataset) -> None:
+        self._ds = ds
+
+    def at(self, **point: float) -> dict[str, Any]:
+        """The cell nearest to a point, ``at(omega=3, b=0.15)``: all that it holds, and its distance on each axis.
+
+        See ``atlas.query.at``.
+        """
+        return query.at(self._ds, point)
+
+    def where_regime(self, *regimes: str) -> xr.Dataset:
+        """The atlas with the results of all other regimes taken out, ``where_regime("chaotic")``.
+
+        See ``atlas.query.where_regime``.
+        """
+        return query.where_regime(self._ds, regimes)
+
+    def fractions(self, window: Window | None = None) -> dict[str, float]:
+        """The share of the area, in the axes' own units, that belongs to each regime. See ``atlas.query.fractions``."""
+        return query.fractions(self._ds, window)
+
+    def boundary(
+        self, regime: str, other: str | None = None, window: Window | None = None
+    ) -> list[NDArray[np.float64]]:
+        """Lines, arrays (points, 2) of (x, y), where a regime meets another, or any. See ``atlas.query.boundary``."""
+        return query.boundary(self._ds, regime, other, window)
+
+    def per_unit_time(self) -> xr.Dataset:
+        """The atlas with its exponents per unit time, not per forcing period. See ``atlas.query.per_unit_time``."""
+        return query.per_unit_time(self._ds)
+
+    def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> "Figure":
+        """A matplotlib Figure, for a notebook to show or ``savefig``. See ``atlas.render.figure``."""
+        from atlas.render import figure
+
+        return figure(self._ds, kind, window=window, **options)
+
+    def portrait(self, path: str | Path | None = None, **point: float) -> "Figure":
+        """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
+
+        A matplotlib Figure, written to ``path`` too if given. See ``atlas.portrait``.
+        """
+        cell = query.at(self._ds, point)
+        try:
+            spec = json.loads(self._ds.attrs["spec"])
+            system, settings = spec["system"], Settings(**spec["solve"])
+        except (KeyError, TypeError, ValueError):
+            raise InputError("this dataset does not say how it was solved: it lacks the spec of its atlas") from None
+        known = [parameter.name for parameter in find_system(system).parameters]
+        given = {
+            name: float(cell[name] if name in cell else self._ds[name]) for name in known if name in self._ds.coords
+        }
+        draw = import_module("atlas.point").portrait
+        return draw(given, system=system, settings=settings, path=path)

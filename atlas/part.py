@@ -1,0 +1,222 @@
+"""A block of the cells of a store: how it is found behind a dataset, how its levels are read, what reading cost."""
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.coarsen import CODES, REGIME_SHOWN, SHARE, Cells, Widths, coarsen, from_cells, level_variables, needed
+from atlas.errors import InputError
+from atlas.grid import axis_values
+from atlas.overview import Pyramid, level_widths
+from atlas.spec import Slices
+from atlas.store import Header, done_tiles, read_header
+from workers.results import PENDING, REGIME, Variable, result_variables
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass
+class Reads:
+    """What was read inside ``counted``.
+
+    chunks   how many were found and read
+    level    the coarsest that a view was read from, 0 the cells themselves
+    block    cells of the atlas, (x, y), for which a cell of the coarsest view stands
+    """
+
+    chunks: int = 0
+    level: int = 0
+    block: tuple[int, ...] = (1,)
+
+    def add(self, chunks: int, level: int, block: tuple[int, ...]) -> None:
+        """Count some more."""
+        self.chunks, self.level = self.chunks + chunks, max(self.level, level)
+        self.block = max(self.block, block, key=math.prod)
+
+
+_reads: ContextVar[Reads | None] = ContextVar("reads", default=None)
+
+
+@contextmanager
+def counted() -> Iterator[Reads]:
+    """Count the chunks that views and fractions read inside the ``with`` block; a block around it counts them too."""
+    outer, reads = _reads.get(), Reads()
+    token = _reads.set(reads)
+    try:
+        yield reads
+    finally:
+        _reads.reset(token)
+        if outer is not None:
+            outer.add(reads.chunks, reads.level, reads.block)
+
+
+def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
+    """The block of a store that a dataset shows, or None unless each named variable is as ``atlas.open`` gave it.
+
+    Selections of neighbouring cells are; anything computed, changed, loaded or put together is not.
+    """
+    source = ds.encoding.get("source")
+    if not isinstance(source, str):
+        return None
+    try:
+        header = read_header(Path(source))
+    except InputError:
+        return None
+    if ds[REGIME.name].dims != header.spec.dims:
+        return None
+    cells = [_place(np.array(axis.values), axis_values(ds, axis.name)) for axis in reversed(header.spec.axes)]
+    pyramid = Pyramid(header)
+    if any(place is None for place in cells) or not all(_untouched(ds, name, pyramid) for name in names):
+        return None
+    return Part(header, tuple(place for place in cells if place is not None), pyramid)
+
+
+def _place(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
+    """Where values stand, one after the other, among all values of an axis."""
+    first = int(np.searchsorted(full, values[0])) if values.size else full.size
+    found = full[first : first + values.size]
+    return slice(first, first + values.size) if values.size and np.array_equal(found, values) else None
+
+
+def _untouched(ds: "xr.Dataset", name: str, pyramid: Pyramid) -> bool:
+    """Whether a variable's values are still, whole in their inner dimensions, those of the stored one of its name."""
+    if name not in ds:
+        return False
+    # Xarray has no public word for "neither loaded nor assigned to, and from where": its wrappers are followed down to
+    # the Zarr array. Should they change, none is found, and the cells are read from the dataset: slower, never wrong.
+    data: Any = getattr(ds[name].variable, "_data", None)
+    while hasattr(data, "array") and not getattr(data, "_copied", False):
+        data = data.array
+    array = getattr(data, "_array", None)
+    dims = len(pyramid.levels.shape)
+    return array is not None and pyramid.holds(array, name) and bool(ds[name].shape[dims:] == array.shape[dims:])
+
+
+@dataclass(frozen=True)
+class Part:
+    """A block of the cells of a store, and how its levels are read."""
+
+    header: Header
+    cells: Slices
+    pyramid: Pyramid = field(repr=False)
+
+    @cached_property
+    def widths(self) -> list[Widths]:
+        """Widths of the cells of every level along each dimension."""
+        return level_widths(self.header)
+
+    @cached_property
+    def _variables(self) -> tuple[Variable, ...]:
+        return level_variables(self.header.spec.settings)
+
+    @cached_property
+    def _done(self) -> NDArray[np.bool_]:
+        """Which tiles are done, as an array over the tiles."""
+        levels = self.pyramid.levels
+        done = np.zeros([-(-n // t) for n, t in zip(levels.shape, levels.tile, strict=True)], dtype=bool)
+        for index in done_tiles(self.header):
+            done[index] = True
+        return done
+
+    def tell(self, steps: Sequence[int] = (0,)) -> None:
+        """Add what was read to the count around, if there is one; the steps are those of a view."""
+        reads = _reads.get()
+        if reads is not None:
+            reads.add(self.pyramid.chunks_read, min(steps), tuple(2**count for count in reversed(steps)))
+
+    def closed(self, names: Iterable[str]) -> list[str]:
+        """All variables that coarsening these takes."""
+        return needed(self._variables, names)
+
+    def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
+        """Variables of a piece of a level, a regime among them.
+
+        What of an overview is missing is computed from the level before, down to the cells; where no tile is done
+        below, it is pending without being looked for.
+        """
+        wanted = list(names)
+        if level == 0:
+            stored = {v.name for v in result_variables(self.header.spec.settings)}
+            base = stored & {*wanted, *(name.removesuffix("_count") for name in wanted), REGIME.name}
+            return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, wanted)
+        # Both regimes are written after all that they stand for, so that either tells what is there.
+        mark = next(name for name in (REGIME.name, REGIME_SHOWN.name) if name in wanted)
+        made = {mark: self._stored(level, piece, mark)}
+        missing = [block for block in self._blocks(level, piece) if (made[mark][block] == PENDING).any()]
+        made |= {name: self._stored(level, piece, name) for name in wanted if name != mark}
+        for block in missing:
+            place = tuple(slice(p.start + b.start, p.start + b.stop) for p, b in zip(piece, block, strict=True))
+            finer = self.pyramid.levels.finer(level, place)
+            if self._any_done(level, place):
+                below = self.read(level - 1, finer, self.closed(wanted))
+                widths = tuple(w[f] for w, f in zip(self.widths[level - 1], finer, strict=True))
+                computed = coarsen(below, widths)
+                for name in wanted:
+                    made[name][block] = computed[name]
+            elif SHARE.name in made:
+                made[SHARE.name][(*block, CODES.tolist().index(PENDING))] = 1.0
+        return made
+
+    def _stored(self, level: int, piece: Slices, name: str) -> NDArray[Any]:
+        if self.pyramid.made:
+            return self.pyramid.read(level, name, piece)
+        variable = next(v for v in self._variables if v.name == name)
+        shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra)
+        return np.full(shape, variable.fill, dtype=variable.dtype)
+
+    def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
+        """The piece cut along the borders of chunks, counted from its own first cell."""
+        along = []
+        for p, c in zip(piece, self.pyramid.levels.chunk, strict=True):
+            cuts = [p.start, *range((p.start // c + 1) * c, p.stop, c), p.stop]
+            along.append([slice(a - p.start, b - p.start) for a, b in itertools.pairwise(cuts)])
+        yield from itertools.product(*along)
+
+    def _any_done(self, level: int, place: Slices) -> bool:
+        tile = self.pyramid.levels.tile
+        tiles = tuple(
+            slice((s.start << level) // t, -(-(s.stop << level) // t)) for s, t in zip(place, tile, strict=True)
+        )
+        return bool(self._done[tiles].any())
+
+    def pieces(self) -> Iterator[tuple[int, Slices]]:
+        """The part cut into pieces of whole cells of levels, as coarse as they fit."""
+        levels = self.pyramid.levels
+        inner: Slices | None = None
+        for level in range(levels.count, -1, -1):
+            shape = levels.shape_of(level)
+            outer = tuple(
+                slice(-(-s.start >> level), n if s.stop == whole else s.stop >> level)
+                for s, n, whole in zip(self.cells, shape, levels.shape, strict=True)
+            )
+            if all(s.start < s.stop for s in outer):
+                yield from ((level, piece) for piece in _around(outer, inner))
+                inner = levels.finer(level, outer) if level else None
+
+    def areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
+        """The area of each regime in a piece, in the order of CODES."""
+        share = self.read(level, piece, [REGIME.name, SHARE.name])[SHARE.name]
+        for width, p in zip(self.widths[level], piece, strict=True):
+            share = np.tensordot(width[p], share, axes=1)
+        return np.asarray(share)
+
+
+def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
+    """The outer box without the inner one, as boxes."""
+    if inner is None:
+        yield outer
+        return
+    for dim, (out, within_) in enumerate(zip(outer, inner, strict=True)):
+        for side in (slice(out.start, within_.start), slice(within_.stop, out.stop)):
+            if side.start < side.stop:
+                yield (*inner[:dim], side, *outer[dim + 1 :])

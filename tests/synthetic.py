@@ -1,0 +1,144 @@
+"""Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+
+import atlas
+from atlas import store
+from atlas.overview import Overviews
+from atlas.plan import make_plan
+from atlas.view import view
+from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
+
+Index = tuple[int, ...]
+
+
+def spec_of(nx: int = 45, ny: int = 38, **axis: object) -> atlas.Spec:
+    """A plane of nx x ny cells; ``axis`` changes the first axis."""
+    omega = {"start": 1.0, "stop": 4.0, "num": nx} | axis
+    return atlas.Spec("two-mass", axes={"omega": omega, "b": {"start": 0.1, "stop": 0.5, "num": ny}})
+
+
+def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.ndarray]:
+    """Random results of a tile: every regime but pending and failed, exponents -inf and NaN among them."""
+    rng = np.random.default_rng([seed, *index])
+    shape = tuple(p.stop - p.start for p in make_plan(header.spec, 1, header.tile).at(index).slices)
+    made = empty_results(result_variables(header.spec.settings), shape, {"exponent": 4, "state": 4, "sample": 0})
+    made["regime"] = rng.choice([0, 1, 1, 1, 2, 3, 3, 4, 5], shape).astype(np.int8)
+    made["largest"] = largest = np.where(made["regime"] == CHAOTIC, 1.0, -1.0) * rng.random(shape)
+    largest[rng.random(shape) < 0.1] = -np.inf
+    largest[made["regime"] >= 4] = np.nan
+    made["period"] = np.where(made["regime"] == PERIODIC, rng.integers(1, 4, shape), 0).astype(np.int32)
+    made["impacts_upper"] = np.where(made["regime"] == PERIODIC, rng.integers(0, 2, shape), 0).astype(np.int32)
+    made["sticks"] = rng.random(shape) < 0.3
+    made["periods_used"] = rng.integers(100, 200, shape).astype(np.int32)
+    return made
+
+
+def indices(header: store.Header) -> list[Index]:
+    return [tile.index for tile in make_plan(header.spec, 1, header.tile).tiles()]
+
+
+def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
+    """Write all tiles but some, without overviews."""
+    plan = make_plan(header.spec, 1, header.tile)
+    tiles = {index: results(header, index, seed) for index in indices(header)}
+    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
+    for variable in result_variables(header.spec.settings):
+        array: Any = group[variable.name]
+        whole = array[...]
+        for index, made in tiles.items():
+            whole[plan.at(index).slices] = made[variable.name]
+        array.with_config({"write_empty_chunks": True})[...] = whole  # all chunks at once: a tenth of the time
+    for index in skip:
+        header.path.joinpath("regime", "c", *map(str, index)).unlink()
+
+
+def keep(header: store.Header, pending: tuple[Index, ...] = ()) -> int:
+    """Make all overviews that can be made; the number of chunks made."""
+    with Overviews(header, pending) as overviews:
+        return overviews.finish()
+
+
+def complete(path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None) -> store.Header:
+    """A whole store with its overviews."""
+    header = store.create(path, spec or spec_of(), tile)
+    fill(header)
+    keep(header)
+    return header
+
+
+def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:
+    """The cells below each coarse cell, one small array each."""
+    n = 2**level
+    rows = range(0, values.shape[0], n)
+    return [[values[y : y + n, x : x + n] for x in range(0, values.shape[1], n)] for y in rows]
+
+
+def each_block(values: np.ndarray, level: int, function: object) -> np.ndarray:
+    return np.array([[function(block) for block in row] for row in blocks(values, level)])  # type: ignore[operator]
+
+
+def naive_shares(codes: np.ndarray) -> dict[int, float]:
+    return {code: float(np.mean(codes == code)) for code in np.unique(codes).tolist()}
+
+
+def assert_view_is_true(header: store.Header) -> None:
+    """Every level that can be looked at is what the cells in the store say, by definitions applied to the cells."""
+    ds = atlas.open(header.path)
+    base = atlas.open(header.path).load()
+    codes = base.regime.values
+    largest = np.where(codes == PENDING, np.nan, base.largest.values)
+    for level in range(1, store_levels(header) + 1):
+        ny, nx = (-(-n // 2**level) for n in codes.shape)
+        seen = view(ds, ["largest"], pixels=(nx, ny), marks=False)
+        assert seen.sizes["omega"] == nx
+        np.testing.assert_array_equal(seen.regime.values, each_block(codes, level, mode))
+        np.testing.assert_allclose(seen.largest.values, each_block(largest, level, mean), rtol=1e-12)
+        pending = each_block(codes, level, lambda block: (block == PENDING).any())
+        shown = view(ds, ["largest"], pixels=(nx, ny))
+        np.testing.assert_array_equal(shown.regime.values == PENDING, pending)
+        assert np.isnan(shown.largest.values[pending]).all()
+    naive = {code: share for code, share in naive_shares(codes).items()}
+    names = dict(zip(base.regime.attrs["flag_values"], base.regime.attrs["flag_meanings"].split(), strict=True))
+    found = ds.atlas.fractions()
+    assert set(found) == {names[code] for code in naive}
+    np.testing.assert_allclose([found[names[code]] for code in naive], list(naive.values()), rtol=1e-12)
+
+
+def assert_overviews_are_of(header: store.Header) -> None:
+    """Every chunk that counts as current, by either mark, says what the cells say now."""
+    codes, largest = (atlas.open(header.path)[name].values for name in ("regime", "largest"))
+    coarse = xr.open_zarr(header.path, group="overviews/1")
+    for mark in (coarse.regime.values, coarse.regime_shown.values):
+        current = mark != PENDING
+        np.testing.assert_allclose(coarse.largest.values[current], each_block(largest, 1, mean)[current], rtol=1e-12)
+    current = coarse.regime.values != PENDING
+    np.testing.assert_array_equal(coarse.regime.values[current], each_block(codes, 1, mode)[current])
+
+
+def store_levels(header: store.Header) -> int:
+    from atlas.overview import levels_of
+
+    return levels_of(header).count
+
+
+def mode(block: np.ndarray) -> int:
+    codes, counts = np.unique(block, return_counts=True)
+    return int(codes[counts == counts.max()].max())
+
+
+def mean(block: np.ndarray) -> float:
+    finite = block[np.isfinite(block)]
+    if finite.size:
+        return float(finite.mean())
+    return -np.inf if (block == -np.inf).any() else np.nan
+
+
+def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
+    ds = xr.open_zarr(path, group=group)
+    return {str(name): ds[name].values.tobytes() for name in ds.data_vars}

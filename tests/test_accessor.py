@@ -1,0 +1,160 @@
+"""Claims about ``ds.atlas``: it answers as the functions do, of whatever selection it is asked."""
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from atlas import query
+from atlas.errors import InputError
+from tests.test_query import plane
+from workers import Settings
+from workers.results import CHAOTIC, PENDING, PERIODIC, QUASIPERIODIC
+
+P, C, Q, N = PERIODIC, CHAOTIC, QUASIPERIODIC, PENDING
+
+
+def with_units(ds: xr.Dataset) -> xr.Dataset:
+    ds.largest.attrs.update(units="1/period", long_name="largest Lyapunov exponent per forcing period")
+    return ds
+
+
+def test_at_takes_the_axes_by_name() -> None:
+    ds = plane([1, 2, 3], [0.1, 0.2])
+    assert ds.atlas.at(omega=2.9, b=0.2) == query.at(ds, {"omega": 2.9, "b": 0.2})
+
+
+def test_fractions_take_a_window() -> None:
+    ds = plane([1, 2], [0.1, 0.2], [[P, C], [P, P]])
+    assert ds.atlas.fractions({"omega": (2, 2)}) == {"periodic": 0.5, "chaotic": 0.5}
+
+
+def test_the_accessor_answers_of_a_selection() -> None:
+    ds = plane([1, 2], [0.1, 0.2], [[P, C], [P, P]])
+    assert ds.isel(b=0).atlas.fractions() == {"periodic": 0.5, "chaotic": 0.5}
+
+
+def test_where_regime_takes_the_other_results_out_and_keeps_the_regimes() -> None:
+    kept = plane([1, 2], [0.1, 0.2], [[P, C], [Q, P]]).atlas.where_regime("chaotic", "quasiperiodic")
+    np.testing.assert_array_equal(kept.largest, [[np.nan, 1.0], [2.0, np.nan]])
+    assert kept.regime.values.tolist() == [[P, C], [Q, P]]
+    assert kept.sticks.dtype == float
+    assert np.isnan(kept.state.values[0, 0]).all()
+
+
+def test_an_unknown_regime_is_refused_with_the_nearest() -> None:
+    with pytest.raises(InputError, match="unknown regime 'chaos'; did you mean 'chaotic'"):
+        plane([1, 2], [0.1, 0.2]).atlas.where_regime("chaos")
+
+
+# Boundaries
+
+
+def test_a_boundary_runs_along_the_edges_of_cells() -> None:
+    (line,) = plane([1, 2, 3], [0.1, 0.2, 0.3], [[P, C, C]] * 3).atlas.boundary("chaotic")
+    np.testing.assert_allclose(line[:, 0], 1.5)
+    assert sorted(line[:, 1]) == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_on_a_log_axis_it_lies_at_the_geometric_mean() -> None:
+    (line,) = plane([1, 4, 16], [0.1, 0.2, 0.3], [[P, P, C]] * 3).atlas.boundary("chaotic")
+    np.testing.assert_allclose(line[:, 0], 8.0)
+
+
+def test_a_boundary_of_two_regimes_leaves_out_where_a_third_lies_between() -> None:
+    ds = plane([1, 2, 3, 4], [0.1, 0.2, 0.3], [[P, C, Q, Q]] * 3)
+    assert len(ds.atlas.boundary("chaotic")) == 2
+    (line,) = ds.atlas.boundary("chaotic", "periodic")
+    np.testing.assert_allclose(line[:, 0], 1.5)
+    assert ds.atlas.boundary("quasiperiodic", "periodic") == []
+
+
+def test_pending_cells_bound_nothing() -> None:
+    assert plane([1, 2], [0.1, 0.2], [[P, N], [P, N]]).atlas.boundary("periodic") == []
+
+
+def test_an_island_has_a_closed_boundary() -> None:
+    codes = np.full((5, 5), P)
+    codes[2, 2] = C
+    (line,) = plane([1, 2, 3, 4, 5], [1, 2, 3, 4, 5], codes).atlas.boundary("chaotic")
+    assert line[0].tolist() == line[-1].tolist()
+    assert np.abs(line - 3).sum(1) == pytest.approx(np.full(len(line), 0.5))
+
+
+def test_a_boundary_can_be_asked_of_a_window() -> None:
+    ds = plane([1, 2, 3, 4], [0.1, 0.2], [[P, C, P, C]] * 2)
+    (line,) = ds.atlas.boundary("chaotic", window={"omega": (1, 2)})
+    np.testing.assert_allclose(line[:, 0], 1.5)
+
+
+def test_a_boundary_does_not_depend_on_the_order_of_an_axis() -> None:
+    ds = plane([1, 2, 3], [0.1, 0.2, 0.3], [[P, C, C]] * 3)
+    (line,) = ds.isel(omega=slice(None, None, -1)).atlas.boundary("chaotic")
+    np.testing.assert_allclose(line[:, 0], 1.5)
+
+
+def test_a_sweep_has_no_boundary_lines() -> None:
+    with pytest.raises(InputError, match="a boundary needs two axes"):
+        plane([1, 2], [0.1, 0.2]).isel(b=0).atlas.boundary("chaotic")
+
+
+# Units
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_per_unit_time_divides_by_the_forcing_period(fixed: bool) -> None:
+    ds = with_units(plane([1, 2], [0.1, 0.2]))
+    ds = ds.isel(omega=1) if fixed else ds
+    made = ds.atlas.per_unit_time().largest
+    np.testing.assert_allclose(made, ds.largest / (2 * np.pi / ds.omega))
+    assert made.dims == ds.largest.dims
+    assert made.attrs == {"units": "1/time", "long_name": "largest Lyapunov exponent per unit time"}
+
+
+def test_exponents_are_not_converted_twice() -> None:
+    with pytest.raises(InputError, match="not per forcing period"):
+        with_units(plane([1, 2], [0.1, 0.2])).atlas.per_unit_time().atlas.per_unit_time()
+
+
+def test_the_forcing_frequency_has_to_be_known() -> None:
+    with pytest.raises(InputError, match="forcing frequency of this atlas is not known"):
+        with_units(plane([1, 2], [0.1, 0.2])).rename(omega="x").atlas.per_unit_time()
+
+
+# Pictures
+
+
+def test_plot_draws_a_kind_in_a_window() -> None:
+    ds = plane([1, 2, 3, 4], [0.1, 0.2])
+    assert ds.atlas.plot("exponent", window={"omega": (2, 3)}).axes[0].get_xlim() == (1.5, 3.5)
+
+
+def test_exponents_per_unit_time_are_not_drawn_under_the_label_of_others() -> None:
+    with pytest.raises(InputError, match="pictures draw exponents per forcing period, found units 1/time"):
+        with_units(plane([1, 2], [0.1, 0.2])).atlas.per_unit_time().atlas.plot()
+
+
+def test_a_portrait_is_of_the_nearest_cell_with_the_settings_of_the_atlas(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    told: dict[str, Any] = {}
+    monkeypatch.setattr(
+        import_module("atlas.point"),
+        "portrait",
+        lambda given, **named: told.update(given=given, **named),
+        raising=False,
+    )
+    spec = json.dumps({"system": "two-mass", "axes": [], "solve": {"max_periods": 123}})
+    plane([1, 2], [0.1, 0.2], spec=spec).atlas.portrait(omega=1.9, b=0.1, path=tmp_path / "a.png")
+    assert told["given"] == {"omega": 2.0, "b": 0.1, "R": 0.8}
+    assert (told["system"], told["settings"]) == ("two-mass", Settings(max_periods=123))
+    assert told["path"] == tmp_path / "a.png"
+
+
+def test_a_portrait_needs_to_know_how_the_atlas_was_solved() -> None:
+    with pytest.raises(InputError, match="does not say how it was solved"):
+        plane([1, 2], [0.1, 0.2]).atlas.portrait(omega=1, b=0.1)

@@ -1,0 +1,396 @@
+"""Claims about overviews: what a coarse cell says, when a chunk of them is there, and that none ever lies.
+
+Truth is the definition applied to the cells of the store, block by block.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from distributed import Client
+
+import atlas
+from atlas import levels, overview, store
+from atlas.coarsen import coarsen, from_cells
+from atlas.errors import RunError
+from atlas.overview import Overviews, levels_of
+from atlas.progress import Progress
+from atlas.query import fractions
+from atlas.view import view
+from tests.planes import plane_of
+from tests.synthetic import (
+    arrays_of,
+    assert_overviews_are_of,
+    assert_view_is_true,
+    complete,
+    each_block,
+    fill,
+    indices,
+    keep,
+    mean,
+    mode,
+    results,
+    spec_of,
+)
+from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
+    monkeypatch.setattr(levels, "CHUNK", 8)
+    monkeypatch.setattr(levels, "LEAST", 8)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two stores of all tiles, to be copied: one without overviews, one with."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(levels, "CHUNK", 8)
+        patch.setattr(levels, "LEAST", 8)
+        fill(store.create(folder / "filled.zarr", spec_of(), (8, 8)))
+        shutil.copytree(folder / "filled.zarr", folder / "whole.zarr")
+        keep(store.read_header(folder / "whole.zarr"))
+    return folder
+
+
+@pytest.fixture
+def shared(made: Path) -> store.Header:
+    """A whole store with overviews, only to be read."""
+    return store.read_header(made / "whole.zarr")
+
+
+@pytest.fixture
+def filled(made: Path, tmp_path: Path) -> store.Header:
+    """A whole store without overviews."""
+    return store.read_header(shutil.copytree(made / "filled.zarr", tmp_path / "filled.zarr"))
+
+
+@pytest.fixture
+def whole(made: Path, tmp_path: Path) -> store.Header:
+    """A whole store with overviews."""
+    return store.read_header(shutil.copytree(made / "whole.zarr", tmp_path / "whole.zarr"))
+
+
+@pytest.fixture
+def header(tmp_path: Path) -> store.Header:
+    return store.create(tmp_path / "a.zarr", spec_of(), (8, 8))
+
+
+# What a coarse cell says
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_exponents_have_mean_count_and_positive_share_of_the_finite_values(shared: store.Header, level: int) -> None:
+    largest = atlas.open(shared.path).largest.values
+    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}")
+    finite = each_block(largest, level, lambda block: np.isfinite(block).sum())
+    positive = each_block(largest, level, lambda block: (np.isfinite(block) & (block > 0)).sum())
+    np.testing.assert_allclose(coarse.largest.values, each_block(largest, level, mean), rtol=1e-12)
+    np.testing.assert_array_equal(coarse.largest_count.values, finite)
+    np.testing.assert_allclose((coarse.largest_positive * coarse.largest_count).fillna(0), positive, atol=1e-9)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_the_regime_is_the_most_frequent_one_and_a_tie_goes_to_the_later(shared: store.Header, level: int) -> None:
+    codes = atlas.open(shared.path).regime.values
+    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}")
+    np.testing.assert_array_equal(coarse.regime.values, each_block(codes, level, mode))
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_period_and_impacts_are_those_of_a_periodic_cell_below(shared: store.Header, level: int) -> None:
+    base = atlas.open(shared.path).load()
+    names = ["period", "impacts_upper", "impacts_lower"]
+    triples = np.stack([base[name].values for name in names], axis=-1)
+    coarse = xr.open_zarr(shared.path, group=f"overviews/{level}").load()
+    n = 2**level
+    for y, x in np.ndindex(coarse.regime.shape):
+        part = np.s_[y * n : y * n + n, x * n : x * n + n]
+        below = triples[part][base.regime.values[part] == PERIODIC].tolist()
+        found = [int(coarse[name][y, x]) for name in names]
+        assert found in below or (not below and found == [0, 0, 0])
+        assert below.count(found) >= coarse.period_count[y, x]
+
+
+def test_at_the_first_level_the_triple_is_the_most_frequent_and_a_tie_goes_to_the_smallest() -> None:
+    cells = {
+        "regime": np.full((2, 4), PERIODIC, np.int8),
+        "period": np.array([[3, 2, 3, 3], [2, 3, 1, 3]], np.int32),
+        "impacts_upper": np.array([[1, 1, 1, 1], [1, 1, 1, 0]], np.int32),
+        "impacts_lower": np.zeros((2, 4), np.int32),
+    }
+    names = [*cells, "period_count", "regime_share", "cells"]
+    made = coarsen(from_cells(cells, names), (np.ones(2), np.ones(4)))
+    assert made["period"].tolist() == [[2, 3]]
+    assert made["impacts_upper"].tolist() == [[1, 1]]
+    assert made["period_count"].tolist() == [[2, 2]]
+
+
+def test_flags_and_costs_are_means_over_the_solved_cells(shared: store.Header) -> None:
+    base = atlas.open(shared.path)
+    coarse = xr.open_zarr(shared.path, group="overviews/2")
+    for name in ("sticks", "periods_used"):
+        np.testing.assert_allclose(coarse[name].values, each_block(base[name].values, 2, np.mean), rtol=1e-12)
+    np.testing.assert_array_equal(coarse.cells.values, each_block(base.regime.values, 2, np.size))
+
+
+def test_shares_weigh_cells_by_their_widths_on_a_log_axis(tmp_path: Path) -> None:
+    header = complete(tmp_path / "a.zarr", spec=spec_of(start=0.1, scale="log"))
+    edges = np.exp(np.interp(np.arange(46) - 0.5, np.arange(45), np.log(header.spec.axes[0].values)))
+    edges[0], edges[-1] = 0.1**2 / edges[1], 4.0**2 / edges[-2]
+    widths = np.broadcast_to(np.diff(edges), (38, 45))
+    codes = atlas.open(header.path).regime.values
+    for level in (1, 3):
+        coarse = xr.open_zarr(header.path, group=f"overviews/{level}")
+        chaotic = each_block(np.where(codes == CHAOTIC, widths, 0), level, np.sum) / each_block(widths, level, np.sum)
+        np.testing.assert_allclose(coarse.regime_share.sel({"class": "chaotic"}), chaotic, rtol=1e-9)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_one_failed_cell_is_shown_at_every_level(header: store.Header, level: int) -> None:
+    for index in indices(header):
+        made = results(header, index)
+        made["regime"][made["regime"] == UNDETERMINED] = PERIODIC
+        if index == (1, 2):
+            made["regime"][1, 2] = FAILED
+        store.write_tile(header, index, made)
+    keep(header)
+    coarse = xr.open_zarr(header.path, group=f"overviews/{level}")
+    assert np.argwhere(coarse.regime_shown.values == FAILED).tolist() == [[9 >> level, 18 >> level]]
+
+
+@pytest.mark.parametrize(("count", "shown"), [(1, UNDETERMINED), (0, PERIODIC)])
+def test_undetermined_cells_are_shown_from_a_sixteenth_of_the_area_on(count: int, shown: int) -> None:
+    codes = np.full((4, 4), PERIODIC, np.int8)
+    codes[0, :count] = UNDETERMINED
+    cells = from_cells({"regime": codes}, ["regime_share", "cells"])
+    for n in (4, 2):
+        cells = coarsen(cells, (np.ones(n), np.ones(n)))
+    assert (cells["regime_shown"].item(), cells["regime"].item()) == (shown, PERIODIC)
+
+
+def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Header) -> None:
+    assert levels_of(shared).count == 3
+    assert levels_of(shared).shape_of(3) == (5, 6)
+
+
+# In the store
+
+
+def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: store.Header) -> None:
+    assert xr.open_zarr(shared.path).regime.shape == (38, 45)
+    coarse = xr.open_zarr(shared.path, group="overviews/1")
+    assert coarse.regime.dims == ("b", "omega")
+    assert coarse.regime.shape == (19, 23)
+    assert float(coarse.R) == 0.8
+    assert coarse["class"].values.tolist()[0] == "pending"
+
+
+def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.Header) -> None:
+    coarse = xr.open_zarr(shared.path, group="overviews/2")
+    step = 3.0 / 44
+    edges = 1.0 - step / 2 + step * np.minimum(np.arange(13) * 4, 45)
+    np.testing.assert_allclose(coarse.omega_bounds.values, np.stack([edges[:-1], edges[1:]], 1), rtol=1e-12)
+    np.testing.assert_allclose(coarse.omega.values, (edges[:-1] + edges[1:]) / 2, rtol=1e-12)
+
+
+def test_making_overviews_again_makes_nothing(filled: store.Header) -> None:
+    assert keep(filled) == sum(len(list(levels_of(filled).chunks(level))) for level in (1, 2, 3))
+    assert keep(filled) == 0
+
+
+def test_a_chunk_above_an_unfinished_tile_is_not_made(header: store.Header) -> None:
+    fill(header, skip=((0, 0),))
+    keep(header)
+    for level in range(1, 4):
+        missing = np.argwhere(xr.open_zarr(header.path, group=f"overviews/{level}").regime.values == PENDING)
+        assert len(missing)
+        assert (missing < 8).all()
+
+
+def test_views_and_shares_of_a_half_done_atlas_are_true(header: store.Header) -> None:
+    pending = ((0, 0), (2, 3), (4, 5))
+    fill(header, skip=pending)
+    keep(header)
+    assert_view_is_true(header)
+
+
+def test_an_atlas_without_overviews_is_seen_alike(header: store.Header) -> None:
+    fill(header, skip=((2, 2),))
+    assert_view_is_true(header)
+
+
+# During a run
+
+
+def test_a_run_leaves_overviews_of_all_levels(tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(levels, "LEAST", 4)
+    atlas.run(plane_of(), tmp_path / "a.zarr", client=client)
+    coarse = xr.open_zarr(tmp_path / "a.zarr", group="overviews/1")
+    assert (coarse.regime.values != PENDING).all()
+    assert int(coarse.cells.sum()) == 35
+    assert_view_is_true(store.read_header(tmp_path / "a.zarr"))
+
+
+def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header) -> None:
+    tiles = indices(header)
+    first = [tile for tile in tiles if levels_of(header).over(tile) == (0, 0)]
+    with Overviews(header) as overviews:
+        for tile in first:
+            store.write_tile(header, tile, results(header, tile))
+            overviews.add(tile)
+        overviews.finish()
+    coarse = xr.open_zarr(header.path, group="overviews/1").regime.values
+    assert np.array_equal(np.argwhere(coarse != PENDING), np.argwhere(np.ones((8, 8))))
+    assert_view_is_true(header)
+
+
+def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(
+    tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(levels, "LEAST", 4)
+
+    def interrupt(progress: Progress) -> None:
+        if progress.tiles_done == 5 and progress.stage == "solving":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        atlas.run(plane_of(), tmp_path / "a.zarr", client=client, on_progress=interrupt)
+    assert_overviews_are_of(store.read_header(tmp_path / "a.zarr"))
+    atlas.run(plane_of(), tmp_path / "a.zarr", client=client)
+    assert (xr.open_zarr(tmp_path / "a.zarr", group="overviews/1").regime.values != PENDING).all()
+
+
+def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Header) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
+    with Overviews(whole, [(4, 5)]) as overviews:
+        store.write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
+        overviews.add((4, 5))
+        assert overviews.finish() == 3
+    changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
+    over = {1: "2/2", 2: "1/1", 3: "0/0"}
+    for level, place in over.items():
+        parts = {path for path in changed if f"overviews/{level}/" in path.as_posix()}
+        assert parts
+        assert {"/".join(path.parts[-2:]) for path in parts} == {place}
+    assert_view_is_true(whole)
+
+
+def test_a_tile_written_once_more_than_was_said_refreshes_too(whole: store.Header) -> None:
+    with Overviews(whole, []) as overviews:
+        store.write_tile(whole, (0, 0), results(whole, (0, 0), seed=1))
+        overviews.add((0, 0))
+        overviews.finish()
+    assert_view_is_true(whole)
+
+
+def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeypatch: pytest.MonkeyPatch) -> None:
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(overview, "make", full)
+    with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*No space"):
+        keep(filled)
+
+
+# Killed at any step
+
+
+class Killed(BaseException):
+    """What stands for kill -9: nothing catches it."""
+
+
+def killed_after(monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
+    """Let that many writes of arrays and of attributes through, then none."""
+    left = [writes]
+    for kind, name in ((zarr.Array, "__setitem__"), (zarr.Group, "create_group"), (zarr.Group, "create_array")):
+        whole = getattr(kind, name)
+
+        def write(*given: object, whole: object = whole, **named: object) -> object:
+            left[0] -= 1
+            if left[0] < 0:
+                raise Killed
+            return whole(*given, **named)  # type: ignore[operator]
+
+        monkeypatch.setattr(kind, name, write)
+
+
+def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, tile: tuple[int, int]) -> bool:
+    """Solve a tile again as a run does, killed after that many writes; whether it came to its end."""
+    with monkeypatch.context() as patch:
+        killed_after(patch, writes)
+        try:
+            with Overviews(header, [tile]) as overviews:
+                store.write_tile(header, tile, results(header, tile, seed=1))
+                overviews.add(tile)
+                overviews.finish()
+        except Killed:
+            return False
+    return True
+
+
+def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(levels, "LEAST", 10)
+    spec = spec_of(nx=20, ny=18)
+    whole = store.create(tmp_path / "whole.zarr", spec, (8, 8))
+    fill(whole)
+    store.write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
+    keep(whole)
+    header = complete(tmp_path / "a.zarr", (8, 8), spec)
+    steps = 0
+    while not survive(header, monkeypatch, steps, (2, 2)):
+        # A kill while the tile itself is written leaves it half new: not the overviews' matter, the claim is on them.
+        assert_overviews_are_of(header)
+        steps += 1
+    assert steps > 25  # arrays of the tile and of the chunk over it
+    assert_view_is_true(header)
+    assert arrays_of(header.path, "overviews/1") == arrays_of(whole.path, "overviews/1")
+
+
+def test_a_kill_while_levels_are_created_leaves_a_store_that_works_and_goes_on(
+    filled: store.Header, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for writes in (0, 1, 20, 70):
+        with monkeypatch.context() as patch:
+            killed_after(patch, writes)
+            with pytest.raises(Killed):
+                keep(filled)
+        assert xr.open_zarr(filled.path).regime.shape == (38, 45)
+        assert fractions(atlas.open(filled.path)) == fractions(atlas.open(filled.path).load())
+    keep(filled)
+    assert_view_is_true(filled)
+
+
+def test_a_run_killed_between_two_levels_is_completed_by_the_next(whole: store.Header) -> None:
+    root = zarr.open_group(whole.path, mode="r+", use_consolidated=False)
+    for level in (1, 3):
+        for name in ("regime", "regime_shown"):
+            array = root[f"overviews/{level}/{name}"].with_config({"write_empty_chunks": False})
+            array[...] = PENDING
+    assert keep(whole) == len(list(levels_of(whole).chunks(1))) + 1
+    assert_view_is_true(whole)
+
+
+def test_the_store_itself_stays_as_it_was(filled: store.Header) -> None:
+    before = {name: data for name, data in arrays_of(filled.path).items()}
+    spec = json.loads(xr.open_zarr(filled.path).attrs["spec"])
+    keep(filled)
+    assert arrays_of(filled.path) == before
+    assert json.loads(xr.open_zarr(filled.path).attrs["spec"]) == spec
+
+
+def test_a_view_with_marks_takes_away_what_the_shown_class_does_not_have(shared: store.Header) -> None:
+    seen = view(atlas.open(shared.path), ["largest", "period"], pixels=(12, 10))
+    shown = seen.regime.values
+    assert np.isnan(seen.largest.values[shown == UNDETERMINED]).all()
+    assert (seen.period.values[shown == NO_IMPACT] == 1).all()
+    assert (seen.period.values[(shown != PERIODIC) & (shown != NO_IMPACT)] == 0).all()
