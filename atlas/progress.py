@@ -19,6 +19,7 @@ class Progress:
 
     stage                     what is being done now, in words
     plan                      known from its stage on, else None
+    tiles, cells              in all: of the atlas, or of those that are to be solved again
     tiles_done, cells_done    in the store, those of earlier runs included
     cells_solved, seconds     of this run, since its first tile was submitted
     counts                    cells solved in this run by regime
@@ -28,6 +29,8 @@ class Progress:
 
     stage: str
     plan: Plan | None = None
+    tiles: int = 0
+    cells: int = 0
     tiles_done: int = 0
     cells_done: int = 0
     cells_solved: int = 0
@@ -44,7 +47,7 @@ class Progress:
     @property
     def seconds_left(self) -> float | None:
         """Seconds to the end at this rate, or None before the first tile."""
-        return (self.plan.cells - self.cells_done) / self.rate if self.plan and self.rate else None
+        return (self.cells - self.cells_done) / self.rate if self.rate else None
 
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
@@ -119,7 +122,7 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
         self._bar.update(
             self._task,
             description=progress.stage,
-            total=plan.cells if plan and progress.cells_done else None,
+            total=progress.cells if progress.cells_done else None,
             completed=progress.cells_done,
             speed=_speed(progress),
         )
@@ -142,7 +145,7 @@ def status_line(progress: Progress) -> str:
     """One line: tiles, cells, speed, time left, regimes."""
     if progress.plan is None:
         return progress.stage
-    done = f"{progress.tiles_done}/{progress.plan.tile_count} tiles, {progress.cells_done}/{progress.plan.cells} cells"
+    done = f"{progress.tiles_done}/{progress.tiles} tiles, {progress.cells_done}/{progress.cells} cells"
     return ", ".join(part for part in (done, _speed(progress), _outcome(progress)) if part)
 
 

@@ -30,6 +30,9 @@ FORMAT_VERSION = 1
 DIMENSIONS = {"state": "component"}
 """Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
 
+BUDGET = Variable("budget", "int32", 0, "forcing periods that the cell may cost; as in the spec unless retried", "1")
+"""Only in stores where cells were solved again with more than the spec's ``max_periods``, which fills it."""
+
 
 @dataclass(frozen=True)
 class Header:
@@ -151,16 +154,68 @@ def done_tiles(header: Header) -> set[tuple[int, ...]]:
 
 
 def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write all arrays of one tile as whole chunks, ``regime`` last: with it the tile is done."""
+    """Write all arrays of one tile as whole chunks, ``regime`` last: with it the tile is done.
+
+    A finished tile that is written again is unfinished meanwhile, so that a kill leaves no mixture of two solutions.
+    """
     import zarr
 
     group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
     if group.attrs.get("run_id") != header.run_id:
         raise RunError(f"{header.path}: not the store of run {header.run_id}; is the path the same on all hosts?")
+    if is_done(header, index):
+        regime = _array(group, REGIME.name)
+        regime.with_config({"write_empty_chunks": False})[_block(regime, index)] = REGIME.fill  # removes the chunk
+    if BUDGET.name in group:
+        array = _array(group, BUDGET.name)
+        array[_block(array, index)] = arrays.get(BUDGET.name, array.fill_value)
     for variable in result_variables(header.spec.settings):
         array = _array(group, variable.name)
         # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
         array.with_config({"write_empty_chunks": True})[_block(array, index)] = arrays[variable.name]
+
+
+def is_done(header: Header, index: tuple[int, ...]) -> bool:
+    """Whether one tile is finished; ``done_tiles`` tells it of all."""
+    return header.path.joinpath(REGIME.name, "c", *map(str, index)).exists()
+
+
+def read_tile(header: Header, index: tuple[int, ...], names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+    """Arrays of one tile: those named, or all of them and ``budget``, the forcing periods that each cell may cost."""
+    import zarr
+
+    group = zarr.open_group(header.path, mode="r", use_consolidated=False)
+    found = {}
+    for name in names or [v.name for v in (*result_variables(header.spec.settings), BUDGET)]:
+        if name == BUDGET.name and name not in group:
+            regime = _array(group, REGIME.name)
+            shape = tuple(part.stop - part.start for part in _block(regime, index))
+            found[name] = np.full(shape, header.spec.settings.max_periods, BUDGET.dtype)
+        else:
+            array = _array(group, name)
+            found[name] = np.asarray(array[_block(array, index)])
+    return found
+
+
+def add_budget(header: Header) -> None:
+    """Make room for cells that are given more than the spec's ``max_periods``; all others read as that number."""
+    import zarr
+
+    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
+    if BUDGET.name in group:
+        return
+    spec = header.spec
+    group.create_array(
+        BUDGET.name,
+        shape=spec.shape,
+        chunks=header.tile,
+        dtype=BUDGET.dtype,
+        fill_value=spec.settings.max_periods,
+        dimension_names=spec.dims,
+        compressors=_codecs(),
+        attributes=_variable_attributes(BUDGET, spec),
+    )
+    _consolidate(group)
 
 
 def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str, int]:
@@ -209,6 +264,12 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...]) -> None:
             compressors=_codecs(),
             attributes=_variable_attributes(variable, spec),
         )
+    _consolidate(group)
+
+
+def _consolidate(group: "zarr.Group") -> None:
+    import zarr
+
     with warnings.catch_warnings():
         # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
         warnings.filterwarnings("ignore", message="Consolidated metadata")
