@@ -105,6 +105,8 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
         _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
         ctx.exit(INTERRUPTED)
     click.echo(str(summary))
+    for worker, reason in summary.refused.items():
+        _say(f"worker {worker} did no tile: {reason}")
     for failure in summary.failures:
         _say(f"tile {failure.index} failed: {failure.message}")
     if summary.failures:

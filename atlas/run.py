@@ -89,7 +89,7 @@ def run(
 
             def tick(threads: int, refused: Mapping[str, str]) -> None:
                 claim.check()
-                tally.workers, tally.refused = max(tally.workers, threads), dict(refused)
+                tally.workers, tally.refused = max(tally.workers, threads), refused
                 claim.report(tally.report(threads))
                 tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
 

@@ -93,7 +93,7 @@ class Tally:
         self.counts: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
         self.failures: list[TileFailure] = []
-        self.refused: dict[str, str] = {}
+        self.refused: Mapping[str, str] = {}
         self.solve_seconds = self.write_seconds = 0.0
         self.seconds = 0.0
         self.start()
