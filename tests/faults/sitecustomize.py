@@ -1,7 +1,7 @@
 """Faults on cue: Python imports this at start where its folder is on PYTHONPATH, so that it reaches every process.
 
 FAULTS names a folder. ``script.json`` in it maps a tile ("0-1") to what its attempts meet in turn: "ok", "fail" (an
-exception), "die" (kill -9 of the process), "slow" (a second more), "full", "forbidden" (an error of the disk); the
+exception), "die" (kill -9 of the process), "slow" (0.3 s more), "full", "forbidden" (an error of the disk); the
 last word holds for all further attempts, and "*" is for tiles not named. ``log`` gets a line for each attempt.
 """
 
@@ -34,7 +34,7 @@ def _install(module):
         if word == "fail":
             raise ZeroDivisionError(f"attempt {attempt + 1}")
         if word == "slow":
-            time.sleep(1.0)
+            time.sleep(0.3)
         with module._told_apart(job):
             if word in ("full", "forbidden"):
                 number = errno.ENOSPC if word == "full" else errno.EROFS
