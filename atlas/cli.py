@@ -1,12 +1,15 @@
 """The command ``atlas``. Heavy imports wait until a command needs them, so that help comes at once."""
 
+import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from types import FrameType
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -16,7 +19,14 @@ from workers import Settings
 from workers.settings import EXPONENTS, METHODS
 from workers.system import SYSTEMS
 
+if TYPE_CHECKING:
+    from atlas.cluster import Tls
+    from atlas.retry import Retry
+
 INTERRUPTED = 130
+CANCEL_SECONDS = 60
+"""How long ``atlas cancel`` waits for a run to stop."""
+WATCH_SECONDS = 2.0
 _T = TypeVar("_T")
 
 
@@ -82,13 +92,31 @@ def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) 
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
+def _run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What a run takes, in the foreground or left to a cluster."""
+    for option in (
+        click.option("--max-periods", type=int, help="With --retry: the larger budget of the cells solved again."),
+        click.option(
+            "--retry", metavar="REGIMES", help="Solve these cells of finished tiles again: failed, undetermined."
+        ),
+        click.option("--tls-key", metavar="FILE", help="Its key."),
+        click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
+        click.option("--tls-ca-file", metavar="FILE", help="Authority for it; default: Dask's configuration."),
+        click.option(
+            "-o", "--out", type=click.Path(path_type=Path), required=True, help="The store: made, or gone on with."
+        ),
+        click.argument("spec"),
+    ):
+        command = option(command)
+    return command
+
+
 @cli.command()
-@click.argument("spec")
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The store: made, or gone on with.")
+@_run_options
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 @_workers_option
 @click.pass_context
-def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers: int | None) -> None:
+def run(ctx: click.Context, /, spec: str, out: Path, scheduler: str | None, workers: int | None, **given: Any) -> None:
     """Compute SPEC into a store. The same line again goes on where it stopped."""
     from atlas.progress import reporter
     from atlas.run import run as run_spec
@@ -96,12 +124,16 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
     if scheduler is not None and workers is not None:
         raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
     read = Spec.from_toml(spec)
+    retry, tls = _checked_run_options(read, **given)
     try:
-        with reporter(sys.stderr) as show:
-            summary = run_spec(read, out, scheduler=scheduler, workers=workers, on_progress=show, probe=True)
+        with _interruptible(), reporter(sys.stderr) as show:
+            summary = run_spec(
+                read, out, scheduler=scheduler, workers=workers, on_progress=show, probe=True, retry=retry, tls=tls
+            )
     except KeyboardInterrupt:
-        options = [text for pair in (("--scheduler", scheduler), ("--workers", workers)) if pair[1] for text in pair]
-        line = shlex.join(["atlas", "run", spec, "-o", str(out), *map(str, options)])
+        given = {"scheduler": scheduler, "workers": workers} | given
+        options = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
+        line = shlex.join(["atlas", "run", spec, "-o", str(out), *(text for pair in options for text in pair)])
         _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
         ctx.exit(INTERRUPTED)
     click.echo(str(summary))
@@ -114,15 +146,50 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
 
 
 @cli.command()
+@_run_options
+@click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
+def submit(spec: str, out: Path, scheduler: str, **given: Any) -> None:
+    """Have a cluster compute SPEC into a store, and leave."""
+    from atlas.progress import reporter
+    from atlas.submit import submit as submit_spec
+
+    read = Spec.from_toml(spec)
+    retry, tls = _checked_run_options(read, **given)
+    with reporter(sys.stderr) as show:
+        where = submit_spec(read, out, scheduler, on_progress=show, retry=retry, tls=tls)
+    store = shlex.quote(str(out))
+    click.echo(f"{out}: at work on the cluster, coordinated by {where}")
+    _say(f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}")
+
+
+@cli.command()
 @_store_argument
+def cancel(store: Path) -> None:
+    """Stop the run that is at work on STORE, wherever it runs. Finished tiles are kept."""
+    from atlas.claim import cancel as cancel_run
+    from atlas.claim import notes_of
+
+    stopped = cancel_run(notes_of(store), str(store), CANCEL_SECONDS, _say)
+    click.echo(f"{store}: {stopped} has stopped")
+
+
+@cli.command()
+@_store_argument
+@click.option("--watch", "watching", is_flag=True, help="Go on until it is complete, or no run is at work on it.")
 @_json_option
-def status(store: Path, as_json: bool) -> None:
-    """How far STORE is: tiles, cells and regimes done."""
+def status(store: Path, watching: bool, as_json: bool) -> None:
+    """How far STORE is: tiles, cells and regimes done, and the run at work on it."""
     from atlas.output import to_json
-    from atlas.status import read_status
+    from atlas.progress import reporter
+    from atlas.status import read_status, watch
     from atlas.store import read_header
 
-    found = read_status(read_header(store))
+    header = read_header(store)
+    if watching:
+        with reporter(sys.stderr) as show:
+            for now in watch(header, WATCH_SECONDS):
+                show(now.progress)
+    found = read_status(header)
     click.echo(to_json(found.as_dict()) if as_json else str(found))
 
 
@@ -211,6 +278,49 @@ def systems() -> None:
         rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
         print_table(f"{record.name}: {record.title}", ["parameter", "meaning", "unit", "default", "valid"], rows)
     click.echo(f"\nexamples: {', '.join(example_names())}")
+
+
+def _checked_run_options(
+    spec: Spec,
+    retry: str | None,
+    max_periods: int | None,
+    tls_ca_file: str | None,
+    tls_cert: str | None,
+    tls_key: str | None,
+) -> "tuple[Retry | None, Tls | None]":
+    from atlas.cluster import Tls
+    from atlas.retry import checked_retry
+
+    if retry is None and max_periods is not None:
+        raise InputError("--max-periods is for cells solved again: give --retry too, or set it in the spec")
+    tls = Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
+    return None if retry is None else checked_retry(spec, retry, max_periods), tls
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C, or the SIGTERM of a batch system: in order the first time, at once the second.
+
+    Leaving at once loses no more than the tiles under way: the next run sees that this process is gone.
+    """
+
+    def second(number: int, frame: FrameType | None) -> None:
+        os.write(2, b"\nleft at once: finished tiles are kept\n")
+        os._exit(INTERRUPTED)
+
+    def first(number: int, frame: FrameType | None) -> None:
+        for caught in before:
+            signal.signal(caught, second)
+        raise KeyboardInterrupt
+
+    # A job in the background starts with Ctrl-C ignored, and keeps it so.
+    wanted = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
+    before = {caught: signal.signal(caught, first) for caught in wanted}
+    try:
+        yield
+    finally:
+        for caught, handler in before.items():
+            signal.signal(caught, handler)
 
 
 def _say(text: str) -> None:

@@ -1,26 +1,57 @@
-"""How far a store is, from the store alone."""
+"""How far a store is, from the store alone: what is in it, and what the run at work on it says beside it."""
 
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from atlas.plan import Plan, make_plan
+import numpy as np
+
+from atlas.claim import PATIENCE_SECONDS, Record, holder, notes_of
+from atlas.plan import Plan, duration, make_plan
+from atlas.progress import Progress
 from atlas.store import Header, done_tiles, regime_counts
 
 
 @dataclass(frozen=True)
 class Status:
-    """Tiles and cells done of a store, and the regimes of the cells done (those that occur)."""
+    """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it."""
 
     header: Header
     plan: Plan
     tiles_done: int
     cells_done: int
     regimes: dict[str, int]
+    run: Record | None
 
     @property
     def fraction(self) -> float:
         """Share of the cells that is done."""
         return self.cells_done / self.plan.cells
+
+    @property
+    def progress(self) -> Progress:
+        """As the run at work would tell it; speed and time left are its own."""
+        told = self.run.progress if self.run else {}
+        return Progress(
+            stage=f"{self.run} is at work" if self.run else "no run is at work",
+            plan=self.plan,
+            tiles=self.plan.tile_count,
+            cells=self.plan.cells,
+            tiles_done=self.tiles_done,
+            cells_done=self.cells_done,
+            cells_solved=told.get("cells_solved", 0),
+            seconds=told.get("seconds", 0.0),
+            counts=self.regimes,
+        )
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until the run at work has done what it set out to, or None."""
+        told = self.run.progress if self.run else {}
+        rate = self.progress.rate
+        return (told["cells"] - told["cells_done"]) / rate if rate else None
 
     def __str__(self) -> str:
         axes = " x ".join(map(str, self.header.spec.axes))
@@ -29,10 +60,19 @@ class Status:
             f"tiles    {self.tiles_done} of {self.plan.tile_count} done",
             f"cells    {self.cells_done} of {self.plan.cells} done ({100 * self.fraction:.1f} %)",
             f"solver   version {self.header.solver_version}",
+            f"run      {self._run()}",
         ]
         total = max(1, self.cells_done)
         lines += [f"  {name:<15}{count:>10}  {100 * count / total:6.2f} %" for name, count in self.regimes.items()]
         return "\n".join(lines)
+
+    def _run(self) -> str:
+        if self.run is None:
+            return "none at work" if self.fraction < 1 else "complete"
+        workers = self.run.progress.get("workers", 0)
+        speed = "" if self.seconds_left is None else f", {self.progress.rate:.3g} cells/s"
+        left = "" if self.seconds_left is None else f", {duration(self.seconds_left)} left"
+        return f"{self.run}, {workers} workers{speed}{left}{', asked to stop' if self.run.cancelled else ''}"
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas status --json`` prints."""
@@ -52,16 +92,51 @@ class Status:
             "tiles_pending": self.plan.tile_count - self.tiles_done,
             "cells": self.plan.cells,
             "cells_done": self.cells_done,
+            "cells_pending": self.plan.cells - self.cells_done,
+            "cells_failed": self.regimes.get("failed", 0),
             "fraction": self.fraction,
             "regimes": self.regimes,
+            "run": self.run and str(self.run),
+            "workers": self.run.progress.get("workers", 0) if self.run else 0,
+            "cells_per_second": self.progress.rate,
+            "seconds_left": self.seconds_left,
             "solver_version": self.header.solver_version,
             "run_id": self.header.run_id,
             "digest": self.header.digest,
         }
 
 
+class Census:
+    """Counts a store's cells; asked again, it reads only the tiles that have come since."""
+
+    def __init__(self, header: Header) -> None:
+        self.header, self.plan = header, make_plan(header.spec, workers=1, tile=header.tile)
+        self.counted = np.zeros(self.plan.grid, dtype=bool)
+        self.cells, self.regimes = 0, Counter[str]()
+
+    def take(self) -> Status:
+        """The status of now."""
+        new = [index for index in done_tiles(self.header) if not self.counted[index]]
+        self.regimes.update(regime_counts(self.header, new))
+        for index in new:
+            self.counted[index] = True
+        self.cells += sum(map(self.plan.size, new))
+        run = holder(notes_of(self.header.path))
+        return Status(self.header, self.plan, int(self.counted.sum()), self.cells, dict(self.regimes), run)
+
+
 def read_status(header: Header) -> Status:
     """The status of a store; reads the regimes of the finished tiles."""
-    plan = make_plan(header.spec, workers=1, tile=header.tile)
-    done = done_tiles(header)
-    return Status(header, plan, len(done), sum(map(plan.size, done)), regime_counts(header, done))
+    return Census(header).take()
+
+
+def watch(header: Header, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
+    """Statuses, one every so many seconds, until the atlas is complete or no run has been at work for a while."""
+    census, idle = Census(header), 0.0
+    while True:
+        status = census.take()
+        yield status
+        idle = 0.0 if status.run else idle + seconds
+        if (status.fraction == 1 and not status.run) or idle > PATIENCE_SECONDS:
+            return
+        sleep(seconds)

@@ -133,14 +133,13 @@ class Tally:
         )
 
     def report(self, threads: int) -> dict[str, Any]:
-        """What the run's claim tells those who ask for the store's status: threads at work, speed, time left."""
-        now = self.progress("")
+        """What the run's claim tells those who ask for the store's status."""
         return {
             "workers": threads,
+            "cells": self.cells,
             "cells_done": self.cells_done,
-            "cells_per_second": now.rate,
-            "seconds_left": now.seconds_left,
-            "tiles_raised": len(self.failures),
+            "cells_solved": self.cells_solved,
+            "seconds": self.seconds,
         }
 
     def summary(self, store: Path) -> Summary:
