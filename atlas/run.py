@@ -101,7 +101,7 @@ def run(
             except KeyboardInterrupt:
                 tell(tally.progress("interrupted, dropping the tiles under way"))
                 raise
-        return tally.summary(header.path)
+        return replace(tally.summary(header.path), retried=retry is not None)
 
 
 @dataclass(frozen=True)

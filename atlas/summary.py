@@ -32,6 +32,7 @@ class Summary:
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
     failures, refused              tiles that raised; workers that would not do them, with their reasons
+    retried                        cells of finished tiles were solved again, and nothing else
     """
 
     store: Path
@@ -49,6 +50,7 @@ class Summary:
     peak_bytes: int
     failures: tuple[TileFailure, ...]
     refused: Mapping[str, str]
+    retried: bool = False
 
     @property
     def cells_per_second(self) -> float:
@@ -67,6 +69,8 @@ class Summary:
 
     def __str__(self) -> str:
         done = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
+        if self.retried:
+            done = f"{self.store}: cells solved again in {self.tiles_done} of {plural(self.tiles, 'tile')} that had any"
         if not self.tiles_solved:
             return done
         lines = [
