@@ -14,7 +14,8 @@ from atlas.claim import claimed, notes_of, remove_half_made
 from atlas.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.errors import InputError
 from atlas.fanout import outcomes
-from atlas.job import Job
+from atlas.job import Job, Receipt
+from atlas.order import Order
 from atlas.plan import Plan
 from atlas.progress import Progress
 from atlas.retry import NEEDED, Retry
@@ -93,10 +94,14 @@ def run(
                 claim.report(tally.report(threads))
                 tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
 
+            order = Order(work.due)
+            jobs = (Job(at, str(header.path), header.run_id, header.solver_version, retry) for at in order)
             tally.start()
             try:
-                for outcome in outcomes(client, _jobs(header, work.due, retry), tick):
+                for outcome in outcomes(client, jobs, tick):
                     tally.add(outcome)
+                    if isinstance(outcome, Receipt):
+                        order.note(outcome.index, outcome.solve_seconds)
                     tell(tally.progress("solving"))
             except KeyboardInterrupt:
                 tell(tally.progress("interrupted, dropping the tiles under way"))
@@ -135,11 +140,6 @@ def _beginning(work: _Work, retry: Retry | None) -> str:
     if retry is not None:
         return f"solving {planning.plural(work.cells, 'cell')} in {planning.plural(work.tiles, 'tile')} again"
     return f"going on: {work.tiles_done} of {work.tiles} tiles are done" if work.tiles_done else "making the store"
-
-
-def _jobs(header: Header, due: np.ndarray, retry: Retry | None) -> Iterator[Job]:
-    for index in _indices(due):
-        yield Job(index, str(header.path), header.run_id, header.solver_version, retry)
 
 
 def _indices(mask: np.ndarray) -> Iterator[tuple[int, ...]]:
