@@ -14,10 +14,21 @@ def test_every_tile_due_comes_once_and_no_other(shape: tuple[int, ...]) -> None:
     assert set(given) == {tuple(map(int, index)) for index in np.argwhere(due)}
 
 
-def test_without_receipts_the_rest_comes_row_by_row() -> None:
+def test_without_receipts_ever_finer_lattices_come_first() -> None:
     given = list(Order(np.ones((8, 8), dtype=bool)))
     assert given[:4] == [(2, 2), (2, 6), (6, 2), (6, 6)]
-    assert given[4:] == sorted(given[4:])
+    assert set(given[:16]) == set(itertools.product(range(0, 8, 2), repeat=2))
+
+
+def test_what_is_known_late_still_counts() -> None:
+    order = Order(np.ones((16, 16), dtype=bool))
+    given = iter(order)
+    begun = [next(given) for _ in range(100)]
+    for index in begun:
+        order.note(index, float(index[0]))
+    rest = list(given)
+    assert sum(index[0] for index in rest[:50]) > 1.5 * sum(index[0] for index in rest[-50:])
+    assert len({*begun, *rest}) == 256
 
 
 def test_after_a_coarse_lattice_the_costly_region_comes_first() -> None:
