@@ -63,7 +63,7 @@ class _Window:
         self.ended: SimpleQueue[Future[Receipt | Refusal]] = SimpleQueue()
         self.refused: dict[str, str] = {}
         self.threads: dict[str, int] = {}
-        self.submitted = 0
+        self.submitted = self.most_workers = 0
         self.last_good = time.monotonic()
 
     def run(self, tick: Callable[[int, dict[str, str]], None]) -> Iterator[Receipt | TileFailure]:
@@ -72,6 +72,7 @@ class _Window:
             while True:
                 if time.monotonic() - ticked >= TICK_SECONDS:
                     self.threads = worker_threads(self.client)  # a cluster may grow and shrink under way
+                    self.most_workers = max(self.most_workers, len(self.threads))
                     tick(sum(self.threads.values()), self.refused)
                     ticked = time.monotonic()
                 self.fill()
@@ -94,11 +95,13 @@ class _Window:
         willing = [worker for worker in self.threads if worker not in self.refused]
         if willing or not self.refused:
             self.last_good = time.monotonic()
-        elif not self.running and time.monotonic() - self.last_good > (WORKER_SECONDS if self.delivered else 0):
+        elif not self.running and (
+            len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > WORKER_SECONDS
+        ):
             worker, reason = next(iter(self.refused.items()))
             raise RunError(f"no worker can do this run: {worker}: {reason}")
         else:
-            return
+            return  # one that did tiles is gone, and may come back
         if self.client.status != "running":
             raise RunError(LOST)
         for _ in range(IN_FLIGHT * max(1, sum(self.threads.values())) - len(self.running)):
@@ -126,7 +129,6 @@ class _Window:
             result = future.result()
             future.release()
             if isinstance(result, Receipt):
-                self.delivered = True
                 return result
             self.refused[result.worker] = result.reason
             self.again.append((job, attempt))
@@ -143,5 +145,3 @@ class _Window:
             self.again.append((job, attempt + 1))
             return None
         return TileFailure(job.index, " ".join(f"{type(error).__name__}: {error}".split()))
-
-    delivered = False

@@ -15,12 +15,13 @@ from distributed import Client, LocalCluster, get_worker
 import atlas
 from atlas import fanout
 from atlas import job as jobs
+from atlas import store as storing
 from atlas.claim import notes_of
 from atlas.errors import RunError
-from atlas.job import Job, RefusedError, run_job
+from atlas.job import Job, RefusedError, StoreFullError, run_job
 from atlas.store import create, done_tiles, read_header, read_tile
 from tests.faults import attempts, environment
-from workers.results import FAILED
+from workers.results import FAILED, result_variables
 from workers.tile import solve_cells
 
 SPEC = """
@@ -170,6 +171,32 @@ def test_a_worker_that_cannot_write_refuses_and_says_why(
         run_job(made)
 
 
+def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
+    made: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = read_header(Path(made.store))
+    array_of = storing._array
+    for variable in result_variables(header.spec.settings):
+
+        def full(group: object, name: str, at: str = variable.name) -> object:
+            if name == at and group.read_only is False:  # type: ignore[attr-defined]
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return array_of(group, name)  # type: ignore[arg-type]
+
+        with monkeypatch.context() as patch:
+            patch.setattr(storing, "_array", full)
+            with pytest.raises(StoreFullError, match="No space left on device"):
+                run_job(made)
+        assert done_tiles(header) == set()
+    run_job(made)
+    expected = solve_cells(
+        header.spec.system, header.spec.cell_params((slice(2, 4), slice(3, 6))), header.spec.settings
+    ).arrays
+    stored = read_tile(header, made.index)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(stored[name], values, err_msg=name)
+
+
 def test_a_tile_that_is_stored_is_not_solved_again(made: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     first = run_job(made)
     monkeypatch.setattr(jobs, "solve_and_write", None)
@@ -212,7 +239,7 @@ def test_a_worker_that_refuses_is_left_out_and_named(
     summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures) == (9, ())
     assert summary.refused == {unfit: "sees no store"}
-    assert done_by.count(unfit) <= 2  # what was in its queue when it refused first
+    assert done_by.count(unfit) <= 2 * fanout.IN_FLIGHT  # no more than were under way when it refused first
 
 
 def test_a_run_that_every_worker_refuses_ends_with_the_reason(
