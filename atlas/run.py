@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from atlas import plan as planning
-from atlas.claim import claimed, notes_of, remove_half_made
+from atlas.claim import claimed, remove_half_made
 from atlas.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.errors import InputError
 from atlas.fanout import outcomes
 from atlas.job import Job, Receipt
+from atlas.notes import notes_of
 from atlas.order import Order
 from atlas.plan import Plan
 from atlas.progress import Progress

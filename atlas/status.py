@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from atlas.claim import PATIENCE_SECONDS, Record, holder, notes_of
+from atlas.claim import PATIENCE_SECONDS, Record, holder, last_word
+from atlas.notes import notes_of
 from atlas.plan import Plan, duration, make_plan
 from atlas.progress import Progress
 from atlas.store import Header, done_tiles, regime_counts
@@ -16,7 +17,10 @@ from atlas.store import Header, done_tiles, regime_counts
 
 @dataclass(frozen=True)
 class Status:
-    """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it."""
+    """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
+
+    ``ended`` is how the last submitted run ended, empty where it ended well.
+    """
 
     header: Header
     plan: Plan
@@ -24,6 +28,7 @@ class Status:
     cells_done: int
     regimes: dict[str, int]
     run: Record | None
+    ended: str
 
     @property
     def fraction(self) -> float:
@@ -68,7 +73,8 @@ class Status:
 
     def _run(self) -> str:
         if self.run is None:
-            return "none at work" if self.fraction < 1 else "complete"
+            ended = f"; the last one submitted ended: {self.ended}" if self.ended else ""
+            return "complete" if self.fraction == 1 and not ended else f"none at work{ended}"
         workers = self.run.progress.get("workers", 0)
         speed = "" if self.seconds_left is None else f", {self.progress.rate:.3g} cells/s"
         left = "" if self.seconds_left is None else f", {duration(self.seconds_left)} left"
@@ -97,6 +103,7 @@ class Status:
             "fraction": self.fraction,
             "regimes": self.regimes,
             "run": self.run and str(self.run),
+            "ended": self.ended or None,
             "workers": self.run.progress.get("workers", 0) if self.run else 0,
             "cells_per_second": self.progress.rate,
             "seconds_left": self.seconds_left,
@@ -121,8 +128,9 @@ class Census:
         for index in new:
             self.counted[index] = True
         self.cells += sum(map(self.plan.size, new))
-        run = holder(notes_of(self.header.path))
-        return Status(self.header, self.plan, int(self.counted.sum()), self.cells, dict(self.regimes), run)
+        notes = notes_of(self.header.path)
+        run, ended = holder(notes), last_word(notes)
+        return Status(self.header, self.plan, int(self.counted.sum()), self.cells, dict(self.regimes), run, ended)
 
 
 def read_status(header: Header) -> Status:

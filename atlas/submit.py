@@ -5,8 +5,11 @@ import uuid
 from collections.abc import Callable
 from pathlib import Path
 
+from atlas.claim import leave_word
 from atlas.cluster import LOST, Tls, connected, count_threads
 from atlas.errors import InputError, RunError
+from atlas.notes import notes_of
+from atlas.plan import plural
 from atlas.progress import Progress
 from atlas.retry import Retry
 from atlas.run import run
@@ -67,6 +70,13 @@ def coordinate(spec: Spec, store: str, retry: Retry | None, name: str) -> None:
                 told = True
 
         try:
-            run(spec, store, client=client, on_progress=tell, retry=retry)
+            summary = run(spec, store, client=client, on_progress=tell, retry=retry)
+            if summary.failures:
+                first = summary.failures[0]
+                count = plural(len(summary.failures), "tile")
+                leave_word(notes_of(store), f"{count} raised, the first being {first.index}: {first.message}")
+        except RunError as error:
+            leave_word(notes_of(store), str(error))
+            raise
         finally:
             begun.clear()  # the scheduler forgets it

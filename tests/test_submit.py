@@ -138,6 +138,23 @@ def test_watch_ends_with_the_atlas_and_counts_only_what_is_new(
     assert len(counted) == len(set(counted)) == TILES
 
 
+def test_status_tells_how_a_run_ended_that_nobody_watched(service: Service) -> None:
+    script, store = service.folder / "faults" / "script.json", service.folder / "ended.zarr"
+    before = script.read_text()
+    script.write_text(json.dumps({"0-0": ["full"], "*": ["ok"]}))
+    try:
+        service.submit(store.name)
+        until(lambda: read_status(read_header(store)).ended != "")
+    finally:
+        script.write_text(before)
+    told = json.loads(call("status", store, "--json").stdout)
+    assert "No space left on device; finished tiles are kept" in told["ended"]
+    assert "none at work; the last one submitted ended: " in call("status", store).stdout
+    service.submit(store.name)
+    until(lambda: service.ends(store.name))
+    assert json.loads(call("status", store, "--json").stdout)["ended"] is None
+
+
 def test_a_bad_submission_is_one_line_and_exit_code_2(service: Service, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     shown = call("submit", "tiny", "-o", tmp_path / "file" / "out.zarr", "--scheduler", service.address)
