@@ -19,14 +19,15 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from atlas.beside import Notes
 from atlas.errors import InputError, RunError
-from atlas.notes import CLAIM, Notes
 
 BEAT_SECONDS = 2.0
 """How often a holder moves its counter."""
 PATIENCE_SECONDS = 20.0
 """How long a counter must stand still until its holder counts as dead: ten beats, for a busy network disk."""
-ENDED = "ended"
+CLAIM, ENDED = "claim", "ended"
+"""Names of notes: who is at work; how the last run ended that nobody watched."""
 
 
 @dataclass(frozen=True)

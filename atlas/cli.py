@@ -166,8 +166,8 @@ def submit(spec: str, out: Path, scheduler: str, **given: Any) -> None:
 @_store_argument
 def cancel(store: Path) -> None:
     """Stop the run that is at work on STORE, wherever it runs. Finished tiles are kept."""
+    from atlas.beside import notes_of
     from atlas.claim import cancel as cancel_run
-    from atlas.notes import notes_of
 
     stopped = cancel_run(notes_of(store), str(store), CANCEL_SECONDS, _say)
     click.echo(f"{store}: {stopped} has stopped")

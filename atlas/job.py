@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from atlas.beside import notes_of
 from atlas.errors import InputError, RunError
-from atlas.notes import notes_of
 from atlas.plan import make_plan
 from atlas.retry import Retry, solve_again
 from atlas.store import BUDGET, Header, is_done, read_header, read_tile, write_tile

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from atlas import plan as planning
-from atlas.claim import claimed, remove_half_made
+from atlas.beside import notes_of
+from atlas.claim import CLAIM, claimed, remove_half_made
 from atlas.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.errors import InputError
 from atlas.fanout import outcomes
 from atlas.job import Job, Receipt
-from atlas.notes import notes_of
 from atlas.order import Order
 from atlas.plan import Plan
 from atlas.progress import Progress
@@ -69,7 +69,7 @@ def run(
 
         notes = notes_of(path)
         claim = stack.enter_context(claimed(notes, str(path), lambda text: tell(Progress(text))))
-        stack.push(lambda kind, *_: notes.clear() if kind in (None, KeyboardInterrupt) else None)
+        stack.push(lambda kind, *_: notes.clear(keep=CLAIM) if kind in (None, KeyboardInterrupt) else None)
         remove_half_made(path)
         header = find(path, spec)  # once more: before the claim another may have made or extended it
         work = _work(header, planning.make_plan(spec, count, header.tile if header else plan.tile), retry, tell)

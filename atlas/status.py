@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from atlas.beside import notes_of
 from atlas.claim import PATIENCE_SECONDS, Record, holder, last_word
-from atlas.notes import notes_of
 from atlas.plan import Plan, duration, make_plan
 from atlas.progress import Progress
 from atlas.store import Header, done_tiles, regime_counts

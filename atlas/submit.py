@@ -5,10 +5,10 @@ import uuid
 from collections.abc import Callable
 from pathlib import Path
 
+from atlas.beside import notes_of
 from atlas.claim import leave_word
 from atlas.cluster import LOST, Tls, connected, count_threads
 from atlas.errors import InputError, RunError
-from atlas.notes import notes_of
 from atlas.plan import plural
 from atlas.progress import Progress
 from atlas.retry import Retry

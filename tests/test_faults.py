@@ -16,9 +16,9 @@ import atlas
 from atlas import fanout
 from atlas import job as jobs
 from atlas import store as storing
+from atlas.beside import notes_of
 from atlas.errors import RunError
 from atlas.job import Job, RefusedError, StoreFullError, run_job
-from atlas.notes import notes_of
 from atlas.store import create, done_tiles, read_header, read_tile
 from tests.faults import attempts, environment
 from workers.results import FAILED, result_variables

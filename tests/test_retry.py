@@ -11,10 +11,10 @@ from distributed import Client
 import atlas
 from atlas import apart
 from atlas import store as storing
+from atlas.beside import notes_of
 from atlas.cli import cli
 from atlas.errors import InputError
 from atlas.job import Job, run_job
-from atlas.notes import notes_of
 from atlas.plan import make_plan
 from atlas.retry import Retry, checked_retry
 from atlas.store import add_budget, done_tiles, read_header, read_tile, write_tile

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
-CLAIM = "claim"
-"""The note of the run that is at work on a store; see claim.py."""
-
 
 class Notes(Protocol):
     """Small named notes of one store that several processes share, with a conditional write.
@@ -28,8 +25,8 @@ class Notes(Protocol):
     def remove(self, name: str, expected: bytes) -> bool:
         """Remove a note that holds the expected bytes; False where it does not."""
 
-    def clear(self) -> None:
-        """Remove all notes but the claim."""
+    def clear(self, keep: str) -> None:
+        """Remove all notes but one: only for who holds that one."""
 
 
 def notes_of(store: str | os.PathLike[str]) -> Notes:
@@ -73,10 +70,10 @@ class Folder:
             self.path.rmdir()
         return True
 
-    def clear(self) -> None:
+    def clear(self, keep: str) -> None:
         """See Notes."""
         for file in self.path.glob("*"):
-            if file.name != CLAIM:
+            if file.name != keep:
                 file.unlink(missing_ok=True)
 
     def _create(self, name: str, data: bytes) -> bool:
