@@ -63,11 +63,11 @@ def shares(counts: Mapping[str, int]) -> str:
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
-    """Plain lines: every new stage at once, then one line every few seconds."""
+    """Plain lines: every new stage at once, then one line every few seconds in which something has come."""
 
     def __init__(self, stream: IO[str], interval: float = LOG_INTERVAL) -> None:
         self._stream, self._interval = stream, interval
-        self._stage, self._planned, self._last = "", False, 0.0
+        self._stage, self._line, self._planned, self._last = "", "", False, 0.0
 
     def __call__(self, progress: Progress) -> None:
         """Print the snapshot where it is new enough."""
@@ -81,7 +81,9 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.stage)
         elif time.monotonic() - self._last >= self._interval:
             self._last = time.monotonic()
-            self._print(status_line(progress))
+            if status_line(progress) != self._line:
+                self._line = status_line(progress)
+                self._print(self._line)
 
     def _print(self, text: str) -> None:
         print(text, file=self._stream, flush=True)

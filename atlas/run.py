@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ import numpy as np
 
 from atlas import plan as planning
 from atlas.beside import notes_of
-from atlas.claim import CLAIM, claimed, remove_half_made
+from atlas.claim import CLAIM, Claim, claimed, remove_half_made
 from atlas.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.errors import InputError
 from atlas.fanout import outcomes
@@ -60,60 +60,85 @@ def run(
         if scheduler is not None and client is None:
             tell(Progress(f"connecting to {scheduler}", passing=True))
             client = stack.enter_context(connected(scheduler, tls))
-        if client is None:
-            count = workers or planning.default_workers()
-        else:
+        count = workers or planning.default_workers()
+        if client is not None:
             count = count_threads(client, lambda: tell(Progress("waiting for the scheduler's first worker")))
         plan = planning.make_plan(spec, count, header.tile if header else None)
         planning.check_disk(plan, path, plan.tile_count - (len(done_tiles(header)) if header else 0))
 
-        notes = notes_of(path)
-        claim = stack.enter_context(claimed(notes, str(path), lambda text: tell(Progress(text))))
-        stack.push(lambda kind, *_: notes.clear(keep=CLAIM) if kind in (None, KeyboardInterrupt) else None)
-        remove_half_made(path)
+        claim = stack.enter_context(_claimed(path, tell))
         header = find(path, spec)  # once more: before the claim another may have made or extended it
-        work = _work(header, planning.make_plan(spec, count, header.tile if header else plan.tile), retry, tell)
+        plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
+        work = _work(header, plan, retry, tell)
         if work.due.any() and (client is None or probe):
             tell(Progress("compiling the kernels (kept for the next run)"))
             planning.warm_up(spec)
         if work.due.any() and probe:
             tell(Progress("probing a few cells"))
-            work = replace(work, plan=replace(work.plan, probe=planning.probe(spec)))
+            work = replace(work, plan=replace(plan, probe=planning.probe(spec)))
         tally = Tally(work.plan, work.tiles_done, work.cells_done, work.tiles, work.cells)
         tell(tally.progress(_beginning(work, retry)))
-        header = header or create(path, spec, work.plan.tile)
+        header = header or create(path, spec, plan.tile)
         if retry is not None and retry.max_periods is not None:
             add_budget(header)
         if work.due.any() and client is None:
             tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
             client = stack.enter_context(local_cluster(count))
-        if client is not None:
-
-            def tick(threads: int, refused: Mapping[str, str]) -> None:
-                claim.check()
-                tally.workers, tally.refused = max(tally.workers, threads), refused
-                claim.report(tally.report(threads))
-                tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
-
-            order = Order(work.due)
-            jobs = (Job(at, str(header.path), header.run_id, header.solver_version, retry) for at in order)
-            tally.start()
-            try:
-                for outcome in outcomes(client, jobs, tick):
-                    tally.add(outcome)
-                    if isinstance(outcome, Receipt):
-                        order.note(outcome.index, outcome.solve_seconds)
-                    tell(tally.progress("solving"))
-            except KeyboardInterrupt:
-                tell(tally.progress("interrupted, dropping the tiles under way"))
-                raise
+        if work.due.any() and client is not None:
+            _solve(client, header, work.due, retry, claim, tally, tell)
         return replace(tally.summary(header.path), retried=retry is not None)
+
+
+@contextmanager
+def _claimed(path: Path, tell: Callable[[Progress], None]) -> Iterator[Claim]:
+    """The claim of a store, with what dead runs left beside it cleared away."""
+    notes = notes_of(path)
+    with claimed(notes, str(path), lambda text: tell(Progress(text))) as claim:
+        remove_half_made(path)
+        try:
+            yield claim
+        except Exception:
+            raise  # tiles that were begun may have something to do with it: their notes stay
+        except BaseException:
+            notes.clear(keep=CLAIM)
+            raise
+        notes.clear(keep=CLAIM)
+
+
+def _solve(
+    client: "Client",
+    header: Header,
+    due: np.ndarray,
+    retry: Retry | None,
+    claim: Claim,
+    tally: Tally,
+    tell: Callable[[Progress], None],
+) -> None:
+    """Fan the tiles due out to the workers, and add up their receipts."""
+
+    def tick(threads: int, refused: Mapping[str, str]) -> None:
+        claim.check()
+        tally.workers, tally.refused = max(tally.workers, threads), refused
+        claim.report(tally.report(threads))
+        tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
+
+    order = Order(due)
+    jobs = (Job(index, str(header.path), header.run_id, header.solver_version, retry) for index in order)
+    tally.start()
+    try:
+        for outcome in outcomes(client, jobs, tick):
+            tally.add(outcome)
+            if isinstance(outcome, Receipt):
+                order.note(outcome.index, outcome.solve_seconds)
+            tell(tally.progress("solving"))
+    except KeyboardInterrupt:
+        tell(tally.progress("interrupted, dropping the tiles under way"))
+        raise
 
 
 @dataclass(frozen=True)
 class _Work:
-    """What a run has before it: the mask of the tiles due, how many tiles and cells in all, and how many of them are
-    done already."""
+    """What a run has before it: the mask of the tiles due; tiles and cells in all, and how many of them are done."""
 
     plan: Plan
     due: np.ndarray
