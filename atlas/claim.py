@@ -6,6 +6,7 @@ time, or its process is seen to be gone, and the claim is taken over. All of it 
 if what is there is still what I read", so that a holder that was only asleep finds out at its next beat.
 """
 
+import glob
 import json
 import os
 import shutil
@@ -174,7 +175,7 @@ def last_word(notes: Notes) -> str:
 
 def remove_half_made(store: Path) -> None:
     """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
-    for leftover in store.absolute().parent.glob(f".{store.name}.*.partial"):
+    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.*.partial"):
         shutil.rmtree(leftover, ignore_errors=True)
 
 

@@ -139,8 +139,11 @@ class _Window:
         future.release()
         if isinstance(error, StoreFullError):
             raise RunError(f"{error}; finished tiles are kept: make room and run again")
-        if isinstance(error, ImportError):
-            raise RunError(f"a worker cannot import what it needs ({error}); is impact-atlas installed on every host?")
+        if isinstance(error, ImportError) or "deserialization of the task graph" in str(error):
+            raise RunError(
+                f"the scheduler or a worker cannot load this package ({type(error).__name__}); install the same "
+                "impact-atlas on every host, the scheduler's too"
+            )
         if attempt < ATTEMPTS:
             self.again.append((job, attempt + 1))
             return None

@@ -56,7 +56,9 @@ def test_help_comes_without_the_heavy_imports() -> None:
     assert shown.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("command", ["plan", "run", "status", "query", "render", "point", "systems"])
+@pytest.mark.parametrize(
+    "command", ["plan", "run", "submit", "cancel", "status", "query", "render", "point", "systems"]
+)
 def test_every_command_has_help(command: str) -> None:
     assert call(command, "--help").exit_code == 0
     assert command in call("--help").stdout

@@ -251,3 +251,14 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
     monkeypatch.setattr(fanout, "run_job", refuse)
     with pytest.raises(RunError, match=r"no worker can do this run: inproc://\S+: sees no store"):
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
+
+
+def test_a_scheduler_without_this_package_is_told_of_once_and_at_once(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unloadable(job: Job) -> None:
+        raise RuntimeError("Error during deserialization of the task graph. This frequently occurs if ...")
+
+    monkeypatch.setattr(fanout, "run_job", unloadable)
+    with pytest.raises(RunError, match="install the same impact-atlas on every host, the scheduler's too"):
+        atlas.run(plane, tmp_path / "out.zarr", client=client)
