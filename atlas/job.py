@@ -109,7 +109,8 @@ def solve_and_write(job: Job) -> Receipt:
             begin = time.perf_counter()
             arrays, solved, reasons = solve_again(spec, cells, stored, job.retry)
         middle = time.perf_counter()
-        if solved.any():
+        # Another attempt may have finished meanwhile: what is stored is then the same, and stays.
+        if solved.any() and (job.retry is not None or not is_done(header, job.index)):
             write_tile(header, job.index, arrays)
         receipt = _receipt(job.index, arrays, solved, reasons)
         return replace(receipt, solve_seconds=middle - begin, write_seconds=time.perf_counter() - middle)
@@ -163,6 +164,8 @@ def _mark_failed(header: Header, job: Job, reason: str) -> Receipt:
         stored[BUDGET.name] = np.where(solved, job.retry.budgets(stored), stored[BUDGET.name])
         for variable in result_variables(spec.settings):
             stored[variable.name][solved] = variable.fill
+    if job.retry is None and is_done(header, job.index):
+        return _receipt_of_stored(header, job.index)
     stored[REGIME.name][solved] = FAILED
     write_tile(header, job.index, stored)
     return _receipt(job.index, stored, solved, {reason: int(solved.sum())})

@@ -21,6 +21,7 @@ from atlas.errors import RunError
 from atlas.job import Job, RefusedError, StoreFullError, run_job
 from atlas.store import create, done_tiles, read_header, read_tile
 from tests.faults import attempts, environment
+from workers import tile as solving
 from workers.results import FAILED, result_variables
 from workers.tile import solve_cells
 
@@ -202,6 +203,20 @@ def test_a_tile_that_is_stored_is_not_solved_again(made: Job, monkeypatch: pytes
     monkeypatch.setattr(jobs, "solve_and_write", None)
     again = run_job(made)
     assert (again.counts, again.cells, again.periods) == (first.counts, first.cells, first.periods)
+
+
+def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
+    made: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def late(*given: object) -> object:
+        monkeypatch.setattr(solving, "solve_cells", solve_cells)
+        run_job(made)  # the other attempt, which is faster
+        monkeypatch.setattr(jobs, "write_tile", None)
+        return solve_cells(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(solving, "solve_cells", late)
+    assert jobs.solve_and_write(made).cells == 6
+    assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
 
 
 def test_a_tile_whose_first_attempt_did_not_live_runs_in_a_process_of_its_own(

@@ -110,6 +110,26 @@ def test_failed_cells_are_solved_again_within_the_budget_they_had(store: Path, c
         assert same(after[name], values).all(), name
 
 
+def test_a_tile_at_the_edge_is_unfinished_too_while_it_is_written_again(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header, edge = read_header(store), (2, 2)
+    arrays = read_tile(header, edge)
+    assert arrays["regime"].shape == (1, 1)
+    seen: list[bool] = []
+    array_of = storing._array
+
+    def looking(group: object, name: str) -> object:
+        seen.append(edge in done_tiles(header))
+        return array_of(group, name)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(storing, "_array", looking)
+    write_tile(header, edge, arrays)
+    assert seen[0]
+    assert not any(seen[1:])
+    assert edge in done_tiles(header)
+
+
 def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixture(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
