@@ -36,6 +36,9 @@ class _Group(click.Group):
             raise _BadInput(str(error)) from None
         except RunError as error:
             raise click.ClickException(str(error)) from None
+        except OSError as error:  # a disk or a network that gave up in the middle
+            where = f"{error.filename}: " if error.filename else ""
+            raise click.ClickException(f"{where}{error.strerror or error}") from None
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
@@ -58,23 +61,26 @@ _json_option = click.option(
 _workers_option = click.option(
     "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
 )
-_store_argument = click.argument("store", type=click.Path(path_type=Path))
+_store_argument = click.argument("store")  # a path or a URL
 
 
 @cli.command()
 @click.argument("spec")
-@click.option("-o", "--out", type=click.Path(path_type=Path), default=Path(), help="Where the store is to lie.")
+@click.option("-o", "--out", default=".", help="Where the store is to lie: a path or a URL.")
 @_workers_option
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @_json_option
-def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) -> None:
+def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -> None:
     """What SPEC will cost: cells, tiles, bytes, probed time."""
     from atlas import plan as planning
     from atlas.output import to_json
+    from atlas.place import place_of
 
     read = Spec.from_toml(spec)
     made = planning.make_plan(read, workers)
-    planning.check_disk(made, out)
+    place = place_of(out)
+    if place.local is not None:
+        planning.check_disk(made, place.local)
     if probe:
         _say("compiling and probing a few cells")
         planning.warm_up(read)
@@ -84,11 +90,11 @@ def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) 
 
 @cli.command()
 @click.argument("spec")
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The store: made, or gone on with.")
+@click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or gone on with.")
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 @_workers_option
 @click.pass_context
-def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers: int | None) -> None:
+def run(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None) -> None:
     """Compute SPEC into a store. The same line again goes on where it stopped."""
     from atlas.progress import reporter
     from atlas.run import run as run_spec
@@ -101,7 +107,7 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
             summary = run_spec(read, out, scheduler=scheduler, workers=workers, on_progress=show, probe=True)
     except KeyboardInterrupt:
         options = [text for pair in (("--scheduler", scheduler), ("--workers", workers)) if pair[1] for text in pair]
-        line = shlex.join(["atlas", "run", spec, "-o", str(out), *map(str, options)])
+        line = shlex.join(["atlas", "run", spec, "-o", out, *map(str, options)])
         _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
         ctx.exit(INTERRUPTED)
     click.echo(str(summary))
@@ -114,7 +120,7 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
 @cli.command()
 @_store_argument
 @_json_option
-def status(store: Path, as_json: bool) -> None:
+def status(store: str, as_json: bool) -> None:
     """How far STORE is: tiles, cells and regimes done."""
     from atlas.output import to_json
     from atlas.status import read_status
@@ -129,7 +135,7 @@ def status(store: Path, as_json: bool) -> None:
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis.")
 @_json_option
-def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json: bool) -> None:
+def query(store: str, point: tuple[str, ...], window: tuple[str, ...], as_json: bool) -> None:
     """What STORE holds at a point, or the share of each regime in a window (default: everywhere)."""
     from atlas import query as questions
     from atlas.output import print_table, text, to_json
@@ -156,7 +162,7 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json:
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="The picture; the suffix decides how."
 )
 @click.option("--kind", metavar="KIND", help="exponent or period (two axes), sweep (one); default: by the axes.")
-def render(store: Path, out: Path, kind: str | None) -> None:
+def render(store: str, out: Path, kind: str | None) -> None:
     """Draw STORE."""
     from atlas.store import open_atlas
 

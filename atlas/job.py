@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -41,7 +40,7 @@ def run_job(job: Job) -> Receipt:
     begin = time.perf_counter()
     if job.solver_version != SOLVER_VERSION:
         raise RunError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
-    header = read_header(Path(job.store))
+    header = read_header(job.store)
     if header.run_id != job.run_id:
         raise RunError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
     spec = header.spec

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atlas import plan as planning
 from atlas.errors import InputError, RunError
 from atlas.job import Job, Receipt, run_job
+from atlas.place import place_of
 from atlas.progress import Progress
 from atlas.spec import Spec
 from atlas.store import create, done_tiles, find
@@ -54,8 +54,8 @@ def run(
         raise InputError(f"workers: found {workers}, must be 1 or more, and goes with a local cluster only")
     _leave_if_bootstrapping()
     tell = on_progress or (lambda _: None)
-    path = Path(store)
-    header = find(path, spec)
+    place = place_of(store)
+    header = find(place, spec)
     done = done_tiles(header) if header else set()
     with ExitStack() as stack:
         if scheduler is not None and client is None:
@@ -74,9 +74,10 @@ def run(
         tell(
             tally.progress(f"going on: {len(done)} of {plan.tile_count} tiles are done" if done else "making the store")
         )
-        planning.check_disk(plan, path, len(pending))
-        header = header or create(path, spec, plan.tile)
-        jobs = [Job(tile.index, str(header.path), header.run_id, header.solver_version) for tile in pending]
+        if place.local is not None:
+            planning.check_disk(plan, place.local, len(pending))
+        header = header or create(place, spec, plan.tile)
+        jobs = [Job(tile.index, str(header.place), header.run_id, header.solver_version) for tile in pending]
         if pending and client is None:
             tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
             client = stack.enter_context(_local_cluster(count))
@@ -90,7 +91,7 @@ def run(
             except KeyboardInterrupt:
                 tell(tally.progress("interrupted, dropping the tiles under way"))
                 raise
-        return tally.summary(header.path)
+        return tally.summary(str(header.place))
 
 
 def _outcomes(client: "Client", jobs: Iterable[Job], tally: Tally) -> Iterator[Receipt | TileFailure]:

@@ -38,7 +38,7 @@ class Status:
         """What ``atlas status --json`` prints."""
         spec = self.header.spec
         return {
-            "store": str(self.header.path),
+            "store": str(self.header.place),
             "system": spec.system,
             "axes": [
                 {"name": a.name, "start": a.values[0], "stop": a.values[-1], "num": len(a), "scale": a.scale}

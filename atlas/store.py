@@ -1,4 +1,4 @@
-"""The store: an atlas on disk as Zarr, one tile one chunk of every array. The only file that writes it."""
+"""The store: an atlas as Zarr, on disk or at a URL, one tile one chunk of every array. The only file that writes it."""
 
 import json
 import os
@@ -7,15 +7,17 @@ import tempfile
 import uuid
 import warnings
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from atlas.errors import InputError, RunError
+from atlas.machine import Machine, package_version, this_machine
+from atlas.place import LocalPlace, ObjectPlace, Place, place_of
 from atlas.spec import Slices, Spec
 from workers import SOLVER_VERSION
 from workers.results import REGIME, REGIMES, Variable, result_variables
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 1
+ROOT = "zarr.json"
+"""The object that makes a store one: before it there is none."""
+MACHINES = "machines"
+"""The group of the machines that solved tiles, each an empty group with attributes."""
 DIMENSIONS = {"state": "component"}
 """Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
 
@@ -35,12 +41,20 @@ DIMENSIONS = {"state": "component"}
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver."""
 
-    path: Path
+    place: Place
     resolved: Mapping[str, Any]
     digest: str
     run_id: str
     solver_version: int
     tile: tuple[int, ...]
+    origin: "Origin | None" = None
+
+    @property
+    def path(self) -> Path:
+        """The store's folder; RunError where it lies at a URL."""
+        if self.place.local is None:
+            raise RunError(f"{self.place}: not a folder of this machine")
+        return self.place.local
 
     @cached_property
     def spec(self) -> Spec:
@@ -48,44 +62,54 @@ class Header:
         return Spec.from_resolved(self.resolved)
 
 
-def create(path: Path, spec: Spec, tile: tuple[int, ...]) -> Header:
-    """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all."""
-    path = path.absolute()
-    building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
+@dataclass(frozen=True)
+class Origin:
+    """The store whose cells a grown one takes over, and the run that made it."""
+
+    store: str
+    run_id: str
+
+
+def create(
+    store: str | os.PathLike[str] | Place, spec: Spec, tile: tuple[int, ...], origin: Header | None = None
+) -> Header:
+    """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
+
+    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
+    them meanwhile. ``origin`` is the store that this one is to take cells over from.
+    """
+    place = place_of(store)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _build(building, spec, tile)
-        os.rename(building, path)
+        if place.local is None:
+            _create_remotely(place, spec, tile, origin)
+        else:
+            _create_locally(place.local, spec, tile, origin)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
-    return read_header(path)
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+    return read_header(place)
 
 
-def read_header(path: Path) -> Header:
+def read_header(store: str | os.PathLike[str] | Place) -> Header:
     """The header of a store; InputError where there is none, or it is not ours, or of a format yet unknown."""
-    import zarr
-
-    path = path.absolute()
-    if not path.exists():
-        raise InputError(f"{path}: no such store")
-    foreign = InputError(f"{path}: not an atlas (no {FORMAT} attributes)")
+    place = place_of(store)
+    foreign = InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
+    _check_exists(place)
     try:
-        group = zarr.open_group(path, mode="r", use_consolidated=False)
+        group = _open(place, "r")
         attrs: dict[str, Any] = dict(group.attrs)
         if attrs.get("format") != FORMAT:
             raise foreign
         found = attrs["format_version"]
         if found != FORMAT_VERSION:
-            raise InputError(f"{path}: format version {found}, this program reads version {FORMAT_VERSION}")
+            raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
         return Header(
-            path=path,
+            place=place,
             resolved=json.loads(attrs["spec"]),
             digest=attrs["digest"],
             run_id=attrs["run_id"],
             solver_version=attrs["solver_version"],
             tile=_array(group, REGIME.name).chunks,
+            origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
         )
     except InputError:
         raise
@@ -93,24 +117,25 @@ def read_header(path: Path) -> Header:
         raise foreign from None
 
 
-def find(path: Path, spec: Spec) -> Header | None:
+def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
     """The header of a store that this spec may go on with, None where nothing is yet; InputError where it may not."""
+    place = place_of(store)
     try:
-        if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-            _check_writable(path)
+        if _is_free(place, spec):
+            _check_writable(place)
             return None
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    header = read_header(path)
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+    header = read_header(place)
     if header.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{path}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
+            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: choose another path"
         )
     if header.spec.digest != spec.digest:
-        raise InputError(f"{path}: is of another spec: {'; '.join(differences(header.spec, spec))}")
-    if not os.access(path, os.W_OK):
-        raise InputError(f"{path}: cannot be written: Permission denied")
+        raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
+    if place.local is not None and not os.access(place.local, os.W_OK):
+        raise InputError(f"{place}: cannot be written: Permission denied")
     return header
 
 
@@ -140,39 +165,83 @@ def differences(stored: Spec, given: Spec) -> list[str]:
 
 
 def done_tiles(header: Header) -> set[tuple[int, ...]]:
-    """Indices of the tiles that are finished: those whose regime chunk exists."""
-    root = header.path / REGIME.name / "c"
-    found = set()
-    for folder, _, files in os.walk(root):
-        above = Path(folder).relative_to(root).parts
-        # A name that is not a number is what a killed write left behind.
-        found |= {tuple(map(int, (*above, name))) for name in files if name.isdigit()}
-    return found
+    """Indices of the tiles that are finished: those whose regime chunk exists. One listing tells them."""
+    root = f"{REGIME.name}/c/"
+    names = (key.removeprefix(root).split("/") for key in header.place.list_keys(root))
+    # A name that is not a number is what a killed write left behind.
+    return {tuple(map(int, parts)) for parts in names if all(part.isdigit() for part in parts)}
+
+
+def is_done(header: Header, index: tuple[int, ...]) -> bool:
+    """Whether one tile is finished; ``done_tiles`` tells it of all."""
+    return header.place.exists(chunk_key(REGIME, index))
+
+
+def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
+    """The key of a tile's chunk in a variable's array."""
+    return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
+
+
+def drop_tile(header: Header, index: tuple[int, ...]) -> None:
+    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
+    header.place.remove(chunk_key(REGIME, index))
 
 
 def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     """Write all arrays of one tile as whole chunks, ``regime`` last: with it the tile is done."""
-    import zarr
+    with header.place.told():
+        group = _open(header.place, "r+")
+        if group.attrs.get("run_id") != header.run_id:
+            raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
+        record_machine(header, this_machine())
+        for variable in result_variables(header.spec.settings):
+            array = _array(group, variable.name)
+            # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
+            array.with_config({"write_empty_chunks": True})[_block(array, index)] = arrays[variable.name]
 
-    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
-    if group.attrs.get("run_id") != header.run_id:
-        raise RunError(f"{header.path}: not the store of run {header.run_id}; is the path the same on all hosts?")
-    for variable in result_variables(header.spec.settings):
-        array = _array(group, variable.name)
-        # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
-        array.with_config({"write_empty_chunks": True})[_block(array, index)] = arrays[variable.name]
+
+def record_machine(header: Header, machine: Machine) -> None:
+    """Put a machine on the list of those that solved this store's tiles."""
+    _recorded(header.place, header.run_id, machine)
+
+
+@lru_cache(maxsize=64)  # once a process and store is enough
+def _recorded(place: Place, run_id: str, machine: Machine) -> None:
+    import zarr
+    from zarr.errors import ContainsGroupError
+
+    path = f"{MACHINES}/{machine.name}"
+    if place.exists(f"{path}/{ROOT}"):
+        return
+    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
+        zarr.create_group(_zarr_store(place, "r+"), path=path, zarr_format=3, attributes=dict(machine.facts))
+
+
+def machines(header: Header) -> tuple[Machine, ...]:
+    """The machines that solved tiles of this store, in no order; empty where no tile is written yet."""
+    with header.place.told():
+        group: Any = _open(header.place, "r")
+        if MACHINES not in group:
+            return ()
+        return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
+
+
+def open_arrays(header: Header) -> dict[str, Any]:
+    """The Zarr arrays of the results by name, in the order of writing, for reading."""
+    with header.place.told():
+        group = _open(header.place, "r")
+        return {variable.name: _array(group, variable.name) for variable in result_variables(header.spec.settings)}
 
 
 def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str, int]:
     """Cells of each regime in these tiles, as stored; regimes that do not occur are left out."""
-    import zarr
-
-    array = _array(zarr.open_group(header.path, mode="r", use_consolidated=False), REGIME.name)
     totals = {regime.code: 0 for regime in REGIMES}
-    for index in tiles:
-        codes, counts = np.unique(array[_block(array, index)], return_counts=True)
-        for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
-            totals[code] += count
+    with header.place.told():
+        array = _array(_open(header.place, "r"), REGIME.name)
+        for index in tiles:
+            codes, counts = np.unique(array[_block(array, index)], return_counts=True)
+            for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
+                totals[code] += count
     return {regime.name: totals[regime.code] for regime in REGIMES if totals[regime.code]}
 
 
@@ -180,14 +249,79 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas."""
     import xarray
 
-    header = read_header(Path(store))
-    return xarray.open_dataset(header.path, engine="zarr", chunks=None, consolidated=True)
+    place = read_header(store).place
+    with place.told():
+        return xarray.open_dataset(_zarr_store(place, "r"), engine="zarr", chunks=None, consolidated=True)
 
 
-def _build(path: Path, spec: Spec, tile: tuple[int, ...]) -> None:
+def _zarr_store(place: Place, mode: str) -> Any:
+    """Zarr's own store of a place."""
+    from zarr.storage import FsspecStore, ObjectStore
+
+    if isinstance(place, ObjectPlace):
+        return ObjectStore(place.client, read_only=mode == "r")
+    return FsspecStore.from_url(str(place), read_only=mode == "r") if place.local is None else place.local
+
+
+def _open(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
     import zarr
 
-    group = zarr.create_group(path, zarr_format=3, attributes=_root_attributes(spec))
+    return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=False)
+
+
+def _check_exists(place: Place) -> None:
+    try:
+        found = place.exists(ROOT) if place.local is None else place.local.exists()
+    except OSError as error:
+        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+    if not found:
+        raise InputError(f"{place}: no such store")
+
+
+def _is_free(place: Place, spec: Spec) -> bool:
+    """Whether a store of this spec may be made here: nothing is there, or only what a creation cut short left."""
+    path = place.local
+    if path is not None:
+        return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+    if place.exists(ROOT):
+        return False
+    ours = {axis.name for axis in spec.axes} | set(spec.parameters) | {"component", MACHINES}
+    ours |= {variable.name for variable in result_variables(spec.settings)}
+    for key in place.list_keys():
+        if key.partition("/")[0] not in ours:
+            raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
+    return True
+
+
+def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None) -> None:
+    building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _build(building, spec, tile, origin)
+        os.rename(building, path)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+
+
+def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Header | None) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        built = LocalPlace(Path(folder) / "store")
+        _build(built.path, spec, tile, origin)
+        for key in built.list_keys():
+            if key != ROOT:
+                place.put(key, (built.path / key).read_bytes())
+        if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
+            raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+
+
+def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None) -> None:
+    import zarr
+
+    group = zarr.create_group(path, zarr_format=3, attributes=_root_attributes(spec, origin))
+    described = {"long_name": "processors and software that solved this atlas"}
+    known = group.create_group(MACHINES, attributes=described)
+    for machine in machines(origin) if origin else ():
+        known.create_group(machine.name, attributes=dict(machine.facts))
     record = spec.record
     for axis in spec.axes:
         _put(group, axis.name, np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
@@ -235,7 +369,7 @@ def _codecs() -> list[Any]:
     return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk
 
 
-def _root_attributes(spec: Spec) -> dict[str, Any]:
+def _root_attributes(spec: Spec, origin: Header | None) -> dict[str, Any]:
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     return {
         "Conventions": "CF-1.11",
@@ -247,8 +381,8 @@ def _root_attributes(spec: Spec) -> dict[str, Any]:
         "digest": spec.digest,
         # As text, since netCDF attributes cannot nest.
         "spec": json.dumps(spec.resolved()),
-        "software": "; ".join(f"{package} {_version(package)}" for package in packages),
-    }
+        "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
+    } | ({"origin": str(origin.place), "origin_run_id": origin.run_id} if origin else {})
 
 
 def _variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
@@ -275,15 +409,13 @@ def _block(array: Any, index: tuple[int, ...]) -> Slices:
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, array.chunks, array.shape, strict=False))
 
 
-def _check_writable(path: Path) -> None:
-    """Try the nearest folder there is: a trial tells more than permission bits do."""
-    home = next(folder for folder in path.absolute().parents if folder.exists())
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=home):
+def _check_writable(place: Place) -> None:
+    """Try it: a trial tells more than permission bits do. On a disk, in the nearest folder there is."""
+    if place.local is None:
+        trial = f".trial-{uuid.uuid4().hex}"
+        place.put(trial, b"")
+        place.remove(trial)
+        return
+    home = next(folder for folder in place.local.parents if folder.exists())
+    with tempfile.TemporaryDirectory(prefix=f".{place.local.name}.", dir=home):
         pass
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"

@@ -4,7 +4,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from atlas.job import Receipt
 from atlas.plan import Plan, duration, plural
@@ -30,7 +29,7 @@ class Summary:
     periods                      forcing periods simulated
     """
 
-    store: Path
+    store: str
     tiles: int
     tiles_done: int
     tiles_solved: int
@@ -119,8 +118,8 @@ class Tally:
             failures=len(self.failures),
         )
 
-    def summary(self, store: Path) -> Summary:
-        """The sum, for a store at that path."""
+    def summary(self, store: str) -> Summary:
+        """The sum, for a store at that path or URL."""
         return Summary(
             store=store,
             tiles=self.plan.tile_count,
