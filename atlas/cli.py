@@ -132,6 +132,30 @@ def status(store: str, as_json: bool) -> None:
 
 @cli.command()
 @_store_argument
+@click.option("--repair", is_flag=True, help="Drop each bad tile, so that atlas run solves it again.")
+@click.option(
+    "--sample", type=click.IntRange(min=0), metavar="N", default=32, show_default=True, help="Cells to solve again."
+)
+@_json_option
+@click.pass_context
+def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: bool) -> None:
+    """Read all of STORE and check it: checksums, completeness, consistency, a sample of cells solved again.
+
+    Exit code 0: complete and fine; 1: something found. For a store that no run is at work on.
+    """
+    from atlas.output import to_json
+    from atlas.progress import reporter
+    from atlas.verify import verify as verify_store
+
+    with reporter(sys.stderr) as show:
+        report = verify_store(store, sample=sample, repair=repair, on_progress=show)
+    click.echo(to_json(report.as_dict()) if as_json else str(report))
+    if not report.fine:
+        ctx.exit(1)
+
+
+@cli.command()
+@_store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis.")
 @_json_option

@@ -35,7 +35,7 @@ def this_machine() -> Machine:
         "processor": _processor(),
         "architecture": platform.machine(),
         "compiled_for": binding.get_host_cpu_name(),
-        "instructions": binding.get_host_cpu_features().flatten(),
+        "instructions": " ".join(sorted(name for name, there in binding.get_host_cpu_features().items() if there)),
         "compiler_settings": "; ".join(f"{name}={os.environ[name]}" for name in JIT_VARIABLES if name in os.environ),
         "library": " ".join(platform.libc_ver()),
         "software": "; ".join(

@@ -79,7 +79,8 @@ def _named(url: str, scheme: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise InputError(f"{url}: {error}; for {scheme}:// run: pip install 'impact-atlas[cloud]'") from None
+        remedy = "pip install 'impact-atlas[cloud]'" if scheme in OBJECT_SCHEMES else f"fsspec's driver of {scheme}://"
+        raise InputError(f"{url}: {_line(error)}; needs {remedy}") from None
     except Exception as error:
         raise InputError(f"{url}: not a place for a store: {_line(error)}") from None
 

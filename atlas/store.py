@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -197,7 +197,7 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
         for variable in result_variables(header.spec.settings):
             array = _array(group, variable.name)
             # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
-            array.with_config({"write_empty_chunks": True})[_block(array, index)] = arrays[variable.name]
+            array.with_config({"write_empty_chunks": True})[block(array, index)] = arrays[variable.name]
 
 
 def record_machine(header: Header, machine: Machine) -> None:
@@ -226,11 +226,25 @@ def machines(header: Header) -> tuple[Machine, ...]:
         return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
 
 
-def open_arrays(header: Header) -> dict[str, Any]:
-    """The Zarr arrays of the results by name, in the order of writing, for reading."""
+def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
+    """All Zarr arrays of the store's root by name, results and coordinates, for reading.
+
+    Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
+    """
+    import zarr
+
     with header.place.told():
-        group = _open(header.place, "r")
-        return {variable.name: _array(group, variable.name) for variable in result_variables(header.spec.settings)}
+        group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
+        names = [variable.name for variable in result_variables(header.spec.settings)]
+        return {name: group[name] for name in (*names, *coordinates(header.spec)) if name in group}
+
+
+def restore_coordinates(header: Header) -> None:
+    """Write the coordinates again, from the spec."""
+    with header.place.told():
+        group = _open(header.place, "r+")
+        for name, coordinate in coordinates(header.spec).items():
+            _array(group, name)[...] = coordinate.values
 
 
 def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str, int]:
@@ -239,7 +253,7 @@ def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str,
     with header.place.told():
         array = _array(_open(header.place, "r"), REGIME.name)
         for index in tiles:
-            codes, counts = np.unique(array[_block(array, index)], return_counts=True)
+            codes, counts = np.unique(array[block(array, index)], return_counts=True)
             for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
                 totals[code] += count
     return {regime.name: totals[regime.code] for regime in REGIMES if totals[regime.code]}
@@ -285,8 +299,7 @@ def _is_free(place: Place, spec: Spec) -> bool:
         return not path.exists() or (path.is_dir() and not any(path.iterdir()))
     if place.exists(ROOT):
         return False
-    ours = {axis.name for axis in spec.axes} | set(spec.parameters) | {"component", MACHINES}
-    ours |= {variable.name for variable in result_variables(spec.settings)}
+    ours = {MACHINES, *coordinates(spec)} | {variable.name for variable in result_variables(spec.settings)}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours:
             raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
@@ -322,15 +335,19 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None)
     known = group.create_group(MACHINES, attributes=described)
     for machine in machines(origin) if origin else ():
         known.create_group(machine.name, attributes=dict(machine.facts))
-    record = spec.record
-    for axis in spec.axes:
-        _put(group, axis.name, np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
-    for name, value in spec.parameters.items():
-        _put(group, name, np.float64(value), (), _described(record.parameter(name)))
-    names: dict[str, Any] = {"long_name": "component of the physical section state"}
-    _put(group, "component", np.array(record.states, dtype="T"), ("component",), names)
+    for name, coordinate in coordinates(spec).items():
+        array = group.create_array(
+            name,
+            shape=coordinate.values.shape,
+            chunks=coordinate.values.shape,
+            dtype="str" if coordinate.values.dtype.kind == "T" else "float64",
+            dimension_names=coordinate.dims,
+            compressors=_codecs(),
+            attributes=coordinate.attributes,
+        )
+        array[...] = coordinate.values
 
-    sizes = {"exponent": len(record.states), "state": len(record.states), "sample": spec.settings.section_samples}
+    sizes = extra_sizes(spec)
     for variable in result_variables(spec.settings):
         extra = tuple(sizes[dim] for dim in variable.extra)
         group.create_array(
@@ -349,18 +366,33 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None)
         zarr.consolidate_metadata(group.store)
 
 
-def _put(group: "zarr.Group", name: str, value: Any, dims: tuple[str, ...], attributes: dict[str, Any]) -> None:
-    """Write a coordinate whole, in one chunk."""
-    array = group.create_array(
-        name,
-        shape=value.shape,
-        chunks=value.shape,
-        dtype="str" if value.dtype.kind == "T" else "float64",
-        dimension_names=dims,
-        compressors=_codecs(),
-        attributes=attributes,
-    )
-    array[...] = value
+def extra_sizes(spec: Spec) -> dict[str, int]:
+    """Lengths of the dimensions that a variable may have after the axes."""
+    states = len(spec.record.states)
+    return {"exponent": states, "state": states, "sample": spec.settings.section_samples}
+
+
+class Coordinate(NamedTuple):
+    """A coordinate, stored whole in one chunk."""
+
+    values: Any
+    dims: tuple[str, ...]
+    attributes: dict[str, Any]
+
+
+def coordinates(spec: Spec) -> dict[str, Coordinate]:
+    """The coordinates by name: axes, fixed parameters as scalars, and the names of the states."""
+    record = spec.record
+    names: dict[str, Any] = {"long_name": "component of the physical section state"}
+    axes = {
+        axis.name: Coordinate(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
+        for axis in spec.axes
+    }
+    fixed = {
+        name: Coordinate(np.float64(value), (), _described(record.parameter(name)))
+        for name, value in spec.parameters.items()
+    }
+    return axes | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
 
 
 def _codecs() -> list[Any]:
@@ -404,7 +436,7 @@ def _array(group: "zarr.Group", name: str) -> Any:
     return group[name]
 
 
-def _block(array: Any, index: tuple[int, ...]) -> Slices:
+def block(array: Any, index: tuple[int, ...]) -> Slices:
     """The cells of a tile in an array, from the array's own chunks, so that no write can be misaligned."""
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, array.chunks, array.shape, strict=False))
 
