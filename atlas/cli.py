@@ -119,6 +119,50 @@ def run(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers:
 
 @cli.command()
 @_store_argument
+@click.argument("spec", required=False)
+@click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")
+@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or gone on with.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+@_workers_option
+@click.pass_context
+def extend(
+    ctx: click.Context,
+    store: str,
+    spec: str | None,
+    refine: tuple[str, ...],
+    out: str,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Compute a larger or finer atlas into a new store, taking over all cells that STORE has.
+
+    SPEC may have other values on STORE's axes, and nothing else that differs. The same line again goes on.
+    """
+    from atlas.extend import extend as extend_store
+    from atlas.progress import reporter
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
+    if (spec is None) == (not refine):
+        raise InputError("give either the SPEC of the new atlas or --refine")
+    factors = _factors(refine) if refine else None
+    read = None if spec is None else Spec.from_toml(spec)
+    options: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
+    try:
+        with reporter(sys.stderr) as show:
+            summary = extend_store(store, out, read, factors, on_progress=show, probe=True, **options)
+    except KeyboardInterrupt:
+        _say("interrupted: finished tiles are kept; the same line goes on")
+        ctx.exit(INTERRUPTED)
+    click.echo(str(summary))
+    for failure in summary.failures:
+        _say(f"tile {failure.index} failed: {failure.message}")
+    if summary.failures:
+        ctx.exit(1)
+
+
+@cli.command()
+@_store_argument
 @_json_option
 def status(store: str, as_json: bool) -> None:
     """How far STORE is: tiles, cells and regimes done."""
@@ -273,6 +317,20 @@ def _number(where: str, value: str) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"{where}: found {value!r}, must be a number") from None
+
+
+def _factors(given: tuple[str, ...]) -> int | dict[str, int]:
+    """One factor for all axes, or factors by name."""
+    if len(given) == 1 and "=" not in given[0]:
+        return _whole("--refine", given[0])
+    return _pairs("--refine", given, _whole)
+
+
+def _whole(where: str, value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        raise InputError(f"{where}: found {value!r}, must be a whole number") from None
 
 
 def _bounds(where: str, value: str) -> tuple[float, float]:

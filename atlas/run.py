@@ -19,7 +19,7 @@ from atlas.job import Job, Receipt, run_job
 from atlas.place import place_of
 from atlas.progress import Progress
 from atlas.spec import Spec
-from atlas.store import create, done_tiles, find
+from atlas.store import Header, create, done_tiles, find
 from atlas.summary import Summary, Tally, TileFailure
 
 if TYPE_CHECKING:
@@ -42,11 +42,13 @@ def run(
     scheduler: str | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     probe: bool = False,
+    origin: Header | None = None,
 ) -> Summary:
     """Compute an atlas into a store, going on where an earlier run of the same spec stopped.
 
     The tiles run on ``client`` (used, not closed), on the cluster at address ``scheduler``, or on a local cluster of
     ``workers`` processes. ``on_progress`` is called with each Progress; ``probe`` has the plan measure a few cells.
+    A new store takes over the cells that ``origin`` has, see ``extend``.
     Raises InputError, before anything is written, for input that cannot be run; RunError where the cluster is lost.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call goes on.
     """
@@ -76,7 +78,7 @@ def run(
         )
         if place.local is not None:
             planning.check_disk(plan, place.local, len(pending))
-        header = header or create(place, spec, plan.tile)
+        header = header or create(place, spec, plan.tile, origin)
         jobs = [Job(tile.index, str(header.place), header.run_id, header.solver_version) for tile in pending]
         if pending and client is None:
             tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))

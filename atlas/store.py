@@ -332,9 +332,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None)
 
     group = zarr.create_group(path, zarr_format=3, attributes=_root_attributes(spec, origin))
     described = {"long_name": "processors and software that solved this atlas"}
-    known = group.create_group(MACHINES, attributes=described)
-    for machine in machines(origin) if origin else ():
-        known.create_group(machine.name, attributes=dict(machine.facts))
+    group.create_group(MACHINES, attributes=described)
     for name, coordinate in coordinates(spec).items():
         array = group.create_array(
             name,

@@ -99,7 +99,7 @@ class Tally:
             return
         cells = self.plan.size(outcome.index)
         self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + cells
-        self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + cells
+        self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
         self.busy_seconds += outcome.seconds
