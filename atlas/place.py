@@ -5,6 +5,7 @@ put, removed or looked for, and a write under a condition, which an object store
 """
 
 import errno
+import hashlib
 import os
 import uuid
 from collections.abc import Hashable, Iterator
@@ -294,6 +295,11 @@ class FsspecPlace:
             except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
                 return None
 
+    def get_tagged(self, key: str) -> tuple[bytes, str] | None:
+        """As ObjectPlace's; the tag is a hash of the bytes."""
+        data = self.get(key)
+        return None if data is None else (data, hashlib.sha256(data).hexdigest())
+
     def exists(self, key: str) -> bool:
         """See Place."""
         with self.told():
@@ -314,6 +320,14 @@ class FsspecPlace:
             except FileExistsError:
                 return False
             return True
+
+    def put_if(self, key: str, data: bytes, tag: str) -> bool:
+        """As ObjectPlace's, but in two steps: fsspec has no one, which leaves a race of a round trip."""
+        found = self.get_tagged(key)
+        if found is None or found[1] != tag:
+            return False
+        self.put(key, data)
+        return True
 
     def remove(self, key: str) -> None:
         """See Place."""
