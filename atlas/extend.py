@@ -9,6 +9,7 @@ import numpy as np
 
 from atlas.axes import Axis
 from atlas.errors import InputError, check_names
+from atlas.layout import Origin
 from atlas.place import place_of
 from atlas.plan import plural
 from atlas.progress import Progress
@@ -61,7 +62,8 @@ def extend(
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
     made = find(place, grown)
-    if made and (made.origin is None or made.origin.run_id != old.run_id):
+    origin = Origin(str(old.place), old.run_id)
+    if made and made.origin != origin:
         raise InputError(f"{place}: is a store already, and not one that extends {old.place}; choose another path")
     if on_progress:
         total = math.prod(grown.shape)
@@ -74,7 +76,7 @@ def extend(
         scheduler=scheduler,
         on_progress=on_progress,
         probe=probe,
-        origin=old,
+        origin=origin,
     )
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from atlas.store import ROOT, Header, coordinates, extra_sizes, open_arrays
+from atlas.layout import coordinates, extra_sizes
+from atlas.store import ROOT, Header, open_arrays
 from workers.results import result_variables
 
 

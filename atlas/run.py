@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING
 from atlas import plan as planning
 from atlas.errors import InputError, RunError
 from atlas.job import Job, Receipt, run_job
+from atlas.layout import Origin
 from atlas.place import place_of
 from atlas.progress import Progress
 from atlas.spec import Spec
-from atlas.store import Header, create, done_tiles, find
+from atlas.store import create, done_tiles, find
 from atlas.summary import Summary, Tally, TileFailure
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def run(
     scheduler: str | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     probe: bool = False,
-    origin: Header | None = None,
+    origin: Origin | None = None,
 ) -> Summary:
     """Compute an atlas into a store, going on where an earlier run of the same spec stopped.
 

@@ -11,30 +11,35 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from atlas.errors import InputError, RunError
-from atlas.machine import Machine, package_version, this_machine
+from atlas.layout import (
+    DIMENSIONS,
+    FORMAT,
+    FORMAT_VERSION,
+    Origin,
+    coordinates,
+    extra_sizes,
+    root_attributes,
+    variable_attributes,
+)
+from atlas.machine import Machine, this_machine
 from atlas.place import LocalPlace, ObjectPlace, Place, place_of
 from atlas.spec import Slices, Spec
 from workers import SOLVER_VERSION
 from workers.results import REGIME, REGIMES, Variable, result_variables
-from workers.system import Parameter
 
 if TYPE_CHECKING:
     import xarray
     import zarr
 
-FORMAT = "impact-atlas"
-FORMAT_VERSION = 1
 ROOT = "zarr.json"
 """The object that makes a store one: before it there is none."""
 MACHINES = "machines"
 """The group of the machines that solved tiles, each an empty group with attributes."""
-DIMENSIONS = {"state": "component"}
-"""Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class Header:
     run_id: str
     solver_version: int
     tile: tuple[int, ...]
-    origin: "Origin | None" = None
+    origin: Origin | None = None
 
     @property
     def path(self) -> Path:
@@ -62,21 +67,13 @@ class Header:
         return Spec.from_resolved(self.resolved)
 
 
-@dataclass(frozen=True)
-class Origin:
-    """The store whose cells a grown one takes over, and the run that made it."""
-
-    store: str
-    run_id: str
-
-
 def create(
-    store: str | os.PathLike[str] | Place, spec: Spec, tile: tuple[int, ...], origin: Header | None = None
+    store: str | os.PathLike[str] | Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None = None
 ) -> Header:
     """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
 
     On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
-    them meanwhile. ``origin`` is the store that this one is to take cells over from.
+    them meanwhile. ``origin`` is the store that it is to take cells over from.
     """
     place = place_of(store)
     try:
@@ -94,9 +91,10 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
     place = place_of(store)
     foreign = InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
     _check_exists(place)
+    attrs: dict[str, Any] = {}
     try:
         group = _open(place, "r")
-        attrs: dict[str, Any] = dict(group.attrs)
+        attrs = dict(group.attrs)
         if attrs.get("format") != FORMAT:
             raise foreign
         found = attrs["format_version"]
@@ -113,7 +111,9 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
         )
     except InputError:
         raise
-    except (OSError, KeyError, TypeError, ValueError):
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        if attrs.get("format") == FORMAT:
+            raise InputError(f"{place}: its metadata are damaged: {error}") from None
         raise foreign from None
 
 
@@ -253,7 +253,11 @@ def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str,
     with header.place.told():
         array = _array(_open(header.place, "r"), REGIME.name)
         for index in tiles:
-            codes, counts = np.unique(array[block(array, index)], return_counts=True)
+            try:
+                codes, counts = np.unique(array[block(array, index)], return_counts=True)
+            except (ValueError, RuntimeError) as error:
+                fault = f"{chunk_key(REGIME, index)} is damaged ({error})"
+                raise RunError(f"{header.place}: {fault}: atlas verify --repair {header.place}") from None
             for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
                 totals[code] += count
     return {regime.name: totals[regime.code] for regime in REGIMES if totals[regime.code]}
@@ -306,7 +310,7 @@ def _is_free(place: Place, spec: Spec) -> bool:
     return True
 
 
-def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None) -> None:
+def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -316,7 +320,7 @@ def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Heade
         shutil.rmtree(building, ignore_errors=True)
 
 
-def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Header | None) -> None:
+def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         built = LocalPlace(Path(folder) / "store")
         _build(built.path, spec, tile, origin)
@@ -327,10 +331,10 @@ def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: He
             raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
 
 
-def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None) -> None:
+def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
     import zarr
 
-    group = zarr.create_group(path, zarr_format=3, attributes=_root_attributes(spec, origin))
+    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin))
     described = {"long_name": "processors and software that solved this atlas"}
     group.create_group(MACHINES, attributes=described)
     for name, coordinate in coordinates(spec).items():
@@ -356,7 +360,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None)
             fill_value=variable.fill,
             dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
             compressors=_codecs(),
-            attributes=_variable_attributes(variable, spec),
+            attributes=variable_attributes(variable, spec),
         )
     with warnings.catch_warnings():
         # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
@@ -364,70 +368,10 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Header | None)
         zarr.consolidate_metadata(group.store)
 
 
-def extra_sizes(spec: Spec) -> dict[str, int]:
-    """Lengths of the dimensions that a variable may have after the axes."""
-    states = len(spec.record.states)
-    return {"exponent": states, "state": states, "sample": spec.settings.section_samples}
-
-
-class Coordinate(NamedTuple):
-    """A coordinate, stored whole in one chunk."""
-
-    values: Any
-    dims: tuple[str, ...]
-    attributes: dict[str, Any]
-
-
-def coordinates(spec: Spec) -> dict[str, Coordinate]:
-    """The coordinates by name: axes, fixed parameters as scalars, and the names of the states."""
-    record = spec.record
-    names: dict[str, Any] = {"long_name": "component of the physical section state"}
-    axes = {
-        axis.name: Coordinate(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
-        for axis in spec.axes
-    }
-    fixed = {
-        name: Coordinate(np.float64(value), (), _described(record.parameter(name)))
-        for name, value in spec.parameters.items()
-    }
-    return axes | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
-
-
 def _codecs() -> list[Any]:
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk
-
-
-def _root_attributes(spec: Spec, origin: Header | None) -> dict[str, Any]:
-    packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
-    return {
-        "Conventions": "CF-1.11",
-        "title": f"Impact atlas: {spec.record.title}",
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "solver_version": SOLVER_VERSION,
-        "run_id": uuid.uuid4().hex,
-        "digest": spec.digest,
-        # As text, since netCDF attributes cannot nest.
-        "spec": json.dumps(spec.resolved()),
-        "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
-    } | ({"origin": str(origin.place), "origin_run_id": origin.run_id} if origin else {})
-
-
-def _variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
-    attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
-    if variable.name == REGIME.name:
-        attributes["flag_values"] = [regime.code for regime in REGIMES]
-        attributes["flag_meanings"] = " ".join(regime.name for regime in REGIMES)
-        attributes["flag_colors"] = " ".join(regime.color for regime in REGIMES)
-    if spec.parameters:
-        attributes["coordinates"] = " ".join(spec.parameters)
-    return attributes
-
-
-def _described(parameter: Parameter) -> dict[str, Any]:
-    return {"long_name": parameter.meaning, "units": parameter.unit, "symbol": parameter.symbol}
 
 
 def _array(group: "zarr.Group", name: str) -> Any:

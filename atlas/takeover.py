@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from atlas.chunks import read_tile
 from atlas.errors import InputError, RunError
+from atlas.layout import extra_sizes
 from atlas.plan import make_plan
 from atlas.spec import Slices, Spec
-from atlas.store import Header, extra_sizes, is_done, machines, open_arrays, read_header, record_machine
+from atlas.store import Header, is_done, machines, open_arrays, read_header, record_machine
 from workers.results import FAILED, REGIME, empty_results, result_variables
 
 

@@ -213,7 +213,7 @@ def _read_all(
     sizes = [plan.size(index) for index in done]
     pending = plan.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
-    tell(Progress("reading", plan, len(done), pending))
+    tell(Progress("reading", plan, plan.tile_count - len(done), pending))
     with ThreadPoolExecutor(READERS) as readers:
         checked = readers.map(lambda index: _check(header, plan, arrays, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):

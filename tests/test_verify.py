@@ -1,6 +1,7 @@
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,14 +15,15 @@ from distributed import Client
 
 import atlas
 from atlas import recheck, store
-from atlas import verify as verifying
 from atlas.chunks import ChunkError, read_tile
 from atlas.cli import cli
 from atlas.errors import InputError
 from atlas.machine import Machine
 from atlas.progress import Progress
-from atlas.verify import Report, verify
+from atlas.verify import Fault, Report, verify
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, result_variables
+
+verifying = sys.modules["atlas.verify"]  # the package has the function of that name
 
 SPEC = atlas.Spec(
     "two-mass",
@@ -253,6 +255,20 @@ def test_metadata_that_are_gone_are_found(whole: Path) -> None:
     assert told(verify(whole)) == ["period/zarr.json is missing"]
 
 
+def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
+    (whole / "regime" / "zarr.json").write_text("{")
+    with pytest.raises(InputError, match=r"out.zarr: its metadata are damaged: "):
+        verify(whole)
+
+
+def test_status_names_a_damaged_chunk(whole: Path) -> None:
+    flip(chunk(whole, "regime"), 3)
+    result = CliRunner().invoke(cli, ["status", str(whole)])
+    assert result.exit_code == 1
+    assert "regime/c/0/1 is damaged (" in result.stderr
+    assert f"atlas verify --repair {whole}" in result.stderr
+
+
 def test_a_digest_that_is_not_the_specs_is_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False).attrs["digest"] = "0" * 64
     assert "zarr.json: the digest is not that of the spec" in told(verify(whole))
@@ -321,7 +337,7 @@ def test_the_command_tells_by_its_exit_code(whole: Path, tmp_path: Path) -> None
 
 
 def test_the_report_shows_so_many_faults_and_counts_the_rest() -> None:
-    faults = tuple(verifying.Fault((i,), "is damaged") for i in range(60))
+    faults = tuple(Fault((i,), "is damaged") for i in range(60))
     report = Report("x", 60, 60, 0, 0, 0, "none asked for", 0, faults=faults, doubts=())
     assert "and 10 more found: --json lists them" in str(report)
     assert len(replace(report).as_dict()["faults"]) == 60
