@@ -115,19 +115,57 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     """The sum of the exponents against the law, wherever the solver says by its defect that the law holds."""
-    from workers.lyapunov import sum_of_exponents
-
     regime, defect, mean = arrays[REGIME.name], arrays["sum_law_defect"], arrays["impacts_per_period"]
     total = arrays["spectrum"].sum(axis=-1)
-    law = np.full(defect.shape, np.nan)
-    cells = {name: np.broadcast_to(values, defect.shape) for name, values in spec.cell_params(slices).items()}
+    free, each = law_of(spec, slices)
+    law = free + np.where(mean == 0.0, 0.0, each * mean)
     held = np.isfinite(defect)
-    for cell in zip(*np.nonzero(held & np.isfinite(mean)), strict=True):
-        oscillator = spec.record.build({name: float(values[cell]) for name, values in cells.items()})
-        law[cell] = sum_of_exponents(oscillator, float(mean[cell]))
     room = SUM_LAW * np.maximum(1.0, np.abs(law))
     yield "sum_law_defect is too large, or of no spectrum", held & ~(np.abs(defect) <= room)
     if spec.settings.method == "fixed":  # exponents averaged on the way into an orbit, impacts counted on it
         held &= (regime != NO_IMPACT) & (regime != PERIODIC)
     room = room + np.where(regime == QUASIPERIODIC, TORUS, 0.0)
     yield "spectrum breaks the sum law", held & ~(np.abs(total - law) <= room)
+
+
+def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The exact sum of the exponents without impact, and what each impact a period adds, over a tile's cells.
+
+    Both broadcast to the tile. NaN where there is none: no oscillator, and for the second where R = 0.
+    """
+    params = spec.cell_params(slices)
+    axes = [axis.name for axis in spec.axes]
+    middle = {name: _middle(params[name]) for name in params}
+    # An oscillator takes long to build, and often an axis has nothing to do with the sum, as the clearance has not.
+    varying = {name: params[name] for name in axes if _law_varies(spec, middle, name)}
+    grids = np.broadcast_arrays(*varying.values()) if varying else [np.zeros((1,) * len(axes))]
+    free, each = np.empty(grids[0].shape), np.empty(grids[0].shape)
+    for cell in np.ndindex(free.shape):
+        given = {name: float(grid[cell]) for name, grid in zip(varying, grids, strict=False)}
+        free[cell], each[cell] = _law(spec, middle | given)
+    return free, each
+
+
+def _law_varies(spec: Spec, middle: Mapping[str, float], name: str) -> bool:
+    values = next(axis.values for axis in spec.axes if axis.name == name)
+    laws = [_law(spec, {**middle, name: value}) for value in (values[0], values[len(values) // 2], values[-1])]
+    return any(law != laws[0] or np.isnan(law[0]) for law in laws)
+
+
+def _law(spec: Spec, values: Mapping[str, float]) -> tuple[float, float]:
+    from workers.lyapunov import sum_of_exponents
+
+    try:
+        oscillator = spec.record.build(values)
+        free = sum_of_exponents(oscillator, 0.0)
+    except ValueError:
+        return np.nan, np.nan
+    try:
+        return free, sum_of_exponents(oscillator, 1.0) - free
+    except ValueError:  # log(0)
+        return free, np.nan
+
+
+def _middle(values: float | NDArray[np.float64]) -> float:
+    flat = np.ravel(values)
+    return float(flat[flat.size // 2])

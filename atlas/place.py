@@ -170,8 +170,8 @@ class ObjectPlace:
         from obstore.store import from_url
 
         options: dict[str, Any] = {"retry_config": _RETRIES}
-        if os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://"):
-            options["client_options"] = {"allow_http": True}  # an endpoint that was asked for in so many words
+        if any(text.startswith("http://") for text in (self.url, os.environ.get("AWS_ENDPOINT_URL", ""))):
+            options["client_options"] = {"allow_http": True}  # as it was asked for in so many words
         return from_url(self.url, **options)
 
     def get(self, key: str) -> bytes | None:

@@ -134,8 +134,13 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
         )
     if header.spec.digest != spec.digest:
         raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
-    if place.local is not None and not os.access(place.local, os.W_OK):
-        raise InputError(f"{place}: cannot be written: Permission denied")
+    try:
+        if place.local is None:
+            place.put_new(ROOT, place.get(ROOT) or b"")  # refused for want of a permission before it is for being there
+        elif not os.access(place.local, os.W_OK):
+            raise InputError(f"{place}: cannot be written: Permission denied")
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
     return header
 
 

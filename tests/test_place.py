@@ -1,7 +1,10 @@
 import os
 import sys
 from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -263,6 +266,45 @@ def test_without_obstore_object_stores_are_fsspecs(monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(sys.modules, "s3fs", None)
     with pytest.raises(InputError, match=r"s3://x/y: .*; needs pip install 'impact-atlas\[cloud\]'"):
         place_of("s3://x/y")
+
+
+def test_a_store_that_may_only_be_read_is_refused_before_a_tile_is_solved(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = place_of(f"{bucket}/readonly/plane.zarr")
+    header = store.create(place, plane_of(), (2, 3))
+    assert store.find(place, plane_of()) == header
+
+    def refused(*_: object) -> bool:
+        raise PermissionError(13, "Access Denied")
+
+    monkeypatch.setattr(ObjectPlace, "put_new", refused)
+    with pytest.raises(InputError, match="cannot be written: Access Denied"):
+        store.find(place, plane_of())
+    assert store.read_header(place) == header
+
+
+@pytest.fixture
+def web(tmp_path: Path) -> Iterator[str]:
+    """The URL of a folder that a plain web server hands out."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def test_a_published_store_is_read_from_a_plain_web_server(web: str, tmp_path: Path, client: Client) -> None:
+    atlas.run(plane_of(), tmp_path / "plane.zarr", client=client)
+    assert arrays_of(f"{web}/plane.zarr") == arrays_of(tmp_path / "plane.zarr")
+    with pytest.raises(InputError, match="cannot be written"):
+        store.find(f"{web}/other.zarr", plane_of())
 
 
 @pytest.mark.parametrize("given", ["x.zarr", "./x.zarr", "file:///tmp/a%20b/x.zarr"])

@@ -17,11 +17,14 @@ import atlas
 from atlas import recheck, store
 from atlas.chunks import ChunkError, read_tile
 from atlas.cli import cli
+from atlas.consistency import law_of
 from atlas.errors import InputError
 from atlas.machine import Machine
 from atlas.progress import Progress
 from atlas.verify import Fault, Report, verify
+from workers.lyapunov import sum_of_exponents
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, result_variables
+from workers.system import find_system
 
 verifying = sys.modules["atlas.verify"]  # the package has the function of that name
 
@@ -189,6 +192,30 @@ def test_results_that_contradict_each_other_are_found(
     cell = change(whole, name, lambda found: found == regime, value)
     faults = told(verify(whole, sample=0))
     assert f"tile {(cell[0] // 2, cell[1] // 2)}: {rule}: 1 cell, the first at {recheck.place_in(SPEC, cell)}" in faults
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        {"omega": [1.0, 2.0, 3.0], "b": [0.1, 0.3]},
+        {"R": [0.0, 0.5, 1.0], "zeta": [0.0, 0.2]},
+        {"mu_k": [1.0, 4.0, 9.0], "mu_m": [0.5, 2.0]},
+        {"b": [0.1, 0.2], "x1": [0.0, 0.05]},
+        {"omega": [1.0, 2.0, 3.0]},
+    ],
+)
+def test_the_law_of_a_tile_is_that_of_each_of_its_cells(axes: dict[str, list[float]]) -> None:
+    spec = atlas.Spec("two-mass", axes=axes)
+    slices = tuple(slice(0, n) for n in spec.shape)
+    free, each = (np.broadcast_to(part, spec.shape) for part in law_of(spec, slices))
+    cells = {name: np.broadcast_to(values, spec.shape) for name, values in spec.cell_params(slices).items()}
+    for cell in np.ndindex(spec.shape):
+        oscillator = find_system("two-mass").build({name: float(values[cell]) for name, values in cells.items()})
+        assert free[cell] == sum_of_exponents(oscillator, 0.0)
+        if oscillator.R:
+            assert free[cell] + 2.5 * each[cell] == pytest.approx(sum_of_exponents(oscillator, 2.5), rel=1e-12)
+        else:
+            assert np.isnan(each[cell])
 
 
 def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) -> None:
