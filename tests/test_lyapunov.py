@@ -84,9 +84,9 @@ def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None
     osc, start = naive.two_mass(**naive.FIGURES[3])
     motion = motion_from(osc, start, vectors=1)
     none = np.empty((0, 2, 2))
-    average(osc, motion, 500, no_averages(), none)
+    average(osc, motion, 0, 500, no_averages(), none)
     averages = no_averages()
-    average(osc, motion, 4000, averages, none)
+    average(osc, motion, 0, 4000, averages, none)
     plain, weighted = averages.levels[0, 1], averages.weighted[0] / averages.weighted[1]
     assert abs(weighted - exact) < 1e-11
     assert abs(plain - exact) < 1e-3
@@ -96,8 +96,8 @@ def test_a_stretch_ends_with_its_last_sections() -> None:
     osc, start = naive.two_mass(**naive.FIGURES[4])
     one, other = motion_from(osc, start, vectors=1), motion_from(osc, start)
     kept, expected = np.empty((3, 2, 2)), np.empty((3, 2, 2))
-    average(osc, one, 10, no_averages(), kept)
-    run(osc, other, 10, expected)
+    average(osc, one, 0, 10, no_averages(), kept)
+    run(osc, other, 0, 10, expected)
     assert kept == pytest.approx(expected, abs=1e-15)
     assert kept[-1] == pytest.approx(one.h, abs=0)
 
@@ -112,9 +112,9 @@ def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
     osc, start = naive.two_mass(**p)
     motion = motion_from(osc, start, vectors=4)
     none = np.empty((0, 2, 2))
-    average(osc, motion, 200, no_averages(), none)
+    average(osc, motion, 0, 200, no_averages(), none)
     restart_counts(osc, motion)
-    average(osc, motion, 2000, no_averages(), none)
+    average(osc, motion, 0, 2000, no_averages(), none)
     trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
     exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impacts(motion) / 2000
     assert sum_law_holds(osc, motion)
@@ -126,7 +126,7 @@ def test_the_sum_law_is_not_claimed_where_a_direction_is_lost() -> None:
     for params in (naive.STICKING, naive.FIGURES[3] | {"R": 0.0, "omega": 1.93, "b": 0.52}):
         osc, start = naive.two_mass(**params)
         motion = motion_from(osc, start, vectors=4)
-        average(osc, motion, 20, no_averages(), np.empty((0, 2, 2)))
+        average(osc, motion, 0, 20, no_averages(), np.empty((0, 2, 2)))
         assert not sum_law_holds(osc, motion)
 
 

@@ -172,7 +172,7 @@ def sliced_exponents(params: dict[str, float], slices: int) -> np.ndarray:
     """Exponents of a settled period-1 motion from a frame made orthonormal after each slice of the period."""
     osc, start = naive.two_mass(**params)
     motion = motion_from(osc, start)
-    run(osc, motion, 50, np.empty((0, 2, 2)))
+    run(osc, motion, 0, 50, np.empty((0, 2, 2)))
     motion = motion_at(osc, motion.h, int(motion.contact[0]), vectors=4)
     for _ in range(3):
         motion.growth[np.isfinite(motion.growth)] = 0.0

@@ -9,7 +9,8 @@ import math
 
 import numpy as np
 
-from workers.jit import kernel
+from workers.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.jit import inlined, kernel
 
 ROUNDING = 4e-16
 """Gap below which the mass is at the stop, in units of the terms that add up to y."""
@@ -20,6 +21,9 @@ MAX_EVALUATIONS = 1_000_000
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
 
+TRIALS = 4
+"""Trial lengths at the end of a safe step."""
+
 TINY = 1e-300
 """Keeps a quotient finite where there is no motion at all."""
 
@@ -27,44 +31,43 @@ ON_STOP_MOVING, ON_STOP_AT_REST, ON_STOP_RELEASED = 1, 2, 3
 """How a flight starts on its own stop: with v away from it; with v = 0; with v = a = 0 (after sticking)."""
 
 
-@kernel
-def block_flow(eta, lam, s):
+@inlined
+def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
     """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
 
-    e = exp(-eta s), d = lam - eta^2; C, S = cos(wd s), sin(wd s)/wd for d > 0, their series near d = 0;
-    for d < 0 the slow root is lam / (eta + w), which does not cancel.
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S). With d = lam - eta^2 and w = sqrt|d|: C, S = cos(w s),
+    sin(w s) / w where d > 0; their series in d s^2 where that is small; and for d < 0, with the decay rates
+    slow = lam / (eta + w) and fast = eta + w, the exponentials themselves, which do not cancel.
     """
-    d = lam - eta * eta
+    e_slow = exp_minus(slow * s)
+    e_w = exp_minus(w * s)
+    sin, cos = sin_cos(w * s)
     x = d * s * s
-    if abs(x) < 1e-3:
-        e = math.exp(-eta * s)
-        C = e * (1.0 - x / 2.0 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0))))
-        S = e * s * (1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))))
-        return C + eta * S, S, -lam * S, C - eta * S
-    if d > 0.0:
-        wd = math.sqrt(d)
-        e = math.exp(-eta * s)
-        C = e * math.cos(wd * s)
-        S = e * math.sin(wd * s) / wd
-        return C + eta * S, S, -lam * S, C - eta * S
-    w = math.sqrt(-d)
-    fast = eta + w
-    slow = lam / fast
-    e_slow, e_fast = math.exp(-slow * s), math.exp(-fast * s)
-    S = -e_slow * math.expm1(-2.0 * w * s) / (2.0 * w)
-    return (
-        (fast * e_slow - slow * e_fast) / (2.0 * w),
-        S,
-        -lam * S,
-        (fast * e_fast - slow * e_slow) / (2.0 * w),
-    )
+    cosc, sinc = cosc_sinc(x)
+    near = abs(x) < 0.1
+    C = cosc if near else cos
+    S = s * sinc if near else sin * inv_w
+    decay = e_slow * e_w if d < 0.0 else e_slow
+    ratio = e_w * e_w
+    half = 0.5 * e_slow * inv_w
+    overdamped = d < 0.0 and not near
+    f11 = half * (fast - slow * ratio) if overdamped else decay * (C + eta * S)
+    f12 = half * (1.0 - ratio) if overdamped else decay * S
+    f22 = half * (fast * ratio - slow) if overdamped else decay * (C - eta * S)
+    return f11, f12, -lam * f12, f22
+
+
+@inlined
+def block_flow(block, s):
+    """flow_entries of a Block."""
+    return flow_entries(s, block.eta, block.lam, block.d, block.w, block.inv_w, block.slow, block.fast)
 
 
 @kernel
 def flow(signal, s, h):
     """Move the block state h (n, 2) on by s, in place."""
     for j in range(len(signal.eta)):
-        f11, f12, f21, f22 = block_flow(signal.eta[j], signal.lam[j], s)
+        f11, f12, f21, f22 = block_flow(signal.block[j], s)
         h0, h1 = h[j, 0], h[j, 1]
         h[j, 0] = f11 * h0 + f12 * h1
         h[j, 1] = f21 * h0 + f22 * h1
@@ -74,7 +77,7 @@ def flow(signal, s, h):
 def flow_with_tangent(signal, s, h, V):
     """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
     for j in range(len(signal.eta)):
-        f11, f12, f21, f22 = block_flow(signal.eta[j], signal.lam[j], s)
+        f11, f12, f21, f22 = block_flow(signal.block[j], s)
         h0, h1 = h[j, 0], h[j, 1]
         h[j, 0] = f11 * h0 + f12 * h1
         h[j, 1] = f21 * h0 + f22 * h1
@@ -93,160 +96,169 @@ def dot(row, h):
     return total
 
 
-@kernel
-def forced(signal, phase):
-    """The forced part at a phase: value, first, second and third derivative in time."""
-    w = signal.omega
-    sin, cos = math.sin(phase), math.cos(phase)
-    value = signal.sin_part * sin + signal.cos_part * cos
-    rate = w * (signal.sin_part * cos - signal.cos_part * sin)
-    return value, rate, -w * w * value, -w * w * rate
+@inlined
+def forced(phase, w, sin_part, cos_part):
+    """The forced part at a phase: value and first derivative in time; the next two are -w^2 times them."""
+    sin, cos = sin_cos(phase)
+    return sin_part * sin + cos_part * cos, w * (sin_part * cos - cos_part * sin)
 
 
-@kernel
-def evaluate_now(signal, h, phase, offset):
-    """The signal and its first three derivatives with block state h (n, 2) at a phase, and the scale of rounding.
-
-    Block by block q''' = -2 eta q'' - lam q'.
-    """
-    y, v, a, j3 = forced(signal, phase)
-    scale = abs(y) + abs(offset)
-    y += offset
-    for j in range(len(signal.eta)):
-        q0 = signal.row[j][0] * h[j, 0] + signal.row[j][1] * h[j, 1]
-        q1 = signal.row1[j][0] * h[j, 0] + signal.row1[j][1] * h[j, 1]
-        q2 = signal.row2[j][0] * h[j, 0] + signal.row2[j][1] * h[j, 1]
-        y += q0
-        v += q1
-        a += q2
-        j3 -= 2.0 * signal.eta[j] * q2 + signal.lam[j] * q1
-        scale += abs(q0)
-    return y, v, a, j3, scale
+@inlined
+def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
+    """A block's share q = c . (h, h') of the signal, q' = d . (h, h'), and two more: q'' = -2 eta q' - lam q."""
+    q0 = c0 * h0 + c1 * h1
+    q1 = d0 * h0 + d1 * h1
+    q2 = -2.0 * eta * q1 - lam * q0
+    return q0, q1, q2, -2.0 * eta * q2 - lam * q1
 
 
 @kernel
 def evaluate(signal, h, s, phase, offset):
-    """As evaluate_now, a time s after block state h at a phase."""
-    y, v, a, j3 = forced(signal, phase + signal.omega * s)
-    scale = abs(y) + abs(offset)
+    """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
+    w = signal.omega
+    y, v = forced(phase + w * s, w, signal.sin_part, signal.cos_part)
+    a, j3, scale = -w * w * y, -w * w * v, abs(y) + abs(offset)
     y += offset
     for j in range(len(signal.eta)):
-        f11, f12, f21, f22 = block_flow(signal.eta[j], signal.lam[j], s)
-        h0 = f11 * h[j, 0] + f12 * h[j, 1]
-        h1 = f21 * h[j, 0] + f22 * h[j, 1]
-        q0 = signal.row[j][0] * h0 + signal.row[j][1] * h1
-        q1 = signal.row1[j][0] * h0 + signal.row1[j][1] * h1
-        q2 = signal.row2[j][0] * h0 + signal.row2[j][1] * h1
+        h0, h1 = h[j, 0], h[j, 1]
+        if s > 0.0:
+            f11, f12, f21, f22 = block_flow(signal.block[j], s)
+            h0, h1 = f11 * h0 + f12 * h1, f21 * h0 + f22 * h1
+        c, d = signal.row[j], signal.row1[j]
+        q0, q1, q2, q3 = block_output(h0, h1, signal.eta[j], signal.lam[j], c[0], c[1], d[0], d[1])
         y += q0
         v += q1
         a += q2
-        j3 -= 2.0 * signal.eta[j] * q2 + signal.lam[j] * q1
+        j3 += q3
         scale += abs(q0)
     return y, v, a, j3, scale
 
 
-@kernel
-def _envelope(q, dq, lam, spread):
-    """Bound of |q(t)| for all later t of one block: its energy never grows, sqrt(q^2 + q'^2 / lam)."""
-    return min(math.sqrt(q * q + dq * dq / lam), spread)
+@inlined
+def forced_bounds(w, amplitude):
+    """Bounds of the forced part and of its first four derivatives."""
+    w2 = w * w
+    return amplitude, w * amplitude, w2 * amplitude, w2 * w * amplitude, w2 * w2 * amplitude
+
+
+@inlined
+def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, inv_lam):
+    """Bounds of one block's share q of the signal and of its first four derivatives, for all later times.
+
+    The smaller of two: sqrt(q^2 + q'^2 / lam), since the energy never grows; and where well overdamped the moduli
+    of the two exponentials, |alpha| slow^k + |beta| fast^k.
+    """
+    q2 = -2.0 * eta * q1 - lam * q0
+    q3 = -2.0 * eta * q2 - lam * q1
+    q4 = -2.0 * eta * q3 - lam * q2
+    q5 = -2.0 * eta * q4 - lam * q3
+    b0 = math.sqrt(q0 * q0 + q1 * q1 * inv_lam)
+    b1 = math.sqrt(q1 * q1 + q2 * q2 * inv_lam)
+    b2 = math.sqrt(q2 * q2 + q3 * q3 * inv_lam)
+    b3 = math.sqrt(q3 * q3 + q4 * q4 * inv_lam)
+    b4 = math.sqrt(q4 * q4 + q5 * q5 * inv_lam)
+    split = d < -0.5 * lam
+    alpha = 0.5 * inv_w * abs(fast * q0 + q1)
+    beta = 0.5 * inv_w * abs(slow * q0 + q1)
+    b0 = min(b0, alpha + beta) if split else b0
+    alpha, beta = alpha * slow, beta * fast
+    b1 = min(b1, alpha + beta) if split else b1
+    alpha, beta = alpha * slow, beta * fast
+    b2 = min(b2, alpha + beta) if split else b2
+    alpha, beta = alpha * slow, beta * fast
+    b3 = min(b3, alpha + beta) if split else b3
+    alpha, beta = alpha * slow, beta * fast
+    b4 = min(b4, alpha + beta) if split else b4
+    return b0, b1, b2, b3, b4
 
 
 @kernel
 def derivative_bounds(signal, h):
-    """Bounds M0..M4 of |y - offset|, |y'|, ..., |y''''| for all times after block state h (n, 2).
-
-    Per block the smaller of two: the energy bound, and for overdamped blocks the moduli of the two
-    exponentials, |alpha| slow^k + |beta| fast^k.
-    """
-    w = signal.omega
-    Y = signal.amplitude
-    M0, M1, M2, M3, M4 = Y, w * Y, w**2 * Y, w**3 * Y, w**4 * Y
+    """Bounds M0..M4 of |y - offset| and of its first four derivatives, for all times after block state h (n, 2)."""
+    M0, M1, M2, M3, M4 = forced_bounds(signal.omega, signal.amplitude)
     for j in range(len(signal.eta)):
-        eta, lam = signal.eta[j], signal.lam[j]
         q0 = signal.row[j][0] * h[j, 0] + signal.row[j][1] * h[j, 1]
         q1 = signal.row1[j][0] * h[j, 0] + signal.row1[j][1] * h[j, 1]
-        q2 = -2.0 * eta * q1 - lam * q0
-        q3 = -2.0 * eta * q2 - lam * q1
-        q4 = -2.0 * eta * q3 - lam * q2
-        q5 = -2.0 * eta * q4 - lam * q3
-        b0 = b1 = b2 = b3 = b4 = np.inf
-        if eta * eta > 1.5 * lam:
-            w2 = 2.0 * math.sqrt(eta * eta - lam)
-            fast = eta + w2 / 2.0
-            slow = lam / fast
-            alpha, beta = abs(fast * q0 + q1) / w2, abs(slow * q0 + q1) / w2
-            b0 = alpha + beta
-            b1 = alpha * slow + beta * fast
-            b2 = alpha * slow**2 + beta * fast**2
-            b3 = alpha * slow**3 + beta * fast**3
-            b4 = alpha * slow**4 + beta * fast**4
-        M0 += _envelope(q0, q1, lam, b0)
-        M1 += _envelope(q1, q2, lam, b1)
-        M2 += _envelope(q2, q3, lam, b2)
-        M3 += _envelope(q3, q4, lam, b3)
-        M4 += _envelope(q4, q5, lam, b4)
+        eta, lam, d, _, inv_w, slow, fast, inv_lam = signal.block[j]
+        b0, b1, b2, b3, b4 = block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, inv_lam)
+        M0 += b0
+        M1 += b1
+        M2 += b2
+        M3 += b3
+        M4 += b4
     return M0, M1, M2, M3, M4
 
 
-@kernel
-def _arrival(g, v, K):
+@inlined
+def arrival(g, v, K):
     """First s > 0 with g = v s + K s^2 / 2, infinity if there is none: no arrival before it (g >= 0)."""
-    if K > 0.0:
-        r = math.sqrt(v * v + 2.0 * K * g)
-        return 2.0 * g / (v + r) if v > 0.0 else (r - v) / K
-    if v <= 0.0:
-        return np.inf
     D = v * v + 2.0 * K * g
-    return 2.0 * g / (v + math.sqrt(D)) if D >= 0.0 else np.inf
+    r = math.sqrt(max(D, 0.0))
+    closing = v > 0.0
+    above = 2.0 * g if closing else r - v
+    below = v + r if closing else K
+    never = D < 0.0 or (K <= 0.0 and not closing)
+    return np.inf if never else above / below
 
 
-@kernel
-def _curvature(a, j3, M3, M4, h):
-    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h.
+@inlined
+def curvature(a, j3, M2, M3, M4, h):
+    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h: from the bounds M2, M3, M4.
 
-    From y''' <= M3: a + M3 h / 3; from y'''' <= M4: a + max(0, j3 + M4 h / 4) h / 3, whichever is less.
+    M2 itself; from the third derivative a + M3 h / 3; from the fourth a + max(0, j3 + M4 h / 4) h / 3.
     """
-    return a + min(M3, max(0.0, j3 + 0.25 * M4 * h)) * h / 3.0
+    return min(M2, a + min(M3, max(0.0, j3 + 0.25 * M4 * h)) * h * (1.0 / 3.0))
 
 
-@kernel
+@inlined
+def stays_open(g, v, K, h):
+    """Whether v s + K s^2 / 2 stays below g >= 0 for all s <= h: at its end and, if it has one before, at its peak."""
+    end = (v + 0.5 * K * h) * h < g
+    peaks = K < 0.0 and v + K * h < 0.0
+    return (v <= 0.0 or v * v < -2.0 * K * g) if peaks else end
+
+
+@inlined
 def safe_step(g, v, a, j3, M2, M3, M4, H):
     """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close.
 
-    Trial lengths h between the certified L and a limit U: no arrival before min(h, s(h)) where s(h) is the
-    arrival under the curvature bound K(h). Every L is certified; the trials end when they are near the best.
+    No arrival before min(h, s(h)), where s(h) is the arrival under the curvature bound K(h). s falls with h, so
+    L = min(h, s(h)) of any h is certified and U = s(L) is a limit: the best h lies between, and trials close in on it.
     """
-    L = _arrival(g, v, M2)
-    if L >= H:
-        return H
-    U = min(H, _arrival(g, v, _curvature(a, j3, M3, M4, L)))
-    h = U
-    for _ in range(4):
-        s = _arrival(g, v, _curvature(a, j3, M3, M4, h))
-        if s >= h:
-            L = max(L, h)
-        else:
-            L = max(L, s)
-            U = min(U, h)
-        if U <= 1.05 * L:
-            break
-        h = math.sqrt(L * U) if L > 0.0 else 0.5 * U
+    L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
+    U = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, L)))
+    L = max(L, min(U, arrival(g, v, curvature(a, j3, M2, M3, M4, U))))
+    h = math.sqrt(L * U)  # at a graze L and U can be far apart
+    for _ in range(TRIALS):
+        free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
+        L, U = h if free else L, U if free else h
+        h = 0.5 * (L + U)
     return L
 
 
-@kernel
+@inlined
 def landing(g, v, a, j3, M3, M4, tol):
     """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
 
     Root of g = v s + a s^2 / 2 + j3 s^3 / 6 by Newton from g / v; what is left out is below M4 s^4 / 24.
     """
-    s = g / v
-    if M4 * s**4 > 12.0 * tol or (abs(a) + M3 * s) * s > 0.25 * v:
-        return np.inf
-    for _ in range(5):
-        excess = ((j3 / 6.0 * s + 0.5 * a) * s + v) * s - g
-        s -= excess / ((0.5 * j3 * s + a) * s + v)
-    return s if M4 * s**4 <= 24.0 * tol else np.inf
+    first = g / v
+    s = first
+    j6, a2, j2 = j3 * (1.0 / 6.0), 0.5 * a, 0.5 * j3
+    for _ in range(4):
+        excess = ((j6 * s + a2) * s + v) * s - g
+        s -= excess / ((j2 * s + a) * s + v)
+    sure = v > 0.0 and M4 * (first * first * first * first) <= 12.0 * tol
+    sure = sure and (abs(a) + M3 * first) * first <= 0.25 * v and M4 * (s * s * s * s) <= 24.0 * tol
+    return s if sure else np.inf
+
+
+@inlined
+def meets(g, v, a, j3, M3, M4, tol, H):
+    """The time <= H after which a gap g, closing at v, is certain to have just closed; infinity where none is."""
+    s = landing(max(g, 0.0), v, a, j3, M3, M4, tol)
+    s = 0.0 if g <= tol and v > 0.0 else s
+    return s if s <= H else np.inf
 
 
 @kernel
@@ -272,10 +284,7 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
         reach = M0 * (1.0 + 1e-12)
         if offset + reach < upper and offset - reach > lower:
             return H, 0, count - 1
-        if count == 1:
-            y, v, a, j3, scale = evaluate_now(signal, h, phase, offset)
-        else:
-            y, v, a, j3, scale = evaluate(signal, h, s, phase, offset)
+        y, v, a, j3, scale = evaluate(signal, h, s, phase, offset)
         step = H - s
         ahead = 1 if v > 0.0 else -1
         for side in (ahead, -ahead):
@@ -288,16 +297,10 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
                 if kind != ON_STOP_MOVING:
                     step = min(step, _first_step(kind, j3, a, M3, M4))
                     continue
-            tol = ROUNDING * (scale + abs(stop))
-            if g <= tol:
-                if approach > 0.0:
-                    return s, side, count
-                g = max(g, 0.0)
-            if approach > 0.0:
-                rest = landing(g, approach, push, side * j3, M3, M4, tol)
-                if s + rest <= H:
-                    return s + rest, side, count
-            step = min(step, safe_step(g, approach, push, side * j3, M2, M3, M4, step))
+            rest = meets(g, approach, push, side * j3, M3, M4, ROUNDING * (scale + abs(stop)), H - s)
+            if rest < np.inf:
+                return s + rest, side, count
+            step = min(step, safe_step(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count
         s = s + step if s + step > s else np.nextafter(s, np.inf)

@@ -43,19 +43,19 @@ def orthonormalise(lam, V, growth, triangle, rank):
 
 
 @kernel
-def graded_flow(signal, s, V, growth, triangle, rank):
-    """Move the tangent vectors V (m, n, 2) on by s, however far that spreads them, as V exp(growth) triangle.
+def graded_flow(etas, lams, s, V, growth, triangle, rank):
+    """Move the tangent vectors V (m, n, 2) of blocks (eta, lam) on by s, however far, as V exp(growth) triangle.
 
     In coordinates of one decay rate each a flight is X -> D X, D = diag(exp(-rate s)) times a rotation. Gaussian
     elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
     growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
     """
-    n, m = len(signal.eta), V.shape[0]
+    n, m = len(etas), V.shape[0]
     X = np.empty((2 * n, m))
     back = np.zeros((2 * n, 2))
     decay = np.empty(2 * n)
     for j in range(n):
-        eta, lam = signal.eta[j], signal.lam[j]
+        eta, lam = etas[j], lams[j]
         w2 = eta * eta - lam
         w = math.sqrt(max(w2, 0.0))
         if w * s > 1.0:
@@ -93,7 +93,7 @@ def graded_flow(signal, s, V, growth, triangle, rank):
         pivot, best = -1, -np.inf
         for i in range(2 * n):
             if not used[i] and X[i, k] != 0.0:
-                norm = math.sqrt(signal.lam[i // 2] * back[i, 0] ** 2 + back[i, 1] ** 2)
+                norm = math.sqrt(lams[i // 2] * back[i, 0] ** 2 + back[i, 1] ** 2)
                 size = math.log(abs(X[i, k]) * norm) - decay[i]
                 if size > best:
                     pivot, best = i, size

@@ -55,7 +55,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     none = np.empty((0, *motion.h.shape))
     for k in range(periods):
-        average(osc, motion, 1, no_averages(), none)
+        average(osc, motion, 0, 1, no_averages(), none)
         if motion.tally[STATUS] != RUNNING:
             raise ValueError(f"period {k}: {REASONS[int(motion.tally[STATUS])]}")
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()

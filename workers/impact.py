@@ -4,13 +4,32 @@ import numpy as np
 
 from workers.flight import derivative_bounds, dot, flow, flow_with_tangent, next_crossing
 from workers.frame import graded_flow
-from workers.jit import kernel
+from workers.jit import inlined, kernel
 
 REBOUND, REST, LEAVE = range(3)
 """What an impact leads to: a rebound; rest on the stop; v = 0 with the load pulling away (R = 0)."""
 
+EPS = float(np.finfo(np.float64).eps)
+
 COMPLETION = 1e-4
 """Chatter is certain to complete once the load changes by less than this share until it has."""
+
+
+@inlined
+def load_at_rest(side, v, a, cA2k):
+    """side * (a - cA^2k v): the acceleration that would press the mass on the stop with v taken off."""
+    return side * (a - cA2k * v)
+
+
+@inlined
+def is_rebound(load, v, R, cA2k, scale, remaining):
+    """Whether an impact at velocity v is certain to rebound, whatever the third derivative: see outcome."""
+    w = R * abs(v)
+    negligible = w * w <= 200.0 * load * EPS * scale
+    change = 2.0 * abs(cA2k * v)
+    duration = 2.0 * w / (load * (1.0 - R))
+    slow = change > COMPLETION * load or duration > remaining
+    return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not negligible))
 
 
 @kernel
@@ -22,20 +41,17 @@ def outcome(osc, h, side, v, a, scale, remaining):
     t* M3 + 2 |cA^2k| |v| <= 1e-4 |a0| with t* inside the ``remaining`` time, or if the hop is below
     rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
     """
-    load = side * (a - osc.cA2k * v)
+    load = load_at_rest(side, v, a, osc.cA2k)
+    if is_rebound(load, v, osc.R, osc.cA2k, scale, remaining):
+        return REBOUND
     if osc.R == 0.0:
         return REST if load > 0.0 else LEAVE
-    if load <= 0.0 or osc.R == 1.0:
-        return REBOUND
     w = osc.R * abs(v)
-    if w * w <= 200.0 * load * np.finfo(np.float64).eps * scale:
+    if w * w <= 200.0 * load * EPS * scale:
         return REST
-    change = 2.0 * abs(osc.cA2k * v)
-    duration = 2.0 * w / (load * (1.0 - osc.R))
-    if change > COMPLETION * load or duration > remaining:
-        return REBOUND
     M3 = derivative_bounds(osc.gap, h)[3]
-    return REST if duration * M3 + change <= COMPLETION * load else REBOUND
+    duration = 2.0 * w / (load * (1.0 - osc.R))
+    return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
 
 
 @kernel
@@ -55,20 +71,20 @@ def shift(osc, h, dy):
 
 
 @kernel
-def saltation(osc, V, ratio):
+def saltation(row, row1, kick, kick1, R, V, ratio):
     """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
 
     S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
     """
-    q = 1.0 + osc.R
+    q = 1.0 + R
     for i in range(V.shape[0]):
-        dy = dot(osc.gap.row, V[i])
-        dv = dot(osc.gap.row1, V[i])
+        dy = dot(row, V[i])
+        dv = dot(row1, V[i])
         along_k = -q * (dv - ratio * dy)
         along_Ak = -q * dy
-        for j in range(len(osc.kick)):
-            V[i, j, 0] += along_k * osc.kick[j][0] + along_Ak * osc.kick1[j][0]
-            V[i, j, 1] += along_k * osc.kick[j][1] + along_Ak * osc.kick1[j][1]
+        for j in range(len(kick)):
+            V[i, j, 0] += along_k * kick[j][0] + along_Ak * kick1[j][0]
+            V[i, j, 1] += along_k * kick[j][1] + along_Ak * kick1[j][1]
 
 
 @kernel
@@ -171,7 +187,7 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, 0, 0, H, scratch)
     if growth.shape[0] > 0:
         flow(release, s, u)
-        graded_flow(release, s, U, growth, triangle, 2 * n)
+        graded_flow(release.eta, release.lam, s, U, growth, triangle, 2 * n)
     else:
         flow_with_tangent(release, s, u, U)
     from_held(osc, u, phase + release.omega * s, side, h)

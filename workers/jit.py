@@ -13,7 +13,7 @@ from pathlib import Path
 
 from numba import config, njit
 
-__all__ = ["kernel"]
+__all__ = ["inlined", "kernel"]
 
 
 def _source_hash() -> str:
@@ -49,3 +49,6 @@ def _prepare_cache() -> bool:
 
 kernel = njit(nogil=True, error_model="numpy", cache=_prepare_cache())
 """Decorator of every kernel."""
+
+inlined = njit(nogil=True, error_model="numpy", forceinline=True)
+"""Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""

@@ -70,28 +70,36 @@ def standard_error(levels):
 
 
 @kernel
-def average(osc, motion, periods, averages, sections):
-    """Advance by so many periods while work is left, averaging the growth of the frame; returns those completed.
+def add_growth(levels, weighted, growth, k, periods):
+    """Count the growth of the first vector in period k of a stretch of so many."""
+    u = (k + 0.5) / periods
+    weight = math.exp(-1.0 / (u * (1.0 - u)))
+    weighted[0] += weight * growth
+    weighted[1] += weight
+    add_to_blocks(levels, growth)
+
+
+@kernel
+def average(osc, motion, done, periods, averages, sections):
+    """Go on from period ``done`` of a stretch to its end while work is left, averaging the growth of the frame.
+
+    Returns the periods completed.
 
     Every period ends with an orthonormal frame (Li & Tan 2011). Besides the plain mean, averages.weighted
     takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))), which converges faster
     than any power of their number on a torus (Das et al. 2017). sections (K, n, 2) takes the last K states.
     """
     first = periods - sections.shape[0]
-    averages.weighted[:] = 0.0
-    for k in range(periods):
+    if done == 0:
+        averages.weighted[:] = 0.0
+    for k in range(done, periods):
         before = motion.growth[0] if motion.growth.shape[0] > 0 else 0.0
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             return k
         reset_frame(osc, motion)
         if motion.growth.shape[0] > 0:
-            growth = motion.growth[0] - before
-            u = (k + 0.5) / periods
-            weight = math.exp(-1.0 / (u * (1.0 - u)))
-            averages.weighted[0] += weight * growth
-            averages.weighted[1] += weight
-            add_to_blocks(averages.levels, growth)
+            add_growth(averages.levels, averages.weighted, motion.growth[0] - before, k, periods)
         if k >= first:
             sections[k - first] = motion.h
         if motion.tally[WORK] < 0.0:

@@ -14,6 +14,34 @@ Array = NDArray[np.float64]
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]
 
+LARGEST_ANGLE = 3e7
+"""Radians of free oscillation in a forcing period up to which elementary.sin_cos reduces angles exactly."""
+
+
+class Block(NamedTuple):
+    """h'' + 2 eta h' + lam h = 0 with what its flow needs.
+
+    d = lam - eta^2; w = sqrt|d| and its inverse (0 for w = 0); the decay rates, both eta unless overdamped; 1 / lam.
+    """
+
+    eta: float
+    lam: float
+    d: float
+    w: float
+    inv_w: float
+    slow: float
+    fast: float
+    inv_lam: float
+
+
+def make_block(eta: float, lam: float) -> Block:
+    """The block of that damping and stiffness, lam > 0."""
+    d = lam - eta * eta
+    w = math.sqrt(abs(d))
+    fast = eta + (w if d < 0.0 else 0.0)
+    slow = lam / fast if d < 0.0 else eta
+    return Block(eta, lam, d, w, 1.0 / w if w > 0.0 else 0.0, slow, fast, 1.0 / lam)
+
 
 class Signal(NamedTuple):
     """A scalar output of a damped linear oscillator: offset + sum_j row_j . u_j(t) + Y(t).
@@ -26,6 +54,7 @@ class Signal(NamedTuple):
 
     eta: Row
     lam: Row
+    block: tuple[Block, ...]
     row: Rows
     row1: Rows
     row2: Rows
@@ -98,8 +127,9 @@ def mass_spring(
     """The oscillator M x'' + C x' + K x = force sin(omega t + tau) with stops on y = gap_row . x.
 
     The damping must be classical (diagonal in the undamped modes), as proportional damping is.
-    Raises ValueError, in one line, for a free rigid mode, for damping that is not classical and for
-    undamped resonance, where no periodic forced response exists.
+    Raises ValueError, in one line, for a free rigid mode, for damping that is not classical, for undamped
+    resonance, where no periodic forced response exists, and for a forcing period of more free oscillations than
+    double precision keeps the phase of.
     """
     n = len(gap_row)
     lam, modes = _modes(mass, stiffness)
@@ -108,6 +138,9 @@ def mass_spring(
     response = _response(lam, eta, modes.T @ force, omega)
     participation = gap_row @ modes
     gap = _signal(lam, eta, np.column_stack([participation, np.zeros(n)]), response, (0.0, 0.0), omega, 0.0)
+    period = 2.0 * math.pi / omega
+    if max((block.w for block in gap.block if block.d > 0.0), default=0.0) * period > LARGEST_ANGLE:
+        raise ValueError(f"a forcing period spans more than {LARGEST_ANGLE:g} radians of a free oscillation")
     kick = np.column_stack([np.zeros(n), participation / mobility])
     return Oscillator(
         gap=gap,
@@ -121,8 +154,8 @@ def mass_spring(
         b_upper=b_upper,
         b_lower=b_lower,
         R=R,
-        period=2.0 * math.pi / omega,
-        tau=tau,
+        period=period,
+        tau=math.remainder(tau, 2.0 * math.pi),
         trace=float(2.0 * np.sum(eta)),
         held=_held(mass, damping, stiffness, gap_row, force, omega, modes),
     )
@@ -190,6 +223,7 @@ def _signal(
     return Signal(
         eta=_tuples(eta),
         lam=_tuples(lam),
+        block=tuple(make_block(float(e), float(k)) for e, k in zip(eta, lam, strict=True)),
         row=_tuples(row),
         row1=_tuples(row1),
         row2=_tuples(_derivative(row1, lam, eta)),

@@ -14,7 +14,7 @@ from workers.flight import (
     ON_STOP_MOVING,
     ON_STOP_RELEASED,
     TINY,
-    evaluate_now,
+    evaluate,
     flow,
     flow_with_tangent,
     next_crossing,
@@ -33,7 +33,7 @@ from workers.impact import (
     stop_position,
     to_held,
 )
-from workers.jit import kernel
+from workers.jit import inlined, kernel
 from workers.oscillator import Oscillator
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
@@ -161,19 +161,11 @@ def _contact(osc: Oscillator, h: NDArray[np.float64], y: float, v: float) -> int
 
 
 @kernel
-def block_spread(eta, lam):
-    """Difference of the contraction rates inside one block: zero where underdamped."""
-    return 2.0 * math.sqrt(max(eta * eta - lam, 0.0))
-
-
-@kernel
-def spread_rate(signal):
+def spread_rate(block):
     """How fast a flight spreads the frame, per time: largest minus smallest contraction rate of the blocks."""
     low, high = np.inf, 0.0
-    for j in range(len(signal.eta)):
-        half = 0.5 * block_spread(signal.eta[j], signal.lam[j])
-        low = min(low, signal.lam[j] / (signal.eta[j] + half) if half > 0.0 else signal.eta[j])
-        high = max(high, signal.eta[j] + half)
+    for j in range(len(block)):
+        low, high = min(low, block[j].slow), max(high, block[j].fast)
     return high - low
 
 
@@ -182,7 +174,7 @@ def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
     flow(osc.gap, s, motion.h)
-    graded_flow(osc.gap, s, motion.V, motion.growth, motion.triangle, rank)
+    graded_flow(osc.gap.eta, osc.gap.lam, s, motion.V, motion.growth, motion.triangle, rank)
     reset_frame(osc, motion)
 
 
@@ -210,10 +202,9 @@ def record_impact(tally, impacts, t, side, speed):
 
 
 @kernel
-def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
-    """The impact at time t: changes state and frame; returns what follows (REBOUND, REST, LEAVE)."""
-    phase = osc.tau + osc.gap.omega * t
-    y, v, a, _, scale = evaluate_now(osc.gap, h, phase, 0.0)
+def meet_stop(osc, h, V, tally, impacts, t, side, remaining, arrived):
+    """The impact at time t, evaluated there as ``arrived``: changes state and frame; returns what follows."""
+    y, v, a, _, scale = arrived
     v = side * max(side * v, TINY)  # the march saw it approach; evaluated anew, the last digit may differ
     following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
     if following == REST:
@@ -223,12 +214,22 @@ def meet_stop(osc, h, V, tally, impacts, t, side, remaining):
     record_impact(tally, impacts, t, side, abs(v))
     kick(osc, h, -(1.0 + osc.R) * v)
     shift(osc, h, stop_position(osc, side) - y)  # or rounding would add up over many impacts
-    saltation(osc, V, a / v)
+    saltation(osc.gap.row, osc.gap.row1, osc.kick, osc.kick1, osc.R, V, a / v)
     if following == LEAVE:
         tally[LOST] = max(tally[LOST], 1.0)
     if V.shape[0] > 1:
-        tally[SPREAD] += 2.0 * math.log(1.0 + abs(a / v) / math.sqrt(osc.gap.lam[0]))
+        tally[SPREAD] += impact_spread(a / v, osc.gap.lam[0])
     return following
+
+
+@inlined
+def impact_spread(ratio, lam):
+    """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
+
+    2 ln(1 + u) < 2 u / sqrt(1 + u) with u = |ratio| / sqrt(lam).
+    """
+    u = abs(ratio) / math.sqrt(lam)
+    return 2.0 * u / math.sqrt(1.0 + u)
 
 
 @kernel
@@ -241,11 +242,10 @@ def spend(tally, evaluations):
 
 
 @kernel
-def leave_stop(osc, motion, t, contact, duration):
-    """Rest on a stop from time t until release or ``duration``: the time then, and whether to go on from there."""
-    phase = osc.tau + osc.gap.omega * t
+def leave_stop(osc, motion, phase, contact, remaining):
+    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
     h, V, tally = motion.h, motion.V, motion.tally
-    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, duration - t)
+    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
     tally[STUCK] += s
     spend(tally, evaluations)
     tally[LOST] = 2.0
@@ -255,7 +255,7 @@ def leave_stop(osc, motion, t, contact, duration):
         motion.contact[0] = contact
     if released == 2:
         tally[STATUS] = MARCH_GAVE_UP
-    return t + s, tally[STATUS] == RUNNING and released == 1
+    return s, tally[STATUS] == RUNNING and released == 1
 
 
 @kernel
@@ -268,22 +268,24 @@ def travel(osc, motion, duration):
     h, V, tally, impacts, scratch = motion.h, motion.V, motion.tally, motion.impacts, motion.scratch
     contact = motion.contact[0]
     motion.contact[0] = FREE
-    rate = spread_rate(osc.gap) if V.shape[0] > 1 else 0.0
+    rate = spread_rate(osc.gap.block) if V.shape[0] > 1 else 0.0
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
-    t = 0.0
+    t, phase = 0.0, osc.tau
     while True:
         if contact != FREE:
-            t, released = leave_stop(osc, motion, t, contact, duration)
+            s, released = leave_stop(osc, motion, phase, contact, duration - t)
             if not released:
                 return
+            t += s
+            phase += osc.gap.omega * s
             own, kind = contact, ON_STOP_RELEASED
-        phase = osc.tau + osc.gap.omega * t
         s, side, evaluations = next_crossing(
             osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
         spend(tally, evaluations)
+        arrived = evaluate(osc.gap, h, s, phase, 0.0)
         if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
@@ -296,7 +298,8 @@ def travel(osc, motion, duration):
         if tally[STATUS] != RUNNING:
             return
         t += s
-        following = meet_stop(osc, h, V, tally, impacts, t, side, duration - t)
+        phase += osc.gap.omega * s
+        following = meet_stop(osc, h, V, tally, impacts, t, side, duration - t, arrived)
         if following == LEAVE or tally[SPREAD] > MAX_SPREAD:
             reset_frame(osc, motion)
         own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
@@ -322,13 +325,13 @@ def half_advance(osc, motion):
 
 
 @kernel
-def run(osc, motion, periods, sections):
-    """Advance by so many periods, or until one cannot be completed or no work is left; returns those completed.
+def run(osc, motion, done, periods, sections):
+    """Go on from period ``done`` of a stretch to its end, or until a period cannot be completed or no work is left.
 
-    The last K block states are left in sections (K, n, 2), newest last; K = 0 for none.
+    Returns the periods completed. sections (K, n, 2) takes the last K block states, newest last; K = 0 for none.
     """
     first = periods - sections.shape[0]
-    for k in range(periods):
+    for k in range(done, periods):
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             return k

@@ -1,6 +1,7 @@
 """One cell from its start to its class: the adaptive method and the paper's fixed schedule."""
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 from workers.flight import derivative_bounds
 from workers.lyapunov import (
     Averages,
-    average,
     free_exponents,
     impacts,
     no_averages,
@@ -42,6 +42,7 @@ from workers.section import (
     run,
 )
 from workers.settings import Settings
+from workers.stretch import Stretch, follow
 
 Array = NDArray[np.float64]
 
@@ -100,14 +101,30 @@ class Cell:
     reason: str = field(default="", compare=False)
 
 
+Solving = Generator[Stretch, int, Cell]
+"""A cell being solved: gives each stretch that its motion is to be taken along, is sent the periods completed."""
+
+
 def solve_cell(osc: Oscillator, start: Array, settings: Settings) -> Cell:
     """The solution of one cell that starts at physical section state ``start`` (2n,)."""
+    cell = solving(osc, start, settings)
+    done = None
+    while True:
+        try:
+            done = follow(cell.send(done))  # type: ignore[arg-type]
+        except StopIteration as end:
+            return end.value
+
+
+def solving(osc: Oscillator, start: Array, settings: Settings) -> Solving:
+    """As solve_cell, one stretch at a time, so that many cells can be taken along side by side."""
     motion = motion_from(osc, start)
     if motion.contact[0] == BEYOND:
         return Cell(regime=INVALID, reason="the initial state lies beyond a stop")
     periods = settings.max_periods if settings.method == "adaptive" else settings.transient_periods + settings.periods
     motion.tally[WORK] = max(WORK_PER_PERIOD * periods, LEAST_WORK)
-    cell = _fixed(osc, motion, settings) if settings.method == "fixed" else _adaptive(osc, motion, settings)
+    method = _fixed if settings.method == "fixed" else _adaptive
+    cell = yield from method(osc, motion, settings)
     if cell.spectrum is not None and settings.exponents != "spectrum":
         cell.spectrum = None
     if settings.exponents == "none":
@@ -150,7 +167,7 @@ def scale_of(osc: Oscillator, motion: Motion) -> float:
     return energy_norm(osc, motion.h) + energy_norm(osc, np.hypot(forced[..., 0], forced[..., 1]))
 
 
-def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
+def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
     """Look at ever longer stretches until the class is certain or the budget spent.
 
     Each stretch may end in a proof of no impact or of a stable orbit. Meanwhile, once that looks unlikely,
@@ -171,14 +188,11 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
         if averages is None and vectors and used >= TANGENT_AFTER and length > WARM_UP:
             motion = with_frame(motion, vectors)
             averages = no_averages()
-            used += average(osc, motion, WARM_UP, no_averages(), no_sections)
+            used += yield Stretch(osc, motion, WARM_UP, no_averages(), no_sections)
             length -= WARM_UP
             restart_counts(osc, motion)
         sections = np.empty((min(length, settings.max_period + 1), *motion.h.shape))
-        if averages is None:
-            used += run(osc, motion, length, sections)
-        else:
-            used += average(osc, motion, length, averages, sections)
+        used += yield Stretch(osc, motion, length, averages, sections)
         stopped = _stopped(osc, motion, settings, used, averages)
         if stopped is not None:
             return stopped
@@ -201,17 +215,17 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
             return _quasiperiodic(osc, motion, settings, used, averages, weighted, abs(weighted - previous))
 
 
-def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Cell:
+def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
     """The paper's schedule: a transient, then plain averages over so many periods."""
     sections = np.empty((min(settings.periods, settings.max_period + 1), *motion.h.shape))
     motion = with_frame(motion, vectors_for(settings, osc))
     averages = no_averages()
-    used = average(osc, motion, settings.transient_periods, no_averages(), sections[:0])
+    used = yield Stretch(osc, motion, settings.transient_periods, no_averages(), sections[:0])
     stopped = _stopped(osc, motion, settings, used, None)
     if stopped is not None:
         return stopped
     restart_counts(osc, motion)
-    used += average(osc, motion, settings.periods, averages, sections)
+    used += yield Stretch(osc, motion, settings.periods, averages, sections)
     stopped = _stopped(osc, motion, settings, used, averages)
     if stopped is not None:
         return stopped
@@ -292,7 +306,7 @@ def _no_impact(osc: Oscillator, motion: Motion, settings: Settings, used: int) -
 def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> Cell:
     """A proved orbit: one turn of it counts impacts and rest; its exponents are the Floquet exponents."""
     turn = motion_at(osc, orbit.h, orbit.contact)
-    run(osc, turn, orbit.period, np.empty((0, *turn.h.shape)))
+    run(osc, turn, 0, orbit.period, np.empty((0, *turn.h.shape)))
     sticks = bool(turn.tally[STUCK] > 0.0)
     hits = impacts(turn) / orbit.period
     if not hits and not sticks:
@@ -381,11 +395,11 @@ def _sections(osc: Oscillator, motion: Motion, settings: Settings, period: int) 
     K = settings.section_samples
     if K == 0:
         return None
-    follow = motion_at(osc, motion.h, int(motion.contact[0]))
+    ahead = motion_at(osc, motion.h, int(motion.contact[0]))
     states = []
     for _ in range(min(K, period) if period else K):
-        reached = follow.tally[STATUS] == RUNNING
-        states.append(blocks_to_physical(osc, follow) if reached else np.full(follow.h.size, math.nan))
+        reached = ahead.tally[STATUS] == RUNNING
+        states.append(blocks_to_physical(osc, ahead) if reached else np.full(ahead.h.size, math.nan))
         if reached:
-            run(osc, follow, 1, np.empty((0, *follow.h.shape)))
+            run(osc, ahead, 0, 1, np.empty((0, *ahead.h.shape)))
     return np.array([states[k % len(states)] for k in range(K)])

@@ -1,7 +1,7 @@
 """The door for results: every cell of a tile solved on its own, from arrays of parameters to arrays of results."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from workers.results import FAILED, INVALID, empty_results, result_variables
 from workers.settings import Settings
-from workers.solve import Cell, solve_cell
+from workers.solve import Cell, Solving, solving
+from workers.stretch import Stretch, follow_together
 from workers.system import System, find_system
 
 
@@ -56,10 +57,9 @@ def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings
     variables = result_variables(settings)
     arrays = empty_results(variables, shape, {"exponent": size, "state": size, "sample": settings.section_samples})
     reasons: Counter[str] = Counter()
-    for index in np.ndindex(shape):
-        cell = _solve_one(
-            record, {p.name: float(g[index]) for p, g in zip(record.parameters, grids, strict=True)}, settings
-        )
+    names = [p.name for p in record.parameters]
+    cells = [dict(zip(names, cell, strict=True)) for cell in np.stack(grids, axis=-1).reshape(-1, len(names)).tolist()]
+    for index, cell in zip(np.ndindex(shape), _solve_together(record, cells, settings), strict=True):
         for variable in variables:
             value = getattr(cell, variable.name)
             if value is not None:
@@ -69,8 +69,28 @@ def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings
     return Solution(arrays, dict(reasons))
 
 
-def _solve_one(record: System, values: dict[str, float], settings: Settings) -> Cell:
-    """One cell from its parameters; whatever happens is a value of the cell."""
+def _solve_together(record: System, cells: Iterable[dict[str, float]], settings: Settings) -> list[Cell]:
+    """Every cell from its parameters, all taken along side by side; whatever happens is a value of the cell."""
+    started = [_start(record, values, settings) for values in cells]
+    running = {k: one for k, one in enumerate(started) if not isinstance(one, Cell)}
+    solved = {k: one for k, one in enumerate(started) if isinstance(one, Cell)}
+    done: dict[int, int | None] = dict.fromkeys(running)
+    while running:
+        waiting: dict[int, Stretch] = {}
+        for k, cell in running.items():
+            try:
+                waiting[k] = cell.send(done[k])  # type: ignore[arg-type]
+            except StopIteration as end:
+                solved[k] = end.value
+            except (ArithmeticError, np.linalg.LinAlgError) as error:
+                solved[k] = Cell(regime=FAILED, reason=f"{type(error).__name__}: {error}")
+        running = {k: running[k] for k in waiting}
+        done = dict(zip(waiting, follow_together(list(waiting.values())), strict=True))
+    return [solved[k] for k in range(len(started))]
+
+
+def _start(record: System, values: dict[str, float], settings: Settings) -> Solving | Cell:
+    """A cell to be solved from its parameters, or what it is where they have no motion."""
     for parameter in record.parameters:
         if not parameter.admits(values[parameter.name]):
             return Cell(regime=INVALID, reason=f"{parameter.name} outside {parameter.range}")
@@ -78,7 +98,4 @@ def _solve_one(record: System, values: dict[str, float], settings: Settings) -> 
         osc = record.build(values)
     except ValueError as error:
         return Cell(regime=INVALID, reason=str(error))
-    try:
-        return solve_cell(osc, np.array([values[name] for name in record.states]), settings)
-    except (ArithmeticError, np.linalg.LinAlgError) as error:
-        return Cell(regime=FAILED, reason=f"{type(error).__name__}: {error}")
+    return solving(osc, np.array([values[name] for name in record.states]), settings)

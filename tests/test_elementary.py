@@ -1,0 +1,77 @@
+"""exp, sin and cos of the vector loops, against 40-digit arithmetic."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from mpmath import mp
+
+from workers.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.oscillator import LARGEST_ANGLE, make_block, mass_spring
+
+EPS = 2.0**-52
+
+
+def angles(count: int) -> np.ndarray:
+    """Angles of every size up to the largest, and doubles beside multiples of pi / 2, where sin or cos is tiny."""
+    rng = np.random.default_rng(1)
+    random = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-8, math.log10(LARGEST_ANGLE), count)
+    return np.concatenate([[0.0], random, rng.integers(1, 1.9e7, count) * (math.pi / 2)])
+
+
+def test_sine_and_cosine_are_right_to_an_ulp_of_one_up_to_the_largest_angle() -> None:
+    with mp.workdps(40):
+        for x in angles(2000).tolist():
+            s, c = sin_cos(x)
+            assert abs(s - mp.sin(x)) <= EPS
+            assert abs(c - mp.cos(x)) <= EPS
+
+
+def test_small_sines_keep_their_digits() -> None:
+    """Also just beside the multiples of pi, where the reduction has to carry three parts of pi / 2."""
+    with mp.workdps(40):
+        for k in (0, 1, 2, 1000, 123_456, 9_000_001):
+            for x in (k * math.pi + 1e-9, k * math.pi + 1e-3):
+                assert abs(sin_cos(x)[0] / mp.sin(x) - 1) <= 1.5 * EPS
+
+
+def test_the_exponential_is_right_to_an_ulp() -> None:
+    with mp.workdps(40):
+        for x in [0.0, *np.linspace(0.0, 700.0, 3001).tolist(), *np.geomspace(1e-20, 1.0, 200).tolist()]:
+            assert abs(exp_minus(x) / mp.exp(-x) - 1) <= 1.2 * EPS
+
+
+def test_the_exponential_ends_in_zero() -> None:
+    assert exp_minus(1e300) == exp_minus(math.inf) < 1e-320
+
+
+def test_the_series_are_cosine_and_sinc_of_either_sign() -> None:
+    with mp.workdps(40):
+        for x in np.linspace(-0.1, 0.1, 401).tolist():
+            root = mp.sqrt(mp.mpc(x))
+            cosc, sinc = cosc_sinc(x)
+            assert abs(cosc - mp.cos(root).real) <= EPS
+            assert abs(sinc - (mp.sin(root) / root if x else mp.mpf(1)).real) <= EPS
+
+
+@pytest.mark.parametrize("function", [exp_minus, sin_cos, cosc_sinc], ids=["exp", "sin and cos", "series"])
+def test_compiled_and_interpreted_give_the_same_bits(function: Callable[[float], object]) -> None:
+    """So no operation is fused or reordered."""
+    rng = np.random.default_rng(2)
+    for x in rng.uniform(0.0, 0.1 if function is cosc_sinc else 500.0, 500).tolist():
+        assert function(x) == function.py_func(x)  # type: ignore[attr-defined]
+
+
+def test_a_period_of_more_oscillations_than_digits_is_refused() -> None:
+    unit = np.eye(1)
+    with pytest.raises(ValueError, match="radians of a free oscillation"):
+        mass_spring(
+            mass=unit, damping=0.0 * unit, stiffness=unit, gap_row=np.ones(1), force=np.ones(1),
+            omega=2e-8 * math.pi, tau=0.0, b_upper=1.0, b_lower=1.0, R=0.5,
+        )  # fmt: skip
+
+
+def test_a_block_knows_its_decay_rates() -> None:
+    slow, fast = make_block(2.0, 3.0)[5:7]
+    assert (slow, fast) == pytest.approx((1.0, 3.0))
