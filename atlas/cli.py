@@ -207,13 +207,14 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], as_json: 
     """What STORE holds at a point, or the share of each regime in a window (default: everywhere)."""
     from atlas import query as questions
     from atlas.output import print_table, text, to_json
+    from atlas.place import place_of
     from atlas.store import open_atlas
 
     if point and window:
         raise InputError("--at asks for one cell, --window for shares; give one of the two")
     wanted = _pairs("--at", point, _number)
     bounds = _pairs("--window", window, _bounds)
-    with _input_errors():
+    with _input_errors(), place_of(store).told():
         dataset = open_atlas(store)
         found: dict[str, Any] = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds or None)
     if as_json:
@@ -232,9 +233,10 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], as_json: 
 @click.option("--kind", metavar="KIND", help="exponent or period (two axes), sweep (one); default: by the axes.")
 def render(store: str, out: Path, kind: str | None) -> None:
     """Draw STORE."""
+    from atlas.place import place_of
     from atlas.store import open_atlas
 
-    with _input_errors():
+    with _input_errors(), place_of(store).told():
         dataset = open_atlas(store)
         _say("drawing")
         from atlas.render import render as draw

@@ -7,6 +7,7 @@ import tempfile
 import uuid
 import warnings
 from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -36,8 +37,11 @@ if TYPE_CHECKING:
     import xarray
     import zarr
 
+READERS = 8
+"""Tiles read at once: a disk or a network answers several as soon as one."""
 ROOT = "zarr.json"
 """The object that makes a store one: before it there is none."""
+TRIAL = ".trial-"
 MACHINES = "machines"
 """The group of the machines that solved tiles, each an empty group with attributes."""
 
@@ -93,8 +97,9 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
     _check_exists(place)
     attrs: dict[str, Any] = {}
     try:
-        group = _open(place, "r")
-        attrs = dict(group.attrs)
+        with place.told():
+            group = _open(place, "r")
+            attrs = dict(group.attrs)
         if attrs.get("format") != FORMAT:
             raise foreign
         found = attrs["format_version"]
@@ -112,6 +117,8 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
     except InputError:
         raise
     except (OSError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, OSError) and place.local is None:
+            raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
         if attrs.get("format") == FORMAT:
             raise InputError(f"{place}: its metadata are damaged: {error}") from None
         raise foreign from None
@@ -136,7 +143,7 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
         raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
     try:
         if place.local is None:
-            place.put_new(ROOT, place.get(ROOT) or b"")  # refused for want of a permission before it is for being there
+            _check_replaceable(place)
         elif not os.access(place.local, os.W_OK):
             raise InputError(f"{place}: cannot be written: Permission denied")
     except OSError as error:
@@ -255,15 +262,19 @@ def restore_coordinates(header: Header) -> None:
 def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str, int]:
     """Cells of each regime in these tiles, as stored; regimes that do not occur are left out."""
     totals = {regime.code: 0 for regime in REGIMES}
-    with header.place.told():
+
+    def count_one(index: tuple[int, ...]) -> tuple[list[int], list[int]]:
+        try:
+            codes, counts = np.unique(array[block(array, index)], return_counts=True)
+        except (ValueError, RuntimeError) as error:
+            fault = f"{chunk_key(REGIME, index)} is damaged ({error})"
+            raise RunError(f"{header.place}: {fault}: atlas verify --repair {header.place}") from None
+        return codes.tolist(), counts.tolist()
+
+    with header.place.told(), ThreadPoolExecutor(READERS) as readers:
         array = _array(_open(header.place, "r"), REGIME.name)
-        for index in tiles:
-            try:
-                codes, counts = np.unique(array[block(array, index)], return_counts=True)
-            except (ValueError, RuntimeError) as error:
-                fault = f"{chunk_key(REGIME, index)} is damaged ({error})"
-                raise RunError(f"{header.place}: {fault}: atlas verify --repair {header.place}") from None
-            for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
+        for codes, counts in readers.map(count_one, tiles):
+            for code, count in zip(codes, counts, strict=True):
                 totals[code] += count
     return {regime.name: totals[regime.code] for regime in REGIMES if totals[regime.code]}
 
@@ -310,7 +321,7 @@ def _is_free(place: Place, spec: Spec) -> bool:
         return False
     ours = {MACHINES, *coordinates(spec)} | {variable.name for variable in result_variables(spec.settings)}
     for key in place.list_keys():
-        if key.partition("/")[0] not in ours:
+        if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
     return True
 
@@ -388,10 +399,17 @@ def block(array: Any, index: tuple[int, ...]) -> Slices:
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, array.chunks, array.shape, strict=False))
 
 
+def _check_replaceable(place: Place) -> None:
+    """Try to put the root there is, if there is none: for want of a permission that is refused another way."""
+    root = place.get(ROOT)
+    if root:
+        place.put_new(ROOT, root)
+
+
 def _check_writable(place: Place) -> None:
     """Try it: a trial tells more than permission bits do. On a disk, in the nearest folder there is."""
     if place.local is None:
-        trial = f".trial-{uuid.uuid4().hex}"
+        trial = f"{TRIAL}{uuid.uuid4().hex}"
         place.put(trial, b"")
         place.remove(trial)
         return

@@ -23,6 +23,7 @@ from atlas.plan import Plan, make_plan, plural
 from atlas.progress import Progress
 from atlas.recheck import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.store import (
+    READERS,
     Header,
     done_tiles,
     drop_tile,
@@ -34,8 +35,6 @@ from atlas.store import (
 from workers import SOLVER_VERSION
 from workers.results import FAILED, result_variables
 
-READERS = 8
-"""Tiles read at once: a disk or a network answers several as soon as one."""
 SAMPLE = 32
 SHOWN = 50
 """Faults that a terminal gets to see; ``--json`` has all."""
