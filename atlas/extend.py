@@ -14,8 +14,8 @@ from atlas.place import place_of
 from atlas.plan import plural
 from atlas.progress import Progress
 from atlas.run import run
-from atlas.spec import Spec
-from atlas.store import Header, differences, done_tiles, find, read_header
+from atlas.spec import Spec, differences
+from atlas.store import Header, done_tiles, find, read_header
 from atlas.summary import Summary
 from atlas.takeover import count_shared
 from workers import SOLVER_VERSION

@@ -13,7 +13,7 @@ from atlas.layout import extra_sizes
 from atlas.plan import make_plan
 from atlas.spec import Slices, Spec
 from atlas.store import Header, is_done, machines, open_arrays, read_header, record_machine
-from workers.results import FAILED, REGIME, empty_results, result_variables
+from workers.results import FAILED, PENDING, REGIME, empty_results, result_variables
 
 
 class Filled(NamedTuple):
@@ -40,22 +40,25 @@ def fill_tile(header: Header, slices: Slices) -> Filled:
     from workers.tile import solve_cells
 
     spec = header.spec
-    params = spec.cell_params(slices)
-    shape = tuple(part.stop - part.start for part in slices)
-    if header.origin is None:
-        arrays, reasons = solve_cells(spec.system, params, spec.settings)
-        return Filled(arrays, np.ones(shape, dtype=bool), reasons)
-    arrays = empty_results(result_variables(spec.settings), shape, extra_sizes(spec))
-    _take_over(header, slices, arrays)
-    regime = arrays[REGIME.name]
-    unknown = (regime < 0) | (regime == FAILED)
+    arrays, unknown = known_cells(header, slices)
     if not unknown.any():
         return Filled(arrays, unknown, {})
-    cells = {name: np.broadcast_to(values, shape)[unknown] for name, values in params.items()}
+    params = spec.cell_params(slices)
+    cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
     solution = solve_cells(spec.system, cells, spec.settings)
     for name, values in solution.arrays.items():
         arrays[name][unknown] = values
     return Filled(arrays, unknown, solution.reasons)
+
+
+def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
+    """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved."""
+    shape = tuple(part.stop - part.start for part in slices)
+    arrays = empty_results(result_variables(header.spec.settings), shape, extra_sizes(header.spec))
+    if header.origin is not None:
+        _take_over(header, slices, arrays)
+    regime = arrays[REGIME.name]
+    return arrays, (regime == PENDING) | (regime == FAILED)
 
 
 def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
