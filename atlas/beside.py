@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
+from atlas.notes import notes_beside
+from atlas.place import Place, place_of
+
 
 class Notes(Protocol):
     """Small named notes of one store that several processes share, with a conditional write.
@@ -29,10 +32,12 @@ class Notes(Protocol):
         """Remove all notes but one: only for who holds that one."""
 
 
-def notes_of(store: str | os.PathLike[str]) -> Notes:
+def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
     """The notes of a store: beside it and not in it, since a claim comes before the store, and Zarr owns its inside."""
-    path = Path(store).absolute()
-    return Folder(path.parent / f".{path.name}.run")
+    place = place_of(store)
+    if place.local is None:
+        return notes_beside(place)
+    return Folder(place.local.parent / f".{place.local.name}.run")
 
 
 @dataclass(frozen=True)

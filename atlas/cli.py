@@ -46,6 +46,9 @@ class _Group(click.Group):
             raise _BadInput(str(error)) from None
         except RunError as error:
             raise click.ClickException(str(error)) from None
+        except OSError as error:  # a disk or a network that gave up in the middle
+            where = f"{error.filename}: " if error.filename else ""
+            raise click.ClickException(f"{where}{error.strerror or error}") from None
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
@@ -68,23 +71,26 @@ _json_option = click.option(
 _workers_option = click.option(
     "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
 )
-_store_argument = click.argument("store", type=click.Path(path_type=Path))
+_store_argument = click.argument("store")  # a path or a URL
 
 
 @cli.command()
 @click.argument("spec")
-@click.option("-o", "--out", type=click.Path(path_type=Path), default=Path(), help="Where the store is to lie.")
+@click.option("-o", "--out", default=".", help="Where the store is to lie: a path or a URL.")
 @_workers_option
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @_json_option
-def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) -> None:
+def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -> None:
     """What SPEC will cost: cells, tiles, bytes, probed time."""
     from atlas import plan as planning
     from atlas.output import to_json
+    from atlas.place import place_of
 
     read = Spec.from_toml(spec)
     made = planning.make_plan(read, workers)
-    planning.check_disk(made, out)
+    place = place_of(out)
+    if place.local is not None:
+        planning.check_disk(made, place.local)
     if probe:
         _say("compiling and probing a few cells")
         planning.warm_up(read)
@@ -102,9 +108,7 @@ def _run_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--tls-key", metavar="FILE", help="Its key."),
         click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
         click.option("--tls-ca-file", metavar="FILE", help="Authority for it; default: Dask's configuration."),
-        click.option(
-            "-o", "--out", type=click.Path(path_type=Path), required=True, help="The store: made, or gone on with."
-        ),
+        click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or gone on with."),
         click.argument("spec"),
     ):
         command = option(command)
@@ -116,7 +120,7 @@ def _run_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 @_workers_option
 @click.pass_context
-def run(ctx: click.Context, /, spec: str, out: Path, scheduler: str | None, workers: int | None, **given: Any) -> None:
+def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, workers: int | None, **given: Any) -> None:
     """Compute SPEC into a store. The same line again goes on where it stopped."""
     from atlas.progress import reporter
     from atlas.run import run as run_spec
@@ -133,7 +137,7 @@ def run(ctx: click.Context, /, spec: str, out: Path, scheduler: str | None, work
     except KeyboardInterrupt:
         given = {"scheduler": scheduler, "workers": workers} | given
         options = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
-        line = shlex.join(["atlas", "run", spec, "-o", str(out), *(text for pair in options for text in pair)])
+        line = shlex.join(["atlas", "run", spec, "-o", out, *(text for pair in options for text in pair)])
         _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
         ctx.exit(INTERRUPTED)
     click.echo(str(summary))
@@ -148,7 +152,7 @@ def run(ctx: click.Context, /, spec: str, out: Path, scheduler: str | None, work
 @cli.command()
 @_run_options
 @click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
-def submit(spec: str, out: Path, scheduler: str, **given: Any) -> None:
+def submit(spec: str, out: str, scheduler: str, **given: Any) -> None:
     """Have a cluster compute SPEC into a store, and leave."""
     from atlas.progress import reporter
     from atlas.submit import submit as submit_spec
@@ -157,27 +161,71 @@ def submit(spec: str, out: Path, scheduler: str, **given: Any) -> None:
     retry, tls = _checked_run_options(read, **given)
     with reporter(sys.stderr) as show:
         where = submit_spec(read, out, scheduler, on_progress=show, retry=retry, tls=tls)
-    store = shlex.quote(str(out))
+    store = shlex.quote(out)
     click.echo(f"{out}: at work on the cluster, coordinated by {where}")
     _say(f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}")
 
 
 @cli.command()
 @_store_argument
-def cancel(store: Path) -> None:
+def cancel(store: str) -> None:
     """Stop the run that is at work on STORE, wherever it runs. Finished tiles are kept."""
     from atlas.beside import notes_of
     from atlas.claim import cancel as cancel_run
 
-    stopped = cancel_run(notes_of(store), str(store), CANCEL_SECONDS, _say)
+    stopped = cancel_run(notes_of(store), store, CANCEL_SECONDS, _say)
     click.echo(f"{store}: {stopped} has stopped")
+
+
+@cli.command()
+@_store_argument
+@click.argument("spec", required=False)
+@click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")
+@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or gone on with.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+@_workers_option
+@click.pass_context
+def extend(
+    ctx: click.Context,
+    store: str,
+    spec: str | None,
+    refine: tuple[str, ...],
+    out: str,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Compute a larger or finer atlas into a new store, taking over all cells that STORE has.
+
+    SPEC may have other values on STORE's axes, and nothing else that differs. The same line again goes on.
+    """
+    from atlas.extend import extend as extend_store
+    from atlas.progress import reporter
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
+    if (spec is None) == (not refine):
+        raise InputError("give either the SPEC of the new atlas or --refine")
+    factors = _factors(refine) if refine else None
+    read = None if spec is None else Spec.from_toml(spec)
+    options: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
+    try:
+        with reporter(sys.stderr) as show:
+            summary = extend_store(store, out, read, factors, on_progress=show, probe=True, **options)
+    except KeyboardInterrupt:
+        _say("interrupted: finished tiles are kept; the same line goes on")
+        ctx.exit(INTERRUPTED)
+    click.echo(str(summary))
+    for failure in summary.failures:
+        _say(f"tile {failure.index} failed: {failure.message}")
+    if summary.failures:
+        ctx.exit(1)
 
 
 @cli.command()
 @_store_argument
 @click.option("--watch", "watching", is_flag=True, help="Go on until it is complete, or no run is at work on it.")
 @_json_option
-def status(store: Path, watching: bool, as_json: bool) -> None:
+def status(store: str, watching: bool, as_json: bool) -> None:
     """How far STORE is: tiles, cells and regimes done, and the run at work on it."""
     from atlas.output import to_json
     from atlas.progress import reporter
@@ -195,20 +243,45 @@ def status(store: Path, watching: bool, as_json: bool) -> None:
 
 @cli.command()
 @_store_argument
+@click.option("--repair", is_flag=True, help="Drop each bad tile, so that atlas run solves it again.")
+@click.option(
+    "--sample", type=click.IntRange(min=0), metavar="N", default=32, show_default=True, help="Cells to solve again."
+)
+@_json_option
+@click.pass_context
+def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: bool) -> None:
+    """Read all of STORE and check it: checksums, completeness, consistency, a sample of cells solved again.
+
+    Exit code 0: complete and fine; 1: something found. For a store that no run is at work on.
+    """
+    from atlas.output import to_json
+    from atlas.progress import reporter
+    from atlas.verify import verify as verify_store
+
+    with reporter(sys.stderr) as show:
+        report = verify_store(store, sample=sample, repair=repair, on_progress=show)
+    click.echo(to_json(report.as_dict()) if as_json else str(report))
+    if not report.fine:
+        ctx.exit(1)
+
+
+@cli.command()
+@_store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @click.option("--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis.")
 @_json_option
-def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json: bool) -> None:
+def query(store: str, point: tuple[str, ...], window: tuple[str, ...], as_json: bool) -> None:
     """What STORE holds at a point, or the share of each regime in a window (default: everywhere)."""
     from atlas import query as questions
     from atlas.output import print_table, text, to_json
+    from atlas.place import place_of
     from atlas.store import open_atlas
 
     if point and window:
         raise InputError("--at asks for one cell, --window for shares; give one of the two")
     wanted = _pairs("--at", point, _number)
     bounds = _pairs("--window", window, _bounds)
-    with _input_errors():
+    with _input_errors(), place_of(store).told():
         dataset = open_atlas(store)
         found: dict[str, Any] = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds or None)
     if as_json:
@@ -225,11 +298,12 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], as_json:
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="The picture; the suffix decides how."
 )
 @click.option("--kind", metavar="KIND", help="exponent or period (two axes), sweep (one); default: by the axes.")
-def render(store: Path, out: Path, kind: str | None) -> None:
+def render(store: str, out: Path, kind: str | None) -> None:
     """Draw STORE."""
+    from atlas.place import place_of
     from atlas.store import open_atlas
 
-    with _input_errors():
+    with _input_errors(), place_of(store).told():
         dataset = open_atlas(store)
         _say("drawing")
         from atlas.render import render as draw
@@ -355,6 +429,20 @@ def _number(where: str, value: str) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"{where}: found {value!r}, must be a number") from None
+
+
+def _factors(given: tuple[str, ...]) -> int | dict[str, int]:
+    """One factor for all axes, or factors by name."""
+    if len(given) == 1 and "=" not in given[0]:
+        return _whole("--refine", given[0])
+    return _pairs("--refine", given, _whole)
+
+
+def _whole(where: str, value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        raise InputError(f"{where}: found {value!r}, must be a whole number") from None
 
 
 def _bounds(where: str, value: str) -> tuple[float, float]:

@@ -7,17 +7,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from atlas.beside import notes_of
+from atlas.chunks import read_tile
 from atlas.errors import InputError, RunError
+from atlas.layout import BUDGET
 from atlas.plan import make_plan
 from atlas.retry import Retry, solve_again
-from atlas.store import BUDGET, Header, is_done, read_header, read_tile, write_tile
+from atlas.store import Header, is_done, read_header, write_tile
+from atlas.takeover import fill_tile, known_cells
 from workers import SOLVER_VERSION
-from workers.results import FAILED, REGIME, REGIMES, empty_results, result_variables
+from workers.results import FAILED, REGIME, REGIMES, result_variables
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
@@ -50,6 +52,7 @@ class Receipt:
     """What a finished tile reports.
 
     cells, counts, reasons          solved, in all and of each regime; failures by reason
+    taken                           cells taken over from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
     periods                         forcing periods simulated
     peak_bytes                      most memory that the worker's process ever had
@@ -63,6 +66,7 @@ class Receipt:
     write_seconds: float
     periods: int
     peak_bytes: int
+    taken: int = 0
 
 
 def run_job(job: Job) -> Receipt:
@@ -91,8 +95,6 @@ def run_job(job: Job) -> Receipt:
 
 def solve_and_write(job: Job) -> Receipt:
     """Solve a tile and write it, here and now."""
-    from workers.tile import solve_cells
-
     with _told_apart(job):
         header = _checked_header(job)
         spec = header.spec
@@ -100,8 +102,7 @@ def solve_and_write(job: Job) -> Receipt:
         params = spec.cell_params(tile.slices)
         begin = time.perf_counter()
         if job.retry is None:
-            arrays, reasons = solve_cells(spec.system, params, spec.settings)
-            solved = np.ones(arrays[REGIME.name].shape, dtype=bool)
+            arrays, solved, reasons = fill_tile(header, tile.slices)
         else:
             stored = read_tile(header, job.index)
             shape = stored[REGIME.name].shape
@@ -110,17 +111,18 @@ def solve_and_write(job: Job) -> Receipt:
             arrays, solved, reasons = solve_again(spec, cells, stored, job.retry)
         middle = time.perf_counter()
         # Another attempt may have finished meanwhile: what is stored is then the same, and stays.
-        if solved.any() and (job.retry is not None or not is_done(header, job.index)):
+        if solved.any() if job.retry is not None else not is_done(header, job.index):
             write_tile(header, job.index, arrays)
         receipt = _receipt(job.index, arrays, solved, reasons)
-        return replace(receipt, solve_seconds=middle - begin, write_seconds=time.perf_counter() - middle)
+        taken = int((~solved).sum()) if job.retry is None else 0
+        return replace(receipt, taken=taken, solve_seconds=middle - begin, write_seconds=time.perf_counter() - middle)
 
 
 def _checked_header(job: Job) -> Header:
     if job.solver_version != SOLVER_VERSION:
         raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
     try:
-        header = read_header(Path(job.store))
+        header = read_header(job.store)
     except InputError as error:
         raise RefusedError(f"{error}; is the path the same on all hosts?") from None
     if header.run_id != job.run_id:
@@ -150,14 +152,7 @@ def _mark_failed(header: Header, job: Job, reason: str) -> Receipt:
     spec = header.spec
     if job.retry is None:
         tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
-        shape = tuple(part.stop - part.start for part in tile.slices)
-        stored = empty_results(
-            result_variables(spec.settings),
-            shape,
-            {"exponent": len(spec.record.states), "state": len(spec.record.states)}
-            | {"sample": spec.settings.section_samples},
-        )
-        solved = np.ones(shape, dtype=bool)
+        stored, solved = known_cells(header, tile.slices)
     else:
         stored = read_tile(header, job.index)
         solved = job.retry.selects(stored)
@@ -168,7 +163,8 @@ def _mark_failed(header: Header, job: Job, reason: str) -> Receipt:
         return _receipt_of_stored(header, job.index)
     stored[REGIME.name][solved] = FAILED
     write_tile(header, job.index, stored)
-    return _receipt(job.index, stored, solved, {reason: int(solved.sum())})
+    receipt = _receipt(job.index, stored, solved, {reason: int(solved.sum())})
+    return receipt if job.retry else replace(receipt, taken=int((~solved).sum()))
 
 
 def _receipt_of_stored(header: Header, index: tuple[int, ...]) -> Receipt:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from atlas.errors import InputError, check_names
+from atlas.layout import BUDGET
 from atlas.spec import Spec
-from atlas.store import BUDGET
 from workers.results import FAILED, REGIME, REGIMES, UNDETERMINED
 
 RETRIABLE = {regime.name: regime.code for regime in REGIMES if regime.code in (UNDETERMINED, FAILED)}

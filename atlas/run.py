@@ -4,24 +4,26 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from atlas import plan as planning
 from atlas.beside import notes_of
+from atlas.chunks import read_tile
 from atlas.claim import CLAIM, Claim, claimed, remove_half_made
 from atlas.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.errors import InputError
 from atlas.fanout import outcomes
 from atlas.job import Job, Receipt
+from atlas.layout import Origin
 from atlas.order import Order
+from atlas.place import Place, place_of
 from atlas.plan import Plan
 from atlas.progress import Progress
 from atlas.retry import NEEDED, Retry
 from atlas.spec import Spec
-from atlas.store import Header, add_budget, create, done_tiles, find, read_tile
+from atlas.store import Header, add_budget, create, done_tiles, find
 from atlas.summary import Summary, Tally
 
 if TYPE_CHECKING:
@@ -38,12 +40,14 @@ def run(
     probe: bool = False,
     retry: Retry | None = None,
     tls: Tls | None = None,
+    origin: Origin | None = None,
 ) -> Summary:
     """Compute an atlas into a store, going on where an earlier run of the same spec stopped.
 
     The tiles run on ``client`` (used, not closed), on the cluster at address ``scheduler`` (by ``tls`` where it wants
     it), or on a local cluster of ``workers`` processes. ``on_progress`` is called with each Progress; ``probe`` has the
     plan measure a few cells. With ``retry`` the chosen cells of finished tiles are solved again, and nothing else.
+    A new store takes over the cells that ``origin`` has, see ``extend``.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError where the cluster is lost, the store has no room, or the run is cancelled.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call goes on.
@@ -52,10 +56,10 @@ def run(
         raise InputError(f"workers: found {workers}, must be 1 or more, and goes with a local cluster only")
     leave_if_bootstrapping()
     tell = on_progress or (lambda _: None)
-    path = Path(store)
-    header = find(path, spec)
+    place = place_of(store)
+    header = find(place, spec)
     if retry is not None and header is None:
-        raise InputError(f"{path}: no such store, so there is nothing to retry")
+        raise InputError(f"{place}: no such store, so there is nothing to retry")
     with ExitStack() as stack:
         if scheduler is not None and client is None:
             tell(Progress(f"connecting to {scheduler}", passing=True))
@@ -64,10 +68,11 @@ def run(
         if client is not None:
             count = count_threads(client, lambda: tell(Progress("waiting for the scheduler's first worker")))
         plan = planning.make_plan(spec, count, header.tile if header else None)
-        planning.check_disk(plan, path, plan.tile_count - (len(done_tiles(header)) if header else 0))
+        if place.local is not None:
+            planning.check_disk(plan, place.local, plan.tile_count - (len(done_tiles(header)) if header else 0))
 
-        claim = stack.enter_context(_claimed(path, tell))
-        header = find(path, spec)  # once more: before the claim another may have made or extended it
+        claim = stack.enter_context(_claimed(place, tell))
+        header = find(place, spec)  # once more: before the claim another may have made or extended it
         plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
         work = _work(header, plan, retry, tell)
         if work.due.any() and (client is None or probe):
@@ -78,7 +83,7 @@ def run(
             work = replace(work, plan=replace(plan, probe=planning.probe(spec)))
         tally = Tally(work.plan, work.tiles_done, work.cells_done, work.tiles, work.cells)
         tell(tally.progress(_beginning(work, retry)))
-        header = header or create(path, spec, plan.tile)
+        header = header or create(place, spec, plan.tile, origin)
         if retry is not None and retry.max_periods is not None:
             add_budget(header)
         if work.due.any() and client is None:
@@ -86,15 +91,16 @@ def run(
             client = stack.enter_context(local_cluster(count))
         if work.due.any() and client is not None:
             _solve(client, header, work.due, retry, claim, tally, tell)
-        return replace(tally.summary(header.path), retried=retry is not None)
+        return replace(tally.summary(str(header.place)), retried=retry is not None)
 
 
 @contextmanager
-def _claimed(path: Path, tell: Callable[[Progress], None]) -> Iterator[Claim]:
+def _claimed(place: Place, tell: Callable[[Progress], None]) -> Iterator[Claim]:
     """The claim of a store, with what dead runs left beside it cleared away."""
-    notes = notes_of(path)
-    with claimed(notes, str(path), lambda text: tell(Progress(text))) as claim:
-        remove_half_made(path)
+    notes = notes_of(place)
+    with claimed(notes, str(place), lambda text: tell(Progress(text))) as claim:
+        if place.local is not None:
+            remove_half_made(place.local)
         try:
             yield claim
         except Exception:
@@ -123,7 +129,7 @@ def _solve(
         tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
 
     order = Order(due)
-    jobs = (Job(index, str(header.path), header.run_id, header.solver_version, retry) for index in order)
+    jobs = (Job(index, str(header.place), header.run_id, header.solver_version, retry) for index in order)
     tally.start()
     try:
         for outcome in outcomes(client, jobs, tick):

@@ -84,7 +84,7 @@ class Status:
         """What ``atlas status --json`` prints."""
         spec = self.header.spec
         return {
-            "store": str(self.header.path),
+            "store": str(self.header.place),
             "system": spec.system,
             "axes": [
                 {"name": a.name, "start": a.values[0], "stop": a.values[-1], "num": len(a), "scale": a.scale}
@@ -128,7 +128,7 @@ class Census:
         for index in new:
             self.counted[index] = True
         self.cells += sum(map(self.plan.size, new))
-        notes = notes_of(self.header.path)
+        notes = notes_of(self.header.place)
         run, ended = holder(notes), last_word(notes)
         return Status(self.header, self.plan, int(self.counted.sum()), self.cells, dict(self.regimes), run, ended)
 

@@ -3,12 +3,12 @@
 import os
 import uuid
 from collections.abc import Callable
-from pathlib import Path
 
 from atlas.beside import notes_of
 from atlas.claim import leave_word
 from atlas.cluster import LOST, Tls, connected, count_threads
 from atlas.errors import InputError, RunError
+from atlas.place import place_of
 from atlas.plan import plural
 from atlas.progress import Progress
 from atlas.retry import Retry
@@ -43,7 +43,7 @@ def submit(
         name = f"atlas-{uuid.uuid4().hex[:8]}"
         tell(Progress("starting the coordinator on the cluster"))
         begun = Event(name, client=client)
-        future = client.submit(coordinate, spec, str(Path(store).absolute()), retry, name, key=name, pure=False)
+        future = client.submit(coordinate, spec, str(place_of(store)), retry, name, key=name, pure=False)
         fire_and_forget(future)
         while not begun.wait(timeout=WAIT_SECONDS) and not future.done():
             pass

@@ -4,7 +4,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from atlas.job import Receipt
@@ -35,7 +34,7 @@ class Summary:
     retried                        cells of finished tiles were solved again, and nothing else
     """
 
-    store: Path
+    store: str
     tiles: int
     tiles_done: int
     tiles_solved: int
@@ -112,7 +111,7 @@ class Tally:
         if isinstance(outcome, TileFailure):
             self.failures.append(outcome)
             return
-        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells
+        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.taken
         self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
@@ -146,8 +145,8 @@ class Tally:
             "seconds": self.seconds,
         }
 
-    def summary(self, store: Path) -> Summary:
-        """The sum, for a store at that path."""
+    def summary(self, store: str) -> Summary:
+        """The sum, for a store at that path or URL."""
         return Summary(
             store=store,
             tiles=self.tiles,

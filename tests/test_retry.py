@@ -12,12 +12,13 @@ import atlas
 from atlas import apart
 from atlas import store as storing
 from atlas.beside import notes_of
+from atlas.chunks import read_tile
 from atlas.cli import cli
 from atlas.errors import InputError
 from atlas.job import Job, run_job
 from atlas.plan import make_plan
 from atlas.retry import Retry, checked_retry
-from atlas.store import add_budget, done_tiles, read_header, read_tile, write_tile
+from atlas.store import add_budget, done_tiles, read_header, write_tile
 from workers.results import FAILED, REGIME, UNDETERMINED, result_variables
 from workers.tile import solve_cells
 
