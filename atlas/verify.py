@@ -243,7 +243,13 @@ def _check(header: Header, plan: Plan, arrays: dict[str, Any], index: Index, dra
         block = tuple(slice(i, i + 1) for i in inner)
         samples.append(Sample(cell, index, {name: array[block].copy() for name, array in values.items()}))
     # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
-    return _Checked(index, len(values), math.prod(shape), faults, tuple(one for one in samples if one.regime != FAILED))
+    return _Checked(
+        index,
+        len(values.keys() & arrays.keys()),
+        math.prod(shape),
+        faults,
+        tuple(one for one in samples if one.regime != FAILED),
+    )
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:

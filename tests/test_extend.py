@@ -17,6 +17,7 @@ from atlas.cli import cli
 from atlas.errors import InputError
 from atlas.extend import extend, refined
 from atlas.machine import Machine
+from atlas.retry import checked_retry
 from atlas.store import create, done_tiles, machines, read_header, record_machine
 from atlas.verify import verify
 from workers import tile as solving
@@ -164,6 +165,19 @@ def test_failed_cells_are_solved_again(old: Path, tmp_path: Path, client: Client
     extend(old, tmp_path / "new.zarr", spec_of(omega=[2.0, 2.4, 3.0, 4.0], b=[0.1, 0.3, 0.5, 0.6]), client=client)
     new = atlas.open(tmp_path / "new.zarr").isel(b=slice(3))
     assert new.state.values.tobytes() == before["state"]
+
+
+def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
+    old: Path, tmp_path: Path, client: Client
+) -> None:
+    retry = checked_retry(spec_of(), "undetermined", 800)
+    again = atlas.run(spec_of(), old, client=client, retry=retry).cells_solved
+    assert again > 0
+    assert verify(old, sample=12).fine
+    summary = extend(old, tmp_path / "new.zarr", refine=2, client=client)
+    assert summary.cells_solved == 7 * 5 - 12 + again
+    atlas.run(read_header(tmp_path / "new.zarr").spec, tmp_path / "scratch.zarr", client=client)
+    assert arrays_of(tmp_path / "new.zarr") == arrays_of(tmp_path / "scratch.zarr")
 
 
 def test_an_interrupted_extension_goes_on(old: Path, tmp_path: Path, client: Client) -> None:

@@ -316,7 +316,7 @@ def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pyte
         VARIABLES, type("Array", (), {"__getitem__": gone, "chunks": (), "shape": ()})()
     )
     with pytest.raises(OSError, match="the network is gone"):
-        read_tile(header, (0, 0), arrays)
+        read_tile(header, (0, 0), arrays=arrays)
 
 
 def test_reading_a_tile_tells_what_is_wrong_with_it(whole: Path) -> None:
