@@ -159,11 +159,16 @@ def submit(spec: str, out: str, scheduler: str, **given: Any) -> None:
 
     read = Spec.from_toml(spec)
     retry, tls = _checked_run_options(read, **given)
-    with reporter(sys.stderr) as show:
-        where = submit_spec(read, out, scheduler, on_progress=show, retry=retry, tls=tls)
     store = shlex.quote(out)
+    advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
+    try:
+        with reporter(sys.stderr) as show:
+            where = submit_spec(read, out, scheduler, on_progress=show, retry=retry, tls=tls)
+    except KeyboardInterrupt:
+        _say(f"interrupted: the cluster may have begun already\n{advice}")
+        raise
     click.echo(f"{out}: at work on the cluster, coordinated by {where}")
-    _say(f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}")
+    _say(advice)
 
 
 @cli.command()

@@ -140,11 +140,12 @@ def read_status(header: Header) -> Status:
 
 def watch(header: Header, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
     """Statuses, one every so many seconds, until the atlas is complete or no run has been at work for a while."""
-    census, idle = Census(header), 0.0
+    census, idle, beat = Census(header), 0.0, -1
     while True:
         status = census.take()
         yield status
-        idle = 0.0 if status.run else idle + seconds
+        moved = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
+        idle, beat = 0.0 if moved else idle + seconds, status.run.beat if status.run else -1
         if (status.fraction == 1 and not status.run) or idle > PATIENCE_SECONDS:
             return
         sleep(seconds)

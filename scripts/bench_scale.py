@@ -215,7 +215,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=256)
     given = parser.parse_args(argv)
     if given.tiles:
-        measure(4, nothing)  # what is imported at first is no part of it
+        measure(64, nothing)  # what is imported at first is no part of it
         print(" tiles  ms/tile  coordinator, MB  scheduler, MB", flush=True)
     for tiles in given.tiles:
         print(measure(tiles, nothing), flush=True)

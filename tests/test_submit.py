@@ -13,10 +13,12 @@ from click.testing import CliRunner, Result
 from distributed import Client, LocalCluster
 
 import atlas
+from atlas.beside import notes_of
+from atlas.claim import CLAIM, PATIENCE_SECONDS, Record
 from atlas.cli import cli
 from atlas.errors import InputError
 from atlas.status import read_status, watch
-from atlas.store import read_header
+from atlas.store import create, read_header
 from atlas.submit import submit
 from tests.faults import attempts, environment
 from tests.planes import plane_of
@@ -136,6 +138,14 @@ def test_watch_ends_with_the_atlas_and_counts_only_what_is_new(
     assert [s.tiles_done for s in seen] == sorted(s.tiles_done for s in seen)
     assert (seen[-1].fraction, sum(seen[-1].regimes.values())) == (1.0, 35)
     assert len(counted) == len(set(counted)) == TILES
+
+
+def test_watch_gives_up_on_a_claim_that_stands_still(tmp_path: Path) -> None:
+    store = create(tmp_path / "out.zarr", PLANE, (1, 3)).path
+    notes_of(store).put(CLAIM, Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1").pack(), expected=None)
+    seen = list(watch(read_header(store), seconds=4.0, sleep=lambda _: None))
+    assert all(status.run is not None for status in seen)
+    assert len(seen) == 1 + PATIENCE_SECONDS // 4 + 1
 
 
 def test_status_tells_how_a_run_ended_that_nobody_watched(service: Service) -> None:
