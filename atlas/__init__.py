@@ -2,22 +2,25 @@
 
 ``Spec`` says what to compute, ``run`` computes it into a store, ``open`` gives the store as an xarray Dataset, whose
 ``.atlas`` answers questions and draws; ``portrait`` draws the motion of a single cell.
+``extend`` computes a larger or finer atlas from it, ``verify`` tells whether it is what it says.
 """
 
 import os
 from typing import TYPE_CHECKING
 
-# Imported here and not at first use: the function ``run`` must take its name back from the module of that name.
+# Imported here and not at first use: a function must take its name back from the module of that name.
 # None of them loads Dask, Zarr, xarray or Numba before it is called.
+from atlas.extend import extend
 from atlas.point import portrait
 from atlas.run import run
 from atlas.spec import Spec
 from atlas.store import open_atlas
+from atlas.verify import verify
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["Spec", "__version__", "open", "portrait", "run"]
+__all__ = ["Spec", "__version__", "extend", "open", "portrait", "run", "verify"]
 
 
 def open(store: str | os.PathLike[str]) -> "xarray.Dataset":

@@ -1,12 +1,15 @@
 """The command ``atlas``. Heavy imports wait until a command needs them, so that help comes at once."""
 
+import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from types import FrameType
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -17,7 +20,14 @@ from workers import Settings
 from workers.settings import EXPONENTS, METHODS
 from workers.system import SYSTEMS
 
+if TYPE_CHECKING:
+    from atlas.cluster import Tls
+    from atlas.retry import Retry
+
 INTERRUPTED = 130
+CANCEL_SECONDS = 60
+"""How long ``atlas cancel`` waits for a run to stop."""
+WATCH_SECONDS = 2.0
 _T = TypeVar("_T")
 
 
@@ -37,6 +47,9 @@ class _Group(click.Group):
             raise _BadInput(str(error)) from None
         except RunError as error:
             raise click.ClickException(str(error)) from None
+        except OSError as error:  # a disk or a network that gave up in the middle
+            where = f"{error.filename}: " if error.filename else ""
+            raise click.ClickException(f"{where}{error.strerror or error}") from None
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
@@ -62,23 +75,26 @@ _workers_option = click.option(
 _window_option = click.option(
     "--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis; may be given for each."
 )
-_store_argument = click.argument("store", type=click.Path(path_type=Path))
+_store_argument = click.argument("store")  # a path or a URL
 
 
 @cli.command()
 @click.argument("spec")
-@click.option("-o", "--out", type=click.Path(path_type=Path), default=Path(), help="Where the store is to lie.")
+@click.option("-o", "--out", default=".", help="Where the store is to lie: a path or a URL.")
 @_workers_option
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @_json_option
-def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) -> None:
+def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -> None:
     """What SPEC will cost: cells, tiles, bytes, probed time."""
     from atlas import plan as planning
     from atlas.output import to_json
+    from atlas.place import place_of
 
     read = Spec.from_toml(spec)
     made = planning.make_plan(read, workers)
-    planning.check_disk(made, out)
+    place = place_of(out)
+    if place.local is not None:
+        planning.check_disk(made, place.local)
     if probe:
         _say("compiling and probing a few cells")
         planning.warm_up(read)
@@ -86,13 +102,29 @@ def plan(spec: str, out: Path, workers: int | None, probe: bool, as_json: bool) 
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
+def _run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What a run takes, in the foreground or left to a cluster."""
+    for option in (
+        click.option("--max-periods", type=int, help="With --retry: the larger budget of the cells solved again."),
+        click.option(
+            "--retry", metavar="REGIMES", help="Solve these cells of finished tiles again: failed, undetermined."
+        ),
+        click.option("--tls-key", metavar="FILE", help="Its key."),
+        click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
+        click.option("--tls-ca-file", metavar="FILE", help="Authority for it; default: Dask's configuration."),
+        click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or gone on with."),
+        click.argument("spec"),
+    ):
+        command = option(command)
+    return command
+
+
 @cli.command()
-@click.argument("spec")
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The store: made, or gone on with.")
+@_run_options
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 @_workers_option
 @click.pass_context
-def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers: int | None) -> None:
+def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, workers: int | None, **given: Any) -> None:
     """Compute SPEC into a store. The same line again goes on where it stopped."""
     from atlas.progress import reporter
     from atlas.run import run as run_spec
@@ -100,13 +132,96 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
     if scheduler is not None and workers is not None:
         raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
     read = Spec.from_toml(spec)
+    retry, tls = _checked_run_options(read, **given)
+    try:
+        with _interruptible(), reporter(sys.stderr) as show:
+            summary = run_spec(
+                read, out, scheduler=scheduler, workers=workers, on_progress=show, probe=True, retry=retry, tls=tls
+            )
+    except KeyboardInterrupt:
+        given = {"scheduler": scheduler, "workers": workers} | given
+        options = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
+        line = shlex.join(["atlas", "run", spec, "-o", out, *(text for pair in options for text in pair)])
+        _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
+        ctx.exit(INTERRUPTED)
+    click.echo(str(summary))
+    for worker, reason in summary.refused.items():
+        _say(f"worker {worker} did no tile: {reason}")
+    for failure in summary.failures:
+        _say(f"tile {failure.index} failed: {failure.message}")
+    if summary.failures:
+        ctx.exit(1)
+
+
+@cli.command()
+@_run_options
+@click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
+def submit(spec: str, out: str, scheduler: str, **given: Any) -> None:
+    """Have a cluster compute SPEC into a store, and leave."""
+    from atlas.progress import reporter
+    from atlas.submit import submit as submit_spec
+
+    read = Spec.from_toml(spec)
+    retry, tls = _checked_run_options(read, **given)
+    store = shlex.quote(out)
+    advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
     try:
         with reporter(sys.stderr) as show:
-            summary = run_spec(read, out, scheduler=scheduler, workers=workers, on_progress=show, probe=True)
+            where = submit_spec(read, out, scheduler, on_progress=show, retry=retry, tls=tls)
     except KeyboardInterrupt:
-        options = [text for pair in (("--scheduler", scheduler), ("--workers", workers)) if pair[1] for text in pair]
-        line = shlex.join(["atlas", "run", spec, "-o", str(out), *map(str, options)])
-        _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
+        _say(f"interrupted: the cluster may have begun already\n{advice}")
+        raise
+    click.echo(f"{out}: at work on the cluster, coordinated by {where}")
+    _say(advice)
+
+
+@cli.command()
+@_store_argument
+def cancel(store: str) -> None:
+    """Stop the run that is at work on STORE, wherever it runs. Finished tiles are kept."""
+    from atlas.beside import notes_of
+    from atlas.claim import cancel as cancel_run
+
+    stopped = cancel_run(notes_of(store), store, CANCEL_SECONDS, _say)
+    click.echo(f"{store}: {stopped} has stopped")
+
+
+@cli.command()
+@_store_argument
+@click.argument("spec", required=False)
+@click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")
+@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or gone on with.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+@_workers_option
+@click.pass_context
+def extend(
+    ctx: click.Context,
+    store: str,
+    spec: str | None,
+    refine: tuple[str, ...],
+    out: str,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Compute a larger or finer atlas into a new store, taking over all cells that STORE has.
+
+    SPEC may have other values on STORE's axes, and nothing else that differs. The same line again goes on.
+    """
+    from atlas.extend import extend as extend_store
+    from atlas.progress import reporter
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
+    if (spec is None) == (not refine):
+        raise InputError("give either the SPEC of the new atlas or --refine")
+    factors = _factors(refine) if refine else None
+    read = None if spec is None else Spec.from_toml(spec)
+    options: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
+    try:
+        with reporter(sys.stderr) as show:
+            summary = extend_store(store, out, read, factors, on_progress=show, probe=True, **options)
+    except KeyboardInterrupt:
+        _say("interrupted: finished tiles are kept; the same line goes on")
         ctx.exit(INTERRUPTED)
     click.echo(str(summary))
     for failure in summary.failures:
@@ -117,15 +232,46 @@ def run(ctx: click.Context, spec: str, out: Path, scheduler: str | None, workers
 
 @cli.command()
 @_store_argument
+@click.option("--watch", "watching", is_flag=True, help="Go on until it is complete, or no run is at work on it.")
 @_json_option
-def status(store: Path, as_json: bool) -> None:
-    """How far STORE is: tiles, cells and regimes done."""
+def status(store: str, watching: bool, as_json: bool) -> None:
+    """How far STORE is: tiles, cells and regimes done, and the run at work on it."""
     from atlas.output import to_json
-    from atlas.status import read_status
+    from atlas.progress import reporter
+    from atlas.status import read_status, watch
     from atlas.store import read_header
 
-    found = read_status(read_header(store))
+    header = read_header(store)
+    if watching:
+        with reporter(sys.stderr) as show:
+            for now in watch(header, WATCH_SECONDS):
+                show(now.progress)
+    found = read_status(header)
     click.echo(to_json(found.as_dict()) if as_json else str(found))
+
+
+@cli.command()
+@_store_argument
+@click.option("--repair", is_flag=True, help="Drop each bad tile, so that atlas run solves it again.")
+@click.option(
+    "--sample", type=click.IntRange(min=0), metavar="N", default=32, show_default=True, help="Cells to solve again."
+)
+@_json_option
+@click.pass_context
+def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: bool) -> None:
+    """Read all of STORE and check it: checksums, completeness, consistency, a sample of cells solved again.
+
+    Exit code 0: complete and fine; 1: something found. For a store that no run is at work on.
+    """
+    from atlas.output import to_json
+    from atlas.progress import reporter
+    from atlas.verify import verify as verify_store
+
+    with reporter(sys.stderr) as show:
+        report = verify_store(store, sample=sample, repair=repair, on_progress=show)
+    click.echo(to_json(report.as_dict()) if as_json else str(report))
+    if not report.fine:
+        ctx.exit(1)
 
 
 @cli.command()
@@ -136,7 +282,7 @@ def status(store: Path, as_json: bool) -> None:
     "-o", "--out", type=click.Path(path_type=Path), help="Write the cells of the window to a .csv or .nc (netCDF) file."
 )
 @_json_option
-def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     """What STORE holds at a point, or the share of each regime in a window (default: everywhere), or a window's cells.
 
     Shares are of the area in the axes' own units. Also see: atlas render.
@@ -145,6 +291,7 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Pat
     from atlas.export import check_path, export
     from atlas.output import print_table, text, to_json
     from atlas.part import counted
+    from atlas.place import place_of
     from atlas.store import open_atlas
 
     if point and window:
@@ -154,7 +301,7 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Pat
     if out is not None and point:
         raise InputError("--at prints one cell, --out writes a window; give one of the two")
     found: dict[str, Any]
-    with _input_errors(), counted() as reads:
+    with _input_errors(), place_of(store).told(), counted() as reads:
         if out is not None:
             check_path(out)
         dataset = open_atlas(store)
@@ -184,24 +331,24 @@ def query(store: Path, point: tuple[str, ...], window: tuple[str, ...], out: Pat
 @click.option(
     "--against",
     metavar="STORE",
-    type=click.Path(path_type=Path),
     help="A second sweep of the same axis, for hysteresis.",
 )
 @_window_option
 def render(
-    store: Path,
+    store: str,
     out: Path,
     kind: str | None,
     overlays: tuple[str, ...],
-    against: Path | None,
+    against: str | None,
     window: tuple[str, ...],
 ) -> None:
     """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
     from atlas.part import counted
+    from atlas.place import place_of
     from atlas.store import open_atlas
 
     bounds = _pairs("--window", window, _bounds)
-    with _input_errors(), counted() as reads:
+    with _input_errors(), place_of(store).told(), counted() as reads:
         dataset = open_atlas(store)
         other = None if against is None else open_atlas(against)
         _say("drawing")
@@ -309,6 +456,49 @@ def systems() -> None:
     click.echo(f"\nexamples: {', '.join(example_names())}")
 
 
+def _checked_run_options(
+    spec: Spec,
+    retry: str | None,
+    max_periods: int | None,
+    tls_ca_file: str | None,
+    tls_cert: str | None,
+    tls_key: str | None,
+) -> "tuple[Retry | None, Tls | None]":
+    from atlas.cluster import Tls
+    from atlas.retry import checked_retry
+
+    if retry is None and max_periods is not None:
+        raise InputError("--max-periods is for cells solved again: give --retry too, or set it in the spec")
+    tls = Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
+    return None if retry is None else checked_retry(spec, retry, max_periods), tls
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C, or the SIGTERM of a batch system: in order the first time, at once the second.
+
+    Leaving at once loses no more than the tiles under way: the next run sees that this process is gone.
+    """
+
+    def second(number: int, frame: FrameType | None) -> None:
+        os.write(2, b"\nleft at once: finished tiles are kept\n")
+        os._exit(INTERRUPTED)
+
+    def first(number: int, frame: FrameType | None) -> None:
+        for caught in before:
+            signal.signal(caught, second)
+        raise KeyboardInterrupt
+
+    # A job in the background starts with Ctrl-C ignored, and keeps it so.
+    wanted = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
+    before = {caught: signal.signal(caught, first) for caught in wanted}
+    try:
+        yield
+    finally:
+        for caught, handler in before.items():
+            signal.signal(caught, handler)
+
+
 def _say(text: str) -> None:
     click.echo(text, err=True)
 
@@ -341,6 +531,20 @@ def _number(where: str, value: str) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"{where}: found {value!r}, must be a number") from None
+
+
+def _factors(given: tuple[str, ...]) -> int | dict[str, int]:
+    """One factor for all axes, or factors by name."""
+    if len(given) == 1 and "=" not in given[0]:
+        return _whole("--refine", given[0])
+    return _pairs("--refine", given, _whole)
+
+
+def _whole(where: str, value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        raise InputError(f"{where}: found {value!r}, must be a whole number") from None
 
 
 def _bounds(where: str, value: str) -> tuple[float, float]:

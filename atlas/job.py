@@ -1,58 +1,190 @@
 """One tile's work, as it runs on a worker: solve it, write it, give a receipt."""
 
+import errno
+import resource
+import sys
 import time
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from atlas.errors import RunError
+from atlas.beside import notes_of
+from atlas.chunks import read_tile
+from atlas.errors import InputError, RunError
+from atlas.layout import BUDGET
 from atlas.plan import make_plan
-from atlas.solving import solve_block
-from atlas.store import read_header, write_tile
+from atlas.retry import Retry, solve_again
+from atlas.store import Header, is_done, read_header, write_tile
+from atlas.takeover import fill_tile, known_cells
 from workers import SOLVER_VERSION
-from workers.results import REGIME, REGIMES
+from workers.results import FAILED, REGIME, REGIMES, result_variables
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+class RefusedError(RunError):
+    """This worker must not or cannot do this run's tiles; another worker may."""
+
+
+class StoreFullError(RunError):
+    """There is no room for the store: no worker can go on."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Which tile of which store. All that crosses the scheduler; ``run_job`` redoes it by hand."""
+    """Which tile of which store. All that crosses the scheduler; ``run_job`` redoes it by hand.
+
+    ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one.
+    """
 
     index: tuple[int, ...]
     store: str
     run_id: str
     solver_version: int
+    retry: Retry | None = None
 
 
 @dataclass(frozen=True)
 class Receipt:
-    """What a finished tile reports: cells of each regime, failures by reason, seconds, forcing periods simulated."""
+    """What a finished tile reports.
+
+    cells, counts, reasons          solved, in all and of each regime; failures by reason
+    taken                           cells taken over from the store that this one extends
+    solve_seconds, write_seconds    inside the solver; inside the store
+    periods                         forcing periods simulated
+    peak_bytes                      most memory that the worker's process ever had
+    """
 
     index: tuple[int, ...]
+    cells: int
     counts: dict[str, int]
     reasons: dict[str, int]
-    seconds: float
+    solve_seconds: float
+    write_seconds: float
     periods: int
+    peak_bytes: int
+    taken: int = 0
 
 
 def run_job(job: Job) -> Receipt:
-    """Solve a tile and write it; RunError where this worker must not: another solver, or another store at the path."""
-    begin = time.perf_counter()
+    """Solve a tile and write it; RefusedError where this worker must not: another solver, or another store at the path.
+
+    While it runs, a note beside the store says so. A job that finds that note is the second attempt at a tile whose
+    first did not live to remove it, and runs in a process of its own: a tile that kills its process takes no second
+    worker with it, and where it kills that process too, its cells are marked failed.
+    """
+    with _told_apart(job):
+        header = _checked_header(job)
+        notes, name = notes_of(job.store), "started-" + "-".join(map(str, job.index))
+        if job.retry is None and is_done(header, job.index):
+            return _receipt_of_stored(header, job.index)
+        first = notes.put(name, b"1", expected=None)
+        try:
+            if first:
+                return solve_and_write(job)
+            from atlas.apart import run_apart
+
+            died = run_apart(job)
+            return _mark_failed(header, job, died) if isinstance(died, str) else died
+        finally:
+            notes.remove(name, b"1")
+
+
+def solve_and_write(job: Job) -> Receipt:
+    """Solve a tile and write it, here and now."""
+    with _told_apart(job):
+        header = _checked_header(job)
+        spec = header.spec
+        tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
+        params = spec.cell_params(tile.slices)
+        begin = time.perf_counter()
+        if job.retry is None:
+            arrays, solved, reasons = fill_tile(header, tile.slices)
+        else:
+            stored = read_tile(header, job.index)
+            shape = stored[REGIME.name].shape
+            cells = {name: np.broadcast_to(value, shape) for name, value in params.items()}
+            begin = time.perf_counter()
+            arrays, solved, reasons = solve_again(spec, cells, stored, job.retry)
+        middle = time.perf_counter()
+        # Another attempt may have finished meanwhile: what is stored is then the same, and stays.
+        if solved.any() if job.retry is not None else not is_done(header, job.index):
+            write_tile(header, job.index, arrays)
+        receipt = _receipt(job.index, arrays, solved, reasons)
+        taken = int((~solved).sum()) if job.retry is None else 0
+        return replace(receipt, taken=taken, solve_seconds=middle - begin, write_seconds=time.perf_counter() - middle)
+
+
+def _checked_header(job: Job) -> Header:
     if job.solver_version != SOLVER_VERSION:
-        raise RunError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
-    header = read_header(Path(job.store))
+        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
+    try:
+        header = read_header(job.store)
+    except InputError as error:
+        raise RefusedError(f"{error}; is the path the same on all hosts?") from None
     if header.run_id != job.run_id:
-        raise RunError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
+        raise RefusedError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
+    return header
+
+
+@contextmanager
+def _told_apart(job: Job) -> Iterator[None]:
+    """Errors of the file system by what they mean for the run: no room for anybody, or none of this worker's business.
+
+    Others, such as those of a network that blinks, go through as they are: the tile may be tried again.
+    """
+    try:
+        yield
+    except OSError as error:
+        what = f"{job.store}: {error.strerror or error}"
+        if error.errno in _FULL:
+            raise StoreFullError(what) from error
+        if error.errno in _FORBIDDEN:
+            raise RefusedError(what) from error
+        raise
+
+
+def _mark_failed(header: Header, job: Job, reason: str) -> Receipt:
+    """Write the cells that were to be solved as failed, so that the rest of the atlas can be finished."""
     spec = header.spec
-    tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
-    arrays, reasons = solve_block(spec, tile.slices)
-    write_tile(header, job.index, arrays)
-    codes = arrays[REGIME.name]
+    if job.retry is None:
+        tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
+        stored, solved = known_cells(header, tile.slices)
+    else:
+        stored = read_tile(header, job.index)
+        solved = job.retry.selects(stored)
+        stored[BUDGET.name] = np.where(solved, job.retry.budgets(stored), stored[BUDGET.name])
+        for variable in result_variables(spec.settings):
+            stored[variable.name][solved] = variable.fill
+    if job.retry is None and is_done(header, job.index):
+        return _receipt_of_stored(header, job.index)
+    stored[REGIME.name][solved] = FAILED
+    write_tile(header, job.index, stored)
+    receipt = _receipt(job.index, stored, solved, {reason: int(solved.sum())})
+    return receipt if job.retry else replace(receipt, taken=int((~solved).sum()))
+
+
+def _receipt_of_stored(header: Header, index: tuple[int, ...]) -> Receipt:
+    """The receipt of a tile that was finished before: its worker died after the writing, before the telling."""
+    arrays = read_tile(header, index)
+    return _receipt(index, arrays, np.ones(arrays[REGIME.name].shape, dtype=bool), {})
+
+
+def _receipt(
+    index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray, reasons: dict[str, int]
+) -> Receipt:
+    codes = arrays[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(
-        index=job.index,
+        index=index,
+        cells=int(solved.sum()),
         counts={name: count for name, count in counts.items() if count},
         reasons=dict(reasons),
-        seconds=time.perf_counter() - begin,
-        periods=int(arrays["periods_used"].sum(dtype="int64")),
+        solve_seconds=0.0,
+        write_seconds=0.0,
+        periods=int(arrays["periods_used"][solved].sum(dtype="int64")),
+        peak_bytes=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024),
     )

@@ -35,7 +35,7 @@ from atlas.errors import RunError
 from atlas.grid import edges_of, widths_of
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
-from atlas.store import Header, done_tiles
+from atlas.store import Header, done_tiles, open_group
 from workers.results import PENDING, REGIME, REGIMES
 
 GROUP = "overviews"
@@ -59,7 +59,7 @@ class Pyramid:
     def __init__(self, header: Header) -> None:
         import zarr
 
-        self._plain = _open(header, "r").store
+        self._plain = _root(header, "r").store
         self._store = _counting(self._plain)
         self._root = zarr.open_group(self._store, mode="r", use_consolidated=False)
         self._arrays: dict[str, Any] = {}
@@ -111,7 +111,7 @@ class Overviews(AbstractContextManager["Overviews"]):
         for tile in waiting:
             over = self._levels.over(tile)
             self._missing[over] = self._missing.get(over, 0) + 1
-        root = _open(header, "r")
+        root = _root(header, "r")
         self._current = {n: _stored(root, self._levels, n, REGIME.name) for n in self._numbers}
         # What an earlier run finished and did not come to: it was killed, or knew no overviews.
         self._submit(1, [i for i in self._levels.chunks(1) if i not in self._missing and i not in self._current[1]])
@@ -154,7 +154,7 @@ class Overviews(AbstractContextManager["Overviews"]):
             if not isinstance(failure, OSError | ValueError):
                 raise failure
             raise RunError(
-                f"{self._header.path}: the tiles done are kept, but the overviews could not be written ({failure}); "
+                f"{self._header.place}: the tiles done are kept, but the overviews could not be written ({failure}); "
                 "run again to make them"
             ) from failure
         return sum(future.result() for future in self._futures)
@@ -197,7 +197,7 @@ class Overviews(AbstractContextManager["Overviews"]):
 def drop(header: Header, tiles: Iterable[Index]) -> None:
     """Drop the overviews of these tiles: to be done before any of them is written."""
     levels = levels_of(header)
-    root = _open(header, "r+")
+    root = _root(header, "r+")
     over = {levels.over(tile) for tile in tiles}
     if not over or not _made(root):
         return
@@ -213,13 +213,13 @@ def drop(header: Header, tiles: Iterable[Index]) -> None:
 def make(header: Header, level: int, index: Index) -> None:
     """Compute a chunk of a level from the level before and write it, ``regime`` last; all tiles below must be done."""
     levels = levels_of(header)
-    root = _open(header, "r+")
+    root = _root(header, "r+")
     names = [variable.name for variable in level_variables(header.spec.settings)]
     part = levels.finer(level, levels.block(level, index))
     source = root if level == 1 else root[f"{GROUP}/{level - 1}"]
     arrays = {name: np.asarray(source[name][part]) for name in names if name in source}
     if (arrays[REGIME.name] == PENDING).any():
-        raise RunError(f"{header.path}: overview {level}, chunk {index}: not all that lies below it is done")
+        raise RunError(f"{header.place}: overview {level}, chunk {index}: not all that lies below it is done")
     cells = from_cells(arrays, names) if level == 1 else arrays
     widths = level_widths(header)[level - 1]
     made = coarsen(cells, tuple(width[p] for width, p in zip(widths, part, strict=True)))
@@ -245,10 +245,8 @@ def level_edges(header: Header, level: int) -> list[NDArray[np.float64]]:
     return found
 
 
-def _open(header: Header, mode: Literal["r", "r+"]) -> Any:
-    import zarr
-
-    return zarr.open_group(header.path, mode=mode, use_consolidated=False)
+def _root(header: Header, mode: Literal["r", "r+"]) -> Any:
+    return open_group(header.place, mode)
 
 
 def _made(root: Any) -> bool:
@@ -259,7 +257,7 @@ def _ensure(header: Header) -> None:
     """Make the groups of all levels, without a value, where they are not yet; the last step says that they are."""
     import zarr
 
-    root = _open(header, "r+")
+    root = _root(header, "r+")
     if _made(root):
         return
     levels = levels_of(header)

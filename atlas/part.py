@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,7 +68,7 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
     if not isinstance(source, str):
         return None
     try:
-        header = read_header(Path(source))
+        header = read_header(source)
     except InputError:
         return None
     if ds[REGIME.name].dims != header.spec.dims:

@@ -19,6 +19,7 @@ class Progress:
 
     stage                     what is being done now, in words
     plan                      known from its stage on, else None
+    tiles, cells              in all: of the atlas, or of those that are to be solved again
     tiles_done, cells_done    in the store, those of earlier runs included
     cells_solved, seconds     of this run, since its first tile was submitted
     counts                    cells solved in this run by regime
@@ -28,6 +29,8 @@ class Progress:
 
     stage: str
     plan: Plan | None = None
+    tiles: int = 0
+    cells: int = 0
     tiles_done: int = 0
     cells_done: int = 0
     cells_solved: int = 0
@@ -44,7 +47,7 @@ class Progress:
     @property
     def seconds_left(self) -> float | None:
         """Seconds to the end at this rate, or None before the first tile."""
-        return (self.plan.cells - self.cells_done) / self.rate if self.plan and self.rate else None
+        return (self.cells - self.cells_done) / self.rate if self.rate else None
 
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
@@ -60,11 +63,11 @@ def shares(counts: Mapping[str, int]) -> str:
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
-    """Plain lines: every new stage at once, then one line every few seconds."""
+    """Plain lines: every new stage at once, then one line every few seconds in which something has come."""
 
     def __init__(self, stream: IO[str], interval: float = LOG_INTERVAL) -> None:
         self._stream, self._interval = stream, interval
-        self._stage, self._planned, self._last = "", False, 0.0
+        self._stage, self._line, self._planned, self._last = "", "", False, 0.0
 
     def __call__(self, progress: Progress) -> None:
         """Print the snapshot where it is new enough."""
@@ -78,7 +81,9 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.stage)
         elif time.monotonic() - self._last >= self._interval:
             self._last = time.monotonic()
-            self._print(status_line(progress))
+            if status_line(progress) != self._line:
+                self._line = status_line(progress)
+                self._print(self._line)
 
     def _print(self, text: str) -> None:
         print(text, file=self._stream, flush=True)
@@ -119,7 +124,7 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
         self._bar.update(
             self._task,
             description=progress.stage,
-            total=plan.cells if plan and progress.cells_done else None,
+            total=progress.cells if progress.cells_done else None,
             completed=progress.cells_done,
             speed=_speed(progress),
         )
@@ -142,7 +147,7 @@ def status_line(progress: Progress) -> str:
     """One line: tiles, cells, speed, time left, regimes."""
     if progress.plan is None:
         return progress.stage
-    done = f"{progress.tiles_done}/{progress.plan.tile_count} tiles, {progress.cells_done}/{progress.plan.cells} cells"
+    done = f"{progress.tiles_done}/{progress.tiles} tiles, {progress.cells_done}/{progress.cells} cells"
     return ", ".join(part for part in (done, _speed(progress), _outcome(progress)) if part)
 
 

@@ -153,6 +153,35 @@ def digest_of(identity: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
 
 
+def differences(stored: Spec, given: Spec) -> list[str]:
+    """In what two specs differ, each in a few words."""
+    found = []
+    if stored.system != given.system:
+        found.append(f"system {stored.system} in the store, {given.system} in the spec")
+    names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
+    if names != wanted:
+        what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
+        found.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
+    else:
+        pairs = zip(stored.axes, given.axes, strict=True)
+        found += [
+            f"axis {old} in the store, {new} in the spec"
+            for old, new in pairs
+            if (old.values, old.continuation) != (new.values, new.continuation)
+        ]
+    for before, after in (
+        (stored.parameters, given.parameters),
+        (stored.resolved()["solve"], given.resolved()["solve"]),
+    ):
+        common = before.keys() & after.keys()
+        found += [
+            f"{name} = {before[name]!r} in the store, {after[name]!r} in the spec"
+            for name in before
+            if name in common and before[name] != after[name]
+        ]
+    return found
+
+
 def checked_system(name: object) -> System:
     """The system of that name; InputError with the nearest known name otherwise."""
     try:

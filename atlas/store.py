@@ -1,4 +1,4 @@
-"""The store: an atlas on disk as Zarr, one tile one chunk of every array. The only file that writes it."""
+"""The store: an atlas as Zarr, on disk or at a URL, one tile one chunk of every array. The only file that writes it."""
 
 import json
 import os
@@ -7,40 +7,64 @@ import tempfile
 import uuid
 import warnings
 from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from atlas.errors import InputError, RunError
-from atlas.spec import Slices, Spec
+from atlas.layout import (
+    BUDGET,
+    DIMENSIONS,
+    FORMAT,
+    FORMAT_VERSION,
+    Origin,
+    coordinates,
+    extra_sizes,
+    root_attributes,
+    variable_attributes,
+)
+from atlas.machine import Machine, this_machine
+from atlas.place import LocalPlace, ObjectPlace, Place, place_of
+from atlas.spec import Slices, Spec, differences
 from workers import SOLVER_VERSION
 from workers.results import REGIME, REGIMES, Variable, result_variables
-from workers.system import Parameter
 
 if TYPE_CHECKING:
     import xarray
     import zarr
 
-FORMAT = "impact-atlas"
-FORMAT_VERSION = 1
-DIMENSIONS = {"state": "component"}
-"""Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
+READERS = 8
+"""Tiles read at once: a disk or a network answers several as soon as one."""
+ROOT = "zarr.json"
+"""The object that makes a store one: before it there is none."""
+TRIAL = ".trial-"
+MACHINES = "machines"
+"""The group of the machines that solved tiles, each an empty group with attributes."""
 
 
 @dataclass(frozen=True)
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver."""
 
-    path: Path
+    place: Place
     resolved: Mapping[str, Any]
     digest: str
     run_id: str
     solver_version: int
     tile: tuple[int, ...]
+    origin: Origin | None = None
+
+    @property
+    def path(self) -> Path:
+        """The store's folder; RunError where it lies at a URL."""
+        if self.place.local is None:
+            raise RunError(f"{self.place}: not a folder of this machine")
+        return self.place.local
 
     @cached_property
     def spec(self) -> Spec:
@@ -48,135 +72,213 @@ class Header:
         return Spec.from_resolved(self.resolved)
 
 
-def create(path: Path, spec: Spec, tile: tuple[int, ...]) -> Header:
-    """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all."""
-    path = path.absolute()
-    building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
+def create(
+    store: str | os.PathLike[str] | Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None = None
+) -> Header:
+    """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
+
+    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
+    them meanwhile. ``origin`` is the store that it is to take cells over from.
+    """
+    place = place_of(store)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _build(building, spec, tile)
-        os.rename(building, path)
+        if place.local is None:
+            _create_remotely(place, spec, tile, origin)
+        else:
+            _create_locally(place.local, spec, tile, origin)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
-    return read_header(path)
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+    return read_header(place)
 
 
-def read_header(path: Path) -> Header:
+def read_header(store: str | os.PathLike[str] | Place) -> Header:
     """The header of a store; InputError where there is none, or it is not ours, or of a format yet unknown."""
-    import zarr
-
-    path = path.absolute()
-    if not path.exists():
-        raise InputError(f"{path}: no such store")
-    foreign = InputError(f"{path}: not an atlas (no {FORMAT} attributes)")
+    place = place_of(store)
+    foreign = InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
+    _check_exists(place)
+    attrs: dict[str, Any] = {}
     try:
-        group = zarr.open_group(path, mode="r", use_consolidated=False)
-        attrs: dict[str, Any] = dict(group.attrs)
+        with place.told():
+            group = open_group(place, "r")
+            attrs = dict(group.attrs)
         if attrs.get("format") != FORMAT:
             raise foreign
         found = attrs["format_version"]
         if found != FORMAT_VERSION:
-            raise InputError(f"{path}: format version {found}, this program reads version {FORMAT_VERSION}")
+            raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
         return Header(
-            path=path,
+            place=place,
             resolved=json.loads(attrs["spec"]),
             digest=attrs["digest"],
             run_id=attrs["run_id"],
             solver_version=attrs["solver_version"],
             tile=_array(group, REGIME.name).chunks,
+            origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
         )
     except InputError:
         raise
-    except (OSError, KeyError, TypeError, ValueError):
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, OSError) and place.local is None:
+            raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+        if attrs.get("format") == FORMAT:
+            raise InputError(f"{place}: its metadata are damaged: {error}") from None
         raise foreign from None
 
 
-def find(path: Path, spec: Spec) -> Header | None:
+def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
     """The header of a store that this spec may go on with, None where nothing is yet; InputError where it may not."""
+    place = place_of(store)
     try:
-        if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-            _check_writable(path)
+        if _is_free(place, spec):
+            _check_writable(place)
             return None
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    header = read_header(path)
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+    header = read_header(place)
     if header.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{path}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
+            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: choose another path"
         )
     if header.spec.digest != spec.digest:
-        raise InputError(f"{path}: is of another spec: {'; '.join(differences(header.spec, spec))}")
-    if not os.access(path, os.W_OK):
-        raise InputError(f"{path}: cannot be written: Permission denied")
+        raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
+    try:
+        if place.local is None:
+            _check_replaceable(place)
+        elif not os.access(place.local, os.W_OK):
+            raise InputError(f"{place}: cannot be written: Permission denied")
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
     return header
 
 
-def differences(stored: Spec, given: Spec) -> list[str]:
-    """In what two specs differ, each in a few words."""
-    found = []
-    if stored.system != given.system:
-        found.append(f"system {stored.system} in the store, {given.system} in the spec")
-    names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
-    if names != wanted:
-        what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
-        found.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
-    else:
-        pairs = zip(stored.axes, given.axes, strict=True)
-        found += [
-            f"axis {old} in the store, {new} in the spec"
-            for old, new in pairs
-            if (old.values, old.continuation) != (new.values, new.continuation)
-        ]
-    for before, after in (
-        (stored.parameters, given.parameters),
-        (stored.resolved()["solve"], given.resolved()["solve"]),
-    ):
-        common = before.keys() & after.keys()
-        found += [
-            f"{name} = {before[name]!r} in the store, {after[name]!r} in the spec"
-            for name in before
-            if name in common and before[name] != after[name]
-        ]
-    return found
-
-
 def done_tiles(header: Header) -> set[tuple[int, ...]]:
-    """Indices of the tiles that are finished: those whose regime chunk exists."""
-    root = header.path / REGIME.name / "c"
-    found = set()
-    for folder, _, files in os.walk(root):
-        above = Path(folder).relative_to(root).parts
-        # A name that is not a number is what a killed write left behind.
-        found |= {tuple(map(int, (*above, name))) for name in files if name.isdigit()}
-    return found
+    """Indices of the tiles that are finished: those whose regime chunk exists. One listing tells them."""
+    root = f"{REGIME.name}/c/"
+    names = (key.removeprefix(root).split("/") for key in header.place.list_keys(root))
+    # A name that is not a number is what a killed write left behind.
+    return {tuple(map(int, parts)) for parts in names if all(part.isdigit() for part in parts)}
+
+
+def is_done(header: Header, index: tuple[int, ...]) -> bool:
+    """Whether one tile is finished; ``done_tiles`` tells it of all."""
+    return header.place.exists(chunk_key(REGIME, index))
+
+
+def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
+    """The key of a tile's chunk in a variable's array."""
+    return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
+
+
+def drop_tile(header: Header, index: tuple[int, ...]) -> None:
+    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
+    header.place.remove(chunk_key(REGIME, index))
 
 
 def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write all arrays of one tile as whole chunks, ``regime`` last: with it the tile is done."""
+    """Write all arrays of one tile as whole chunks, ``regime`` last: with it the tile is done.
+
+    A finished tile that is written again is unfinished meanwhile, so that a kill leaves no mixture of two solutions.
+    """
+    with header.place.told():
+        group = open_group(header.place, "r+")
+        if group.attrs.get("run_id") != header.run_id:
+            raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
+        record_machine(header, this_machine())
+        if is_done(header, index):
+            drop_tile(header, index)
+        if BUDGET.name in group:
+            array = _array(group, BUDGET.name)
+            array[block(array, index)] = arrays.get(BUDGET.name, array.fill_value)
+        for variable in result_variables(header.spec.settings):
+            array = _array(group, variable.name)
+            # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
+            array.with_config({"write_empty_chunks": True})[block(array, index)] = arrays[variable.name]
+
+
+def record_machine(header: Header, machine: Machine) -> None:
+    """Put a machine on the list of those that solved this store's tiles."""
+    _recorded(header.place, header.run_id, machine)
+
+
+@lru_cache(maxsize=64)  # once a process and store is enough
+def _recorded(place: Place, run_id: str, machine: Machine) -> None:
+    import zarr
+    from zarr.errors import ContainsGroupError
+
+    path = f"{MACHINES}/{machine.name}"
+    if place.exists(f"{path}/{ROOT}"):
+        return
+    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
+        zarr.create_group(_zarr_store(place, "r+"), path=path, zarr_format=3, attributes=dict(machine.facts))
+
+
+def machines(header: Header) -> tuple[Machine, ...]:
+    """The machines that solved tiles of this store, in no order; empty where no tile is written yet."""
+    with header.place.told():
+        group: Any = open_group(header.place, "r")
+        if MACHINES not in group:
+            return ()
+        return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
+
+
+def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
+    """All Zarr arrays of the store's root by name, results and coordinates, for reading.
+
+    Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
+    """
     import zarr
 
-    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
-    if group.attrs.get("run_id") != header.run_id:
-        raise RunError(f"{header.path}: not the store of run {header.run_id}; is the path the same on all hosts?")
-    for variable in result_variables(header.spec.settings):
-        array = _array(group, variable.name)
-        # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
-        array.with_config({"write_empty_chunks": True})[_block(array, index)] = arrays[variable.name]
+    with header.place.told():
+        group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
+        names = [variable.name for variable in (*result_variables(header.spec.settings), BUDGET)]
+        return {name: group[name] for name in (*names, *coordinates(header.spec)) if name in group}
+
+
+def restore_coordinates(header: Header) -> None:
+    """Write the coordinates again, from the spec."""
+    with header.place.told():
+        group = open_group(header.place, "r+")
+        for name, coordinate in coordinates(header.spec).items():
+            _array(group, name)[...] = coordinate.values
+
+
+def add_budget(header: Header) -> None:
+    """Make room for cells that are given more than the spec's ``max_periods``; all others read as that number."""
+    group = open_group(header.place, "r+")
+    if BUDGET.name in group:
+        return
+    spec = header.spec
+    group.create_array(
+        BUDGET.name,
+        shape=spec.shape,
+        chunks=header.tile,
+        dtype=BUDGET.dtype,
+        fill_value=spec.settings.max_periods,
+        dimension_names=spec.dims,
+        compressors=_codecs(),
+        attributes=variable_attributes(BUDGET, spec),
+    )
+    _consolidate(group)
 
 
 def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str, int]:
     """Cells of each regime in these tiles, as stored; regimes that do not occur are left out."""
-    import zarr
-
-    array = _array(zarr.open_group(header.path, mode="r", use_consolidated=False), REGIME.name)
     totals = {regime.code: 0 for regime in REGIMES}
-    for index in tiles:
-        codes, counts = np.unique(array[_block(array, index)], return_counts=True)
-        for code, count in zip(codes.tolist(), counts.tolist(), strict=True):
-            totals[code] += count
+
+    def count_one(index: tuple[int, ...]) -> tuple[list[int], list[int]]:
+        try:
+            codes, counts = np.unique(array[block(array, index)], return_counts=True)
+        except (ValueError, RuntimeError) as error:
+            fault = f"{chunk_key(REGIME, index)} is damaged ({error})"
+            raise RunError(f"{header.place}: {fault}: atlas verify --repair {header.place}") from None
+        return codes.tolist(), counts.tolist()
+
+    with header.place.told(), ThreadPoolExecutor(READERS) as readers:
+        array = _array(open_group(header.place, "r"), REGIME.name)
+        for codes, counts in readers.map(count_one, tiles):
+            for code, count in zip(codes, counts, strict=True):
+                totals[code] += count
     return {regime.name: totals[regime.code] for regime in REGIMES if totals[regime.code]}
 
 
@@ -184,25 +286,92 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas."""
     import xarray
 
-    header = read_header(Path(store))
-    opened = xarray.open_dataset(header.path, engine="zarr", chunks=None, consolidated=True)
-    opened.encoding["source"] = str(header.path)  # by which a view finds the overviews
+    place = read_header(store).place
+    with place.told():
+        opened = xarray.open_dataset(_zarr_store(place, "r"), engine="zarr", chunks=None, consolidated=True)
+    opened.encoding["source"] = str(place)  # by which a view finds the overviews
     return opened
 
 
-def _build(path: Path, spec: Spec, tile: tuple[int, ...]) -> None:
+def _zarr_store(place: Place, mode: str) -> Any:
+    """Zarr's own store of a place."""
+    from zarr.storage import FsspecStore, ObjectStore
+
+    if isinstance(place, ObjectPlace):
+        return ObjectStore(place.client, read_only=mode == "r")
+    return FsspecStore.from_url(str(place), read_only=mode == "r") if place.local is None else place.local
+
+
+def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
+    """The root group of a store, its metadata read anew."""
     import zarr
 
-    group = zarr.create_group(path, zarr_format=3, attributes=_root_attributes(spec))
-    record = spec.record
-    for axis in spec.axes:
-        _put(group, axis.name, np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
-    for name, value in spec.parameters.items():
-        _put(group, name, np.float64(value), (), _described(record.parameter(name)))
-    names: dict[str, Any] = {"long_name": "component of the physical section state"}
-    _put(group, "component", np.array(record.states, dtype="T"), ("component",), names)
+    return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=False)
 
-    sizes = {"exponent": len(record.states), "state": len(record.states), "sample": spec.settings.section_samples}
+
+def _check_exists(place: Place) -> None:
+    try:
+        found = place.exists(ROOT) if place.local is None else place.local.exists()
+    except OSError as error:
+        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+    if not found:
+        raise InputError(f"{place}: no such store")
+
+
+def _is_free(place: Place, spec: Spec) -> bool:
+    """Whether a store of this spec may be made here: nothing is there, or only what a creation cut short left."""
+    path = place.local
+    if path is not None:
+        return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+    if place.exists(ROOT):
+        return False
+    ours = {MACHINES, *coordinates(spec)} | {variable.name for variable in result_variables(spec.settings)}
+    for key in place.list_keys():
+        if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
+            raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
+    return True
+
+
+def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
+    building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _build(building, spec, tile, origin)
+        os.rename(building, path)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+
+
+def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        built = LocalPlace(Path(folder) / "store")
+        _build(built.path, spec, tile, origin)
+        for key in built.list_keys():
+            if key != ROOT:
+                place.put(key, (built.path / key).read_bytes())
+        if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
+            raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+
+
+def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
+    import zarr
+
+    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin))
+    described = {"long_name": "processors and software that solved this atlas"}
+    group.create_group(MACHINES, attributes=described)
+    for name, coordinate in coordinates(spec).items():
+        array = group.create_array(
+            name,
+            shape=coordinate.values.shape,
+            chunks=coordinate.values.shape,
+            dtype="str" if coordinate.values.dtype.kind == "T" else "float64",
+            dimension_names=coordinate.dims,
+            compressors=_codecs(),
+            attributes=coordinate.attributes,
+        )
+        array[...] = coordinate.values
+
+    sizes = extra_sizes(spec)
     for variable in result_variables(spec.settings):
         extra = tuple(sizes[dim] for dim in variable.extra)
         group.create_array(
@@ -213,26 +382,18 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...]) -> None:
             fill_value=variable.fill,
             dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
             compressors=_codecs(),
-            attributes=_variable_attributes(variable, spec),
+            attributes=variable_attributes(variable, spec),
         )
+    _consolidate(group)
+
+
+def _consolidate(group: "zarr.Group") -> None:
+    import zarr
+
     with warnings.catch_warnings():
         # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         zarr.consolidate_metadata(group.store)
-
-
-def _put(group: "zarr.Group", name: str, value: Any, dims: tuple[str, ...], attributes: dict[str, Any]) -> None:
-    """Write a coordinate whole, in one chunk."""
-    array = group.create_array(
-        name,
-        shape=value.shape,
-        chunks=value.shape,
-        dtype="str" if value.dtype.kind == "T" else "float64",
-        dimension_names=dims,
-        compressors=_codecs(),
-        attributes=attributes,
-    )
-    array[...] = value
 
 
 def _codecs() -> list[Any]:
@@ -241,55 +402,29 @@ def _codecs() -> list[Any]:
     return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk
 
 
-def _root_attributes(spec: Spec) -> dict[str, Any]:
-    packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
-    return {
-        "Conventions": "CF-1.11",
-        "title": f"Impact atlas: {spec.record.title}",
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "solver_version": SOLVER_VERSION,
-        "run_id": uuid.uuid4().hex,
-        "digest": spec.digest,
-        # As text, since netCDF attributes cannot nest.
-        "spec": json.dumps(spec.resolved()),
-        "software": "; ".join(f"{package} {_version(package)}" for package in packages),
-    }
-
-
-def _variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
-    attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
-    if variable.name == REGIME.name:
-        attributes["flag_values"] = [regime.code for regime in REGIMES]
-        attributes["flag_meanings"] = " ".join(regime.name for regime in REGIMES)
-        attributes["flag_colors"] = " ".join(regime.color for regime in REGIMES)
-    if spec.parameters:
-        attributes["coordinates"] = " ".join(spec.parameters)
-    return attributes
-
-
-def _described(parameter: Parameter) -> dict[str, Any]:
-    return {"long_name": parameter.meaning, "units": parameter.unit, "symbol": parameter.symbol}
-
-
 def _array(group: "zarr.Group", name: str) -> Any:
     return group[name]
 
 
-def _block(array: Any, index: tuple[int, ...]) -> Slices:
+def block(array: Any, index: tuple[int, ...]) -> Slices:
     """The cells of a tile in an array, from the array's own chunks, so that no write can be misaligned."""
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, array.chunks, array.shape, strict=False))
 
 
-def _check_writable(path: Path) -> None:
-    """Try the nearest folder there is: a trial tells more than permission bits do."""
-    home = next(folder for folder in path.absolute().parents if folder.exists())
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=home):
+def _check_replaceable(place: Place) -> None:
+    """Try to put the root there is, if there is none: for want of a permission that is refused another way."""
+    root = place.get(ROOT)
+    if root:
+        place.put_new(ROOT, root)
+
+
+def _check_writable(place: Place) -> None:
+    """Try it: a trial tells more than permission bits do. On a disk, in the nearest folder there is."""
+    if place.local is None:
+        trial = f"{TRIAL}{uuid.uuid4().hex}"
+        place.put(trial, b"")
+        place.remove(trial)
+        return
+    home = next(folder for folder in place.local.parents if folder.exists())
+    with tempfile.TemporaryDirectory(prefix=f".{place.local.name}.", dir=home):
         pass
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import atlas.accessor  # noqa: F401  registers it
 from atlas import query
 from atlas.errors import InputError
 from tests.test_query import plane

@@ -56,7 +56,9 @@ def test_help_comes_without_the_heavy_imports() -> None:
     assert shown.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("command", ["plan", "run", "status", "query", "render", "point", "systems"])
+@pytest.mark.parametrize(
+    "command", ["plan", "run", "submit", "cancel", "status", "query", "render", "point", "systems"]
+)
 def test_every_command_has_help(command: str) -> None:
     assert call(command, "--help").exit_code == 0
     assert command in call("--help").stdout
@@ -228,7 +230,7 @@ def test_a_folder_that_refuses_is_refused(folder: Path, tmp_path: Path) -> None:
 def test_an_unreachable_scheduler_is_refused(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
-    monkeypatch.setattr(sys.modules["atlas.run"], "CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr(sys.modules["atlas.cluster"], "CONNECT_SECONDS", 0.3)
     told = f"{address}: no scheduler answers"
     check_refused(call("run", folder / "spec.toml", "-o", tmp_path / "out.zarr", "--scheduler", address), told)
     assert list(tmp_path.iterdir()) == []

@@ -185,6 +185,14 @@ def test_an_interrupt_leaves_no_task_on_the_callers_cluster(tmp_path: Path, plan
     assert atlas.run(plane, tmp_path / "out.zarr", client=client).tiles_done == 9
 
 
+def test_what_a_killed_run_left_half_made_is_cleared_away(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
+    left = tmp_path / ".out.zarr.0123abcd.partial"
+    left.mkdir()
+    (left / "zarr.json").write_text("{}")
+    atlas.run(plane, tmp_path / "out.zarr", client=client)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.zarr"]
+
+
 def test_a_lost_scheduler_ends_the_run(tmp_path: Path, plane: atlas.Spec) -> None:
     with LocalCluster(processes=False, n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
         lost = Client(cluster, set_as_default=False)

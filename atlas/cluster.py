@@ -1,0 +1,163 @@
+"""The Dask cluster that a run works on: one on this machine, or one that is reached by its address."""
+
+import asyncio
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from atlas.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from distributed import Client, Security
+
+CONNECT_SECONDS = 5
+"""How long a scheduler may take to answer."""
+WORKER_SECONDS = 30
+"""How long a scheduler may take to have its first worker."""
+LOST = "the cluster was lost; run again to go on from the stored tiles"
+
+
+@dataclass(frozen=True)
+class Tls:
+    """Files for an encrypted connection, as Dask takes them; what is None is left to Dask's own configuration."""
+
+    ca_file: str | None = None
+    cert: str | None = None
+    key: str | None = None
+
+    def __post_init__(self) -> None:
+        for what, file in (("CA file", self.ca_file), ("certificate", self.cert), ("key", self.key)):
+            if file is not None and not os.access(file, os.R_OK):
+                raise InputError(f"TLS {what} {file}: no such file, or it cannot be read")
+
+
+def _security(tls: Tls | None) -> "Security":
+    """Dask's Security of its configuration (distributed.comm.tls), with the files given in place of those there."""
+    from distributed import Security
+
+    given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}
+    given = {name: file for name, file in given.items() if file is not None}
+    return Security(**given, **({"require_encryption": True} if given else {}))
+
+
+@contextmanager
+def connected(scheduler: str, tls: Tls | None = None) -> Iterator["Client"]:
+    """A client of the scheduler at an address; InputError where none answers in time."""
+    from distributed import Client
+
+    with _quiet():
+        try:
+            security = _security(tls)
+            # A Client that fails to start is closed only when it is collected, which may block the next one's start.
+            with ThreadPoolExecutor(1) as apart:  # a notebook's own thread has a loop running
+                apart.submit(asyncio.run, _knock(scheduler, security)).result()
+            client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False, security=security)
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            detail = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"{scheduler}: no scheduler answers ({detail})") from None
+        with client:
+            yield client
+
+
+async def _knock(scheduler: str, security: "Security") -> None:
+    """Connect and hang up; an exception where nothing answers."""
+    from distributed.comm.core import connect
+
+    comm = await connect(scheduler, timeout=CONNECT_SECONDS, **security.get_connection_args("client"))
+    await comm.close()
+
+
+@contextmanager
+def local_cluster(count: int) -> Iterator["Client"]:
+    """Worker processes of one thread each, reachable from this machine only."""
+    from distributed import Client, LocalCluster
+
+    with _quiet(), ExitStack() as stack:
+        try:
+            with _interrupts_ignored():
+                cluster = LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                )
+        except RuntimeError as error:
+            raise RunError(
+                f"the worker processes did not start ({error}); a script that calls atlas.run must do so under "
+                'if __name__ == "__main__": or pass client=distributed.Client(processes=False)'
+            ) from error
+        stack.enter_context(cluster)
+        yield stack.enter_context(Client(cluster, set_as_default=False))
+
+
+def worker_threads(client: "Client") -> dict[str, int]:
+    """Threads of each worker by its address; RunError where the cluster is gone."""
+    if client.status != "running":
+        raise RunError(LOST)
+    try:
+        return dict(client.nthreads())
+    except OSError:
+        raise RunError(LOST) from None
+
+
+def count_threads(client: "Client", waiting: Callable[[], None]) -> int:
+    """Threads of a cluster, once its first worker is there; ``waiting`` is called if it is not yet."""
+    if client.asynchronous:
+        raise InputError("client: found an asynchronous one, must be synchronous")
+    if not client.nthreads():
+        waiting()
+        try:
+            client.wait_for_workers(1, timeout=WORKER_SECONDS)
+        except TimeoutError:
+            raise InputError(
+                f"the scheduler has no worker after {WORKER_SECONDS} s; start one: dask worker ADDRESS"
+            ) from None
+    return max(1, sum(worker_threads(client).values()))
+
+
+def leave_if_bootstrapping() -> None:
+    """End a worker process that is importing its parent's script, where a call without a __main__ guard leads to.
+
+    The parent then says what to do; an exception here would print a traceback for every worker.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise SystemExit(1)
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ctrl-C reaches every process of a terminal; those started in here leave it to their parent."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Dask's log kept off the terminal: what matters of it comes back as an outcome or an error."""
+    # Importing distributed has given several of its loggers a level and a handler of their own.
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
+    before = {logger: logger.level for logger in map(logging.getLogger, names)}
+    for logger in before:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in before.items():
+            logger.setLevel(level)

@@ -1,0 +1,56 @@
+"""In which order tiles are solved: a few everywhere first, then those that are costly by what these have cost.
+
+Costs of tiles differ a hundredfold. When the last costly one is begun late, a large cluster waits for it alone; row by
+row that depends on which corner of the plane the chaos lies in. Neighbours cost much the same, so the receipts of a
+coarse lattice predict the rest, for nothing; solving some cells of each tile beforehand predicts no better and costs
+time (scripts/bench_scale.py compares them).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+STRIDE = 4
+"""Every how many tiles, along each dimension, one is solved first; then every half as many."""
+NEIGHBOURS = 4
+"""From how many tiles of known cost another's is guessed."""
+
+
+class Order:
+    """The indices of the tiles due, each once; what is noted meanwhile decides the order of those to come."""
+
+    def __init__(self, due: np.ndarray) -> None:
+        self._due = due
+        self._cost = np.full(due.shape, np.nan)
+        self._noted = 0
+
+    def note(self, index: tuple[int, ...], cost: float) -> None:
+        """What a tile has cost, in any unit."""
+        self._cost[index] = cost
+        self._noted += 1
+
+    def __iter__(self) -> Iterator[tuple[int, ...]]:
+        coarse, fine = self._lattice(STRIDE), self._lattice(STRIDE // 2)
+        stages = (self._due & coarse, self._due & fine & ~coarse, self._due & ~fine)
+        rest = np.concatenate([np.flatnonzero(stage) for stage in stages])
+        enough, taken, first = max(1, int(coarse.sum()) // 4), 0, int(stages[0].sum())
+        for _ in range(rest.size):
+            if self._noted >= enough and first <= 0:  # decided anew whenever twice as much is known
+                rest, taken, enough = self._costly_first(rest[taken:]), 0, 2 * self._noted
+            yield tuple(map(int, np.unravel_index(rest[taken], self._due.shape)))
+            taken, first = taken + 1, first - 1
+
+    def _lattice(self, stride: int) -> np.ndarray:
+        mask = np.zeros(self._due.shape, dtype=bool)
+        mask[tuple(slice(min(STRIDE // 2, (n - 1) // 2) % stride, None, stride) for n in self._due.shape)] = True
+        return mask
+
+    def _costly_first(self, places: np.ndarray) -> np.ndarray:
+        from scipy.spatial import KDTree
+
+        known = np.isfinite(self._cost)
+        wanted = np.stack(np.unravel_index(places, self._due.shape), axis=-1)
+        neighbours = range(1, min(NEIGHBOURS, self._noted) + 1)
+        distance, near = KDTree(np.argwhere(known)).query(wanted, k=neighbours)
+        guess = np.average(self._cost[known][near], axis=1, weights=1 / distance)
+        return places[np.argsort(-guess, kind="stable")]

@@ -1,0 +1,22 @@
+"""Faults on cue, for tests: what a script of them needs in its environment."""
+
+import json
+import os
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def environment(folder: Path, script: dict[str, list[str]]) -> dict[str, str]:
+    """Variables for processes that are to meet the faults of a script; see sitecustomize.py."""
+    folder.mkdir(exist_ok=True)
+    (folder / "script.json").write_text(json.dumps(script))
+    (folder / "log").touch()
+    path = os.pathsep.join(map(str, (Path(__file__).parent, ROOT)))
+    return dict(os.environ) | {"FAULTS": str(folder), "PYTHONPATH": path}
+
+
+def attempts(folder: Path) -> Counter[str]:
+    """How often each tile was tried."""
+    return Counter(line.split()[0] for line in (folder / "log").read_text().splitlines())

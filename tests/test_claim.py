@@ -1,0 +1,226 @@
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from atlas import claim as claiming
+from atlas.beside import Folder, notes_of
+from atlas.claim import CLAIM, Record, cancel, claimed, holder, remove_half_made
+from atlas.errors import InputError, RunError
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claiming, "BEAT_SECONDS", 0.02)
+
+
+@pytest.fixture
+def notes(tmp_path: Path) -> Folder:
+    return Folder(tmp_path / "notes")
+
+
+def elsewhere(beat: int = 7) -> Record:
+    """A claim from a machine that this one cannot look into."""
+    return Record("theirs", beat, "far", 1, "another-boot pid:[1] 1 1")
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_note_is_put_only_where_there_is_none(notes: Folder) -> None:
+    assert notes.put("a", b"1", expected=None)
+    assert not notes.put("a", b"2", expected=None)
+    assert notes.read("a") == b"1"
+
+
+def test_a_note_is_replaced_only_by_who_read_it_last(notes: Folder) -> None:
+    notes.put("a", b"first, and longer", expected=None)
+    assert notes.put("a", b"second", expected=b"first, and longer")
+    assert not notes.put("a", b"third", expected=b"first, and longer")
+    assert not notes.remove("a", b"first, and longer")
+    assert notes.read("a") == b"second"
+
+
+def test_the_last_note_takes_its_folder_with_it(notes: Folder) -> None:
+    notes.put("a", b"1", expected=None)
+    assert notes.remove("a", b"1")
+    assert not notes.path.exists()
+    assert notes.read("a") is None
+    assert not notes.put("a", b"2", expected=b"1")
+
+
+def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: Folder) -> None:
+    notes.put("count", b"0", expected=None)
+
+    def count() -> None:
+        for _ in range(50):
+            while True:
+                found = notes.read("count") or b""
+                if notes.put("count", str(int(found) + 1).encode(), expected=found):
+                    break
+
+    threads = [threading.Thread(target=count) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert notes.read("count") == b"200"
+
+
+def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: Folder) -> None:
+    with claimed(notes, "out.zarr"):
+        seen = notes.read(CLAIM)
+        until(lambda: notes.read(CLAIM) != seen)
+    assert notes.read(CLAIM) is None
+
+
+def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: Folder) -> None:
+    with claimed(notes, "out.zarr") as first:
+        told = rf"^out.zarr: another run is at work on it \(process {os.getpid()} on "
+        with pytest.raises(InputError, match=told), claimed(notes, "out.zarr"):
+            pass
+        first.check()
+
+
+def test_a_claim_that_stands_still_is_taken_over_and_not_before(notes: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claiming, "PATIENCE_SECONDS", 0.3)
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    told: list[str] = []
+    begin = time.monotonic()
+    with claimed(notes, "out.zarr", told.append):
+        assert time.monotonic() - begin >= claiming.PATIENCE_SECONDS
+    assert told == [
+        "another run may be at work (process 1 on far): watching for a sign of life",
+        "taking over: no sign of life",
+    ]
+
+
+def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere(0).pack(), expected=None)
+    stop = threading.Event()
+
+    def beat() -> None:
+        now = elsewhere(0)
+        while not stop.wait(0.05):
+            after = replace(now, beat=now.beat + 1)
+            assert notes.put(CLAIM, after.pack(), expected=now.pack())
+            now = after
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    with pytest.raises(InputError, match="another run is at work"), claimed(notes, "out.zarr"):
+        pass
+    stop.set()
+    thread.join()
+
+
+def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Folder) -> None:
+    code = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from atlas.claim import claimed; from atlas.beside import Folder\n"
+        "with claimed(Folder(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=Path(__file__).parent.parent)
+    assert notes.read(CLAIM) is not None
+    assert holder(notes) is None
+    told: list[str] = []
+    with claimed(notes, "out.zarr", told.append):
+        pass
+    assert len(told) == 1
+    assert told[0].endswith("which is gone")
+
+
+def test_a_torn_claim_is_taken_over(notes: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claiming, "PATIENCE_SECONDS", 0.3)
+    notes.put(CLAIM, b'{"token": "thei', expected=None)
+    with claimed(notes, "out.zarr"):
+        pass
+
+
+def test_a_holder_that_was_asleep_finds_itself_replaced(notes: Folder) -> None:
+    with claimed(notes, "out.zarr") as slept:
+        until(lambda: notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM)))
+        until(lambda: not slept._thread.is_alive())
+        with pytest.raises(RunError, match=r"another run has taken this store over \(process 1 on far\)"):
+            slept.check()
+    assert notes.read(CLAIM) == elsewhere().pack()
+
+
+def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with claimed(notes, "out.zarr") as claim:
+        with monkeypatch.context() as away:
+            failed = threading.Event()
+
+            def put(*_: object, **__: object) -> bool:
+                failed.set()
+                raise OSError(28, "No space left on device")
+
+            away.setattr(Folder, "put", put)
+            assert failed.wait(20)
+        seen = notes.read(CLAIM)
+        until(lambda: notes.read(CLAIM) != seen)
+        claim.check()
+
+
+def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
+    with claimed(notes, "out.zarr") as claim:
+        claim.report({"workers": 3})
+        until(lambda: json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"workers": 3})
+        found = holder(notes)
+        assert found is not None
+        assert (found.pid, found.progress) == (os.getpid(), {"workers": 3})
+
+
+def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: Folder) -> None:
+    stopped = threading.Event()
+
+    def work() -> None:
+        with pytest.raises(RunError, match="stopped by atlas cancel"), claimed(notes, "out.zarr") as claim:
+            while True:
+                claim.check()
+                time.sleep(0.005)
+        stopped.set()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    until(lambda: notes.read(CLAIM) is not None)
+    cancel(notes, "out.zarr", wait_seconds=20)
+    thread.join()
+    assert stopped.is_set()
+    assert notes.read(CLAIM) is None
+
+
+def test_cancel_without_a_run_is_refused(notes: Folder) -> None:
+    with pytest.raises(InputError, match=r"out.zarr: no run is at work on it"):
+        cancel(notes, "out.zarr", wait_seconds=1)
+
+
+def test_cancel_says_when_a_run_has_not_stopped(notes: Folder) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    with pytest.raises(RunError, match=r"has not stopped after 0.1 s"):
+        cancel(notes, "out.zarr", wait_seconds=0.1)
+
+
+def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    for name in (".out.zarr.0123.partial", ".other.zarr.0123.partial", "out.zarr"):
+        (tmp_path / name).mkdir()
+    remove_half_made(tmp_path / "out.zarr")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".other.zarr.0123.partial", "out.zarr"]
+
+
+def test_notes_lie_beside_the_store(tmp_path: Path) -> None:
+    notes = notes_of(tmp_path / "out.zarr")
+    assert notes == Folder(tmp_path / ".out.zarr.run")

@@ -1,0 +1,279 @@
+"""What goes wrong under a run, on cue, and how often each tile was tried for it."""
+
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client, LocalCluster, get_worker
+
+import atlas
+from atlas import fanout
+from atlas import job as jobs
+from atlas import store as storing
+from atlas.beside import notes_of
+from atlas.errors import RunError
+from atlas.job import Job, RefusedError, StoreFullError, run_job
+from atlas.store import create, done_tiles, read_header, read_tile
+from tests.faults import attempts, environment
+from workers import tile as solving
+from workers.results import FAILED, result_variables
+from workers.tile import solve_cells
+
+SPEC = """
+system = "two-mass"
+[axes.omega]
+start = 2.0
+stop = 4.0
+num = 6
+[axes.b]
+values = [0.1, 0.2, 0.4, 0.5]
+[solve]
+max_periods = 300
+tolerance = 0.1
+[store]
+tile = [2, 2]
+"""
+ATLAS = [sys.executable, "-c", "import sys; from atlas.cli import cli; cli(sys.argv[1:])"]
+
+
+@dataclass
+class Run:
+    """A folder with a spec, and the command run in it while faults are on."""
+
+    folder: Path
+    script: dict[str, list[str]]
+
+    def __call__(self, *more: str) -> subprocess.CompletedProcess[str]:
+        (self.folder / "spec.toml").write_text(SPEC)
+        return subprocess.run(
+            [*ATLAS, "run", "spec.toml", "-o", "out.zarr", *more],
+            cwd=self.folder,
+            env=environment(self.folder / "faults", self.script),
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+
+    @property
+    def attempts(self) -> dict[str, int]:
+        return dict(attempts(self.folder / "faults"))
+
+    @property
+    def store(self) -> Path:
+        return self.folder / "out.zarr"
+
+
+def tiles(*but: str) -> list[str]:
+    return [name for name in (f"{i}-{j}" for i in range(2) for j in range(3)) if name not in but]
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, subprocess.CompletedProcess[str]]:
+    """One run of six tiles that meets everything at once."""
+    run = Run(
+        tmp_path_factory.mktemp("faulty"),
+        {"0-0": ["die", "ok"], "0-1": ["die"], "0-2": ["fail", "fail", "ok"], "1-0": ["fail"]},
+    )
+    return run, run("--workers", "2")
+
+
+def test_each_tile_is_tried_as_often_as_its_faults_ask_for(faulty: tuple[Run, object]) -> None:
+    assert faulty[0].attempts == {"0-0": 2, "0-1": 3, "0-2": 3, "1-0": 3, "1-1": 1, "1-2": 1}
+
+
+def test_a_tile_that_kills_every_process_is_marked_failed_with_the_reason(
+    faulty: tuple[Run, subprocess.CompletedProcess[str]],
+) -> None:
+    run, ended = faulty
+    assert (read_tile(read_header(run.store), (0, 1))["regime"] == FAILED).all()
+    reason = "its tile ends the process that solves it, each of 3 times (signal 9, SIGKILL)"
+    assert f"4 cells failed: {reason}" in ended.stdout
+
+
+def test_every_other_tile_is_finished_and_right(faulty: tuple[Run, subprocess.CompletedProcess[str]]) -> None:
+    run, ended = faulty
+    header = read_header(run.store)
+    assert done_tiles(header) == {(0, 0), (0, 1), (0, 2), (1, 1), (1, 2)}
+    assert "5 of 6 tiles done" in ended.stdout
+    spec = header.spec
+    for index in done_tiles(header) - {(0, 1)}:
+        part = tuple(slice(2 * i, 2 * i + 2) for i in index)
+        expected = solve_cells(spec.system, spec.cell_params(part), spec.settings).arrays
+        stored = read_tile(header, index)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(stored[name], values, err_msg=name)
+
+
+def test_a_tile_that_raises_each_time_is_told_and_left_for_another_run(
+    faulty: tuple[Run, subprocess.CompletedProcess[str]],
+) -> None:
+    ended = faulty[1]
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1] == "tile (1, 0) failed: ZeroDivisionError: attempt 3"
+
+
+def test_no_note_is_left_beside_the_store(faulty: tuple[Run, object]) -> None:
+    assert sorted(path.name for path in faulty[0].folder.iterdir()) == ["faults", "out.zarr", "spec.toml"]
+
+
+def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path) -> None:
+    run = Run(tmp_path, {"1-0": ["full"]})
+    first = run("--workers", "1")
+    assert first.returncode == 1
+    told = f"Error: {run.store}: No space left on device; finished tiles are kept: make room and run again"
+    assert first.stderr.splitlines()[-1] == told
+    kept = len(done_tiles(read_header(run.store)))
+    assert kept >= 3
+    run.script = {}
+    second = run("--workers", "1")
+    assert second.returncode == 0
+    assert f"going on: {kept} of 6 tiles are done" in second.stderr
+    assert run.attempts == dict.fromkeys(tiles("1-0"), 1) | {"1-0": 2}
+
+
+@pytest.fixture
+def made(tmp_path: Path, plane: atlas.Spec) -> Job:
+    """The job of one tile of a new store."""
+    header = create(tmp_path / "out.zarr", plane, (2, 3))
+    return Job((1, 1), str(header.path), header.run_id, header.solver_version)
+
+
+def test_a_worker_with_another_solver_refuses(made: Job) -> None:
+    with pytest.raises(RefusedError, match=r"this worker has solver version \d+, the run needs 999"):
+        run_job(replace(made, solver_version=999))
+
+
+def test_a_worker_that_sees_another_store_there_refuses(made: Job) -> None:
+    with pytest.raises(RefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
+        run_job(replace(made, run_id="0123"))
+
+
+def test_a_worker_that_sees_no_store_there_refuses(made: Job) -> None:
+    with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
+        run_job(replace(made, store="/nowhere/out.zarr"))
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
+def test_a_worker_that_cannot_write_refuses_and_says_why(
+    made: Job, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def write(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(jobs, "write_tile", write)
+    with pytest.raises(RefusedError, match=os.strerror(number)):
+        run_job(made)
+
+
+def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
+    made: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = read_header(Path(made.store))
+    array_of = storing._array
+    for variable in result_variables(header.spec.settings):
+
+        def full(group: object, name: str, at: str = variable.name) -> object:
+            if name == at and group.read_only is False:  # type: ignore[attr-defined]
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return array_of(group, name)  # type: ignore[arg-type]
+
+        with monkeypatch.context() as patch:
+            patch.setattr(storing, "_array", full)
+            with pytest.raises(StoreFullError, match="No space left on device"):
+                run_job(made)
+        assert done_tiles(header) == set()
+    run_job(made)
+    expected = solve_cells(
+        header.spec.system, header.spec.cell_params((slice(2, 4), slice(3, 6))), header.spec.settings
+    ).arrays
+    stored = read_tile(header, made.index)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(stored[name], values, err_msg=name)
+
+
+def test_a_tile_that_is_stored_is_not_solved_again(made: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = run_job(made)
+    monkeypatch.setattr(jobs, "solve_and_write", None)
+    again = run_job(made)
+    assert (again.counts, again.cells, again.periods) == (first.counts, first.cells, first.periods)
+
+
+def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
+    made: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def late(*given: object) -> object:
+        monkeypatch.setattr(solving, "solve_cells", solve_cells)
+        run_job(made)  # the other attempt, which is faster
+        monkeypatch.setattr(jobs, "write_tile", None)
+        return solve_cells(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(solving, "solve_cells", late)
+    assert jobs.solve_and_write(made).cells == 6
+    assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
+
+
+def test_a_tile_whose_first_attempt_did_not_live_runs_in_a_process_of_its_own(
+    made: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    notes_of(made.store).put("started-1-1", b"1", expected=None)
+    monkeypatch.setattr(jobs, "solve_and_write", None)  # not in this process
+    receipt = run_job(made)
+    assert receipt.cells == sum(receipt.counts.values()) == 6
+    assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
+
+
+@pytest.fixture
+def two_workers() -> Iterator[Client]:
+    with (
+        LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        Client(cluster, set_as_default=False) as made,
+    ):
+        yield made
+
+
+def test_a_worker_that_refuses_is_left_out_and_named(
+    tmp_path: Path, plane: atlas.Spec, two_workers: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unfit = min(two_workers.nthreads())
+    done_by = []
+
+    def picky(job: Job) -> jobs.Receipt:
+        done_by.append(get_worker().address)
+        if done_by[-1] == unfit:
+            raise RefusedError("sees no store")
+        return run_job(job)
+
+    monkeypatch.setattr(fanout, "run_job", picky)
+    summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
+    assert (summary.tiles_done, summary.failures) == (9, ())
+    assert summary.refused == {unfit: "sees no store"}
+    assert done_by.count(unfit) <= 2 * fanout.IN_FLIGHT  # no more than were under way when it refused first
+
+
+def test_a_run_that_every_worker_refuses_ends_with_the_reason(
+    tmp_path: Path, plane: atlas.Spec, two_workers: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(job: Job) -> None:
+        raise RefusedError("sees no store")
+
+    monkeypatch.setattr(fanout, "run_job", refuse)
+    with pytest.raises(RunError, match=r"no worker can do this run: inproc://\S+: sees no store"):
+        atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
+
+
+def test_a_scheduler_without_this_package_is_told_of_once_and_at_once(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unloadable(job: Job) -> None:
+        raise RuntimeError("Error during deserialization of the task graph. This frequently occurs if ...")
+
+    monkeypatch.setattr(fanout, "run_job", unloadable)
+    with pytest.raises(RunError, match="install the same impact-atlas on every host, the scheduler's too"):
+        atlas.run(plane, tmp_path / "out.zarr", client=client)

@@ -1,0 +1,81 @@
+"""Ctrl-C again, and the SIGTERM of a batch system; test_cli.py has the first Ctrl-C."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.faults import ROOT
+
+SPEC = """
+system = "two-mass"
+[axes.omega]
+start = 2.0
+stop = 4.0
+num = 12
+[solve]
+max_periods = 300
+[store]
+tile = [1]
+"""
+STRUCK = """
+import os, signal, sys
+from atlas import progress
+from atlas.cli import cli
+
+class Striking(progress.LogReporter):
+    def __call__(self, snapshot):
+        super().__call__(snapshot)
+        if snapshot.tiles_done == 2 and snapshot.stage == "solving":
+            os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+        if snapshot.stage.startswith("interrupted") and sys.argv[2] == "twice":
+            os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts with it ignored
+progress.reporter = Striking
+cli(sys.argv[3:])
+"""
+
+
+def strike(folder: Path, signal: str, often: str) -> subprocess.CompletedProcess[str]:
+    (folder / "spec.toml").write_text(SPEC)
+    return subprocess.run(
+        [sys.executable, "-c", STRUCK, signal, often, "run", "spec.toml", "-o", "out.zarr", "--workers", "1"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def test_ctrl_c_twice_leaves_at_once_and_the_next_run_goes_on(tmp_path: Path) -> None:
+    struck = strike(tmp_path, "SIGINT", "twice")
+    assert struck.returncode == 130
+    # Python's own helper process may say after it that it cleans up.
+    assert "left at once: finished tiles are kept" in struck.stderr.splitlines()
+    assert "Traceback" not in struck.stderr
+    claim = tmp_path / ".out.zarr.run" / "claim"
+    assert claim.exists()  # nobody was left to take it back
+    code = "import sys; from atlas.cli import cli; cli(sys.argv[1:])"
+    again = subprocess.run(
+        [sys.executable, "-c", code, "run", "spec.toml", "-o", "out.zarr", "--workers", "1"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert again.returncode == 0
+    assert "which is gone" in again.stderr
+    assert "12 of 12 tiles done" in again.stdout
+    assert not claim.parent.exists()
+
+
+def test_sigterm_ends_a_run_in_order(tmp_path: Path) -> None:
+    struck = strike(tmp_path, "SIGTERM", "once")
+    assert struck.returncode == 130
+    assert struck.stderr.splitlines()[-1].strip() == "atlas run spec.toml -o out.zarr --workers 1"
+    assert not (tmp_path / ".out.zarr.run").exists()

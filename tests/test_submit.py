@@ -1,0 +1,172 @@
+"""Runs left to a cluster of processes; every tile takes 0.3 s, so that something can happen meanwhile."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from distributed import Client, LocalCluster
+
+import atlas
+from atlas.beside import notes_of
+from atlas.claim import CLAIM, PATIENCE_SECONDS, Record
+from atlas.cli import cli
+from atlas.errors import InputError
+from atlas.status import read_status, watch
+from atlas.store import create, read_header
+from atlas.submit import submit
+from tests.faults import attempts, environment
+from tests.planes import plane_of
+
+TILES = 15
+PLANE = plane_of((1, 3))
+
+
+@dataclass(frozen=True)
+class Service:
+    """A scheduler with two workers of one thread, and a folder."""
+
+    client: Client
+    folder: Path
+
+    @property
+    def address(self) -> str:
+        return str(self.client.scheduler.address)
+
+    def submit(self, name: str, plane: atlas.Spec = PLANE) -> str:
+        (self.folder / "faults" / "log").write_text("")
+        return submit(plane, self.folder / name, self.address)
+
+    def tiles_done(self, name: str) -> int:
+        return read_status(read_header(self.folder / name)).tiles_done
+
+    def ends(self, name: str) -> bool:
+        found = read_status(read_header(self.folder / name))
+        return found.fraction == 1 and found.run is None
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    folder = tmp_path_factory.mktemp("service")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment(folder / "faults", {"*": ["slow"]}).items():
+            patch.setenv(name, value)
+        with (
+            LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as made,
+            Client(made, set_as_default=False) as client,
+        ):
+            yield Service(client, folder)
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 120
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def call(*args: object) -> Result:
+    return CliRunner().invoke(cli, [str(arg) for arg in args])
+
+
+def test_submit_leaves_while_tiles_are_due_and_the_cluster_finishes_them(service: Service) -> None:
+    assert service.submit("alone.zarr") in service.client.nthreads()
+    assert service.tiles_done("alone.zarr") < TILES
+    until(lambda: service.ends("alone.zarr"))
+    assert set(attempts(service.folder / "faults").values()) == {1}
+
+
+def test_the_coordinator_starts_again_after_its_workers_death_and_redoes_nothing_stored(service: Service) -> None:
+    where = service.submit("killed.zarr")
+    until(lambda: service.tiles_done("killed.zarr") >= 3)
+    os.kill(service.client.run(os.getpid)[where], signal.SIGKILL)
+    until(lambda: service.ends("killed.zarr"))
+    tried = attempts(service.folder / "faults")
+    assert len(tried) == TILES
+    assert tried.total() <= TILES + 2  # one under way on each worker
+    assert (atlas.open(service.folder / "killed.zarr").regime.values != 6).all()
+
+
+def test_two_jobs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(service: Service) -> None:
+    service.submit("one.zarr")
+    service.submit("two.zarr")
+    with pytest.raises(InputError, match=r"one.zarr: another run is at work on it \(process \d+ on "):
+        service.submit("one.zarr")
+    until(lambda: service.ends("one.zarr") and service.ends("two.zarr"))
+
+
+def test_status_tells_of_the_run_at_work_and_cancel_stops_it(service: Service) -> None:
+    store = service.folder / "cancelled.zarr"
+    service.submit(store.name, plane_of((1, 1)))  # 35 tiles, about 6 s: a beat and a tick are 3 s
+    until(lambda: read_status(read_header(store)).seconds_left is not None)
+    told = json.loads(call("status", store, "--json").stdout)
+    assert told["workers"] == 2
+    assert told["run"].startswith("process ")
+    assert told["cells_per_second"] > 0
+    assert told["cells_pending"] == told["cells"] - told["cells_done"]
+    ended = call("cancel", store)
+    assert (ended.exit_code, ended.stdout.splitlines()[-1]) == (0, f"{store}: {told['run']} has stopped")
+    kept = service.tiles_done(store.name)
+    assert kept < 35
+    until(lambda: not service.client.processing() or not any(service.client.processing().values()))
+    assert service.tiles_done(store.name) <= kept + 2
+    assert read_status(read_header(store)).run is None
+    assert call("cancel", store).exit_code == 2
+
+
+def test_watch_ends_with_the_atlas_and_counts_only_what_is_new(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from atlas import status
+
+    counted: list[tuple[int, ...]] = []
+    whole = status.regime_counts
+
+    def counting(header: object, tiles: list[tuple[int, ...]]) -> dict[str, int]:
+        counted.extend(tiles)
+        return whole(header, tiles)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(status, "regime_counts", counting)
+    service.submit("watched.zarr")
+    seen = list(watch(read_header(service.folder / "watched.zarr"), seconds=0.1))
+    assert len(seen) > 3
+    assert [s.tiles_done for s in seen] == sorted(s.tiles_done for s in seen)
+    assert (seen[-1].fraction, sum(seen[-1].regimes.values())) == (1.0, 35)
+    assert len(counted) == len(set(counted)) == TILES
+
+
+def test_watch_gives_up_on_a_claim_that_stands_still(tmp_path: Path) -> None:
+    store = create(tmp_path / "out.zarr", PLANE, (1, 3)).path
+    notes_of(store).put(CLAIM, Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1").pack(), expected=None)
+    seen = list(watch(read_header(store), seconds=4.0, sleep=lambda _: None))
+    assert all(status.run is not None for status in seen)
+    assert len(seen) == 1 + PATIENCE_SECONDS // 4 + 1
+
+
+def test_status_tells_how_a_run_ended_that_nobody_watched(service: Service) -> None:
+    script, store = service.folder / "faults" / "script.json", service.folder / "ended.zarr"
+    before = script.read_text()
+    script.write_text(json.dumps({"0-0": ["full"], "*": ["ok"]}))
+    try:
+        service.submit(store.name)
+        until(lambda: read_status(read_header(store)).ended != "")
+    finally:
+        script.write_text(before)
+    told = json.loads(call("status", store, "--json").stdout)
+    assert "No space left on device; finished tiles are kept" in told["ended"]
+    assert "none at work; the last one submitted ended: " in call("status", store).stdout
+    service.submit(store.name)
+    until(lambda: service.ends(store.name))
+    assert json.loads(call("status", store, "--json").stdout)["ended"] is None
+
+
+def test_a_bad_submission_is_one_line_and_exit_code_2(service: Service, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    shown = call("submit", "tiny", "-o", tmp_path / "file" / "out.zarr", "--scheduler", service.address)
+    assert shown.exit_code == 2
+    assert "cannot be written" in shown.stderr.splitlines()[-1]

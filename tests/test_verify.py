@@ -1,0 +1,370 @@
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+from click.testing import CliRunner
+from distributed import Client
+
+import atlas
+from atlas import recheck, store
+from atlas.chunks import ChunkError, read_tile
+from atlas.cli import cli
+from atlas.consistency import law_of
+from atlas.errors import InputError
+from atlas.machine import Machine
+from atlas.progress import Progress
+from atlas.verify import Fault, Report, verify
+from workers.lyapunov import sum_of_exponents
+from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, result_variables
+from workers.system import find_system
+
+verifying = sys.modules["atlas.verify"]  # the package has the function of that name
+
+SPEC = atlas.Spec(
+    "two-mass",
+    axes={"omega": [2.0, 2.4, 3.0, 4.0], "b": [0.1, 0.3, 0.5]},
+    solve={"max_periods": 500, "tolerance": 0.1, "exponents": "spectrum", "section_samples": 2},
+    store={"tile": [2, 2]},
+)
+VARIABLES = [variable.name for variable in result_variables(SPEC.settings)]
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    path = tmp_path_factory.mktemp("verify") / "whole.zarr"
+    atlas.run(SPEC, path, client=client)
+    return path
+
+
+@pytest.fixture
+def whole(solved: Path, tmp_path: Path) -> Path:
+    """A store of four tiles of its own for each test."""
+    return Path(shutil.copytree(solved, tmp_path / "out.zarr"))
+
+
+def chunk(path: Path, name: str, tile: str = "0/1") -> Path:
+    extra = {v.name: len(v.extra) for v in result_variables(SPEC.settings)}[name]
+    return path.joinpath(name, "c", tile, *["0"] * extra)
+
+
+def flip(path: Path, byte: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[byte] ^= 0x10
+    path.write_bytes(data)
+
+
+def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], value: Any) -> tuple[int, ...]:
+    """Another value, with a right checksum, in the first cell that ``where`` picks by its regime."""
+    group = zarr.open_group(path, mode="r+", use_consolidated=False)
+    cell = tuple(int(i[0]) for i in np.nonzero(where(group["regime"][...])))
+    values = group[name][...]
+    values[cell] = value(values[cell]) if callable(value) else value
+    group[name].with_config({"write_empty_chunks": True})[...] = values
+    return cell
+
+
+def told(report: Report) -> list[str]:
+    return [str(fault) for fault in report.faults]
+
+
+def arrays_of(path: Path) -> dict[str, bytes]:
+    ds = atlas.open(path)
+    return {str(name): ds[name].values.tobytes() for name in ds.variables}
+
+
+def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Path) -> None:
+    report = verify(whole, sample=12)
+    assert told(report) == []
+    assert report.fine
+    assert (report.tiles_done, report.chunks) == (4, 4 * len(VARIABLES))
+    assert (report.cells_checked, report.cells_solved, report.comparison) == (12, 12, "bits")
+
+
+@pytest.mark.parametrize("byte", [0, -1])
+@pytest.mark.parametrize("name", VARIABLES)
+def test_a_corrupted_byte_is_found_in_every_kind_of_chunk(whole: Path, name: str, byte: int) -> None:
+    flip(chunk(whole, name), byte)
+    (fault,) = told(verify(whole, sample=0))
+    assert fault.startswith(f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is damaged (")
+
+
+@pytest.mark.parametrize("size", [0, 1, 3, 10])
+def test_a_torn_chunk_is_found(whole: Path, size: int) -> None:
+    os.truncate(chunk(whole, "state"), size)
+    (fault,) = told(verify(whole, sample=0))
+    assert "tile (0, 1): state/c/0/1/0 is damaged" in fault
+
+
+@pytest.mark.parametrize("name", [name for name in VARIABLES if name != "regime"])
+def test_a_missing_chunk_is_found(whole: Path, name: str) -> None:
+    chunk(whole, name).unlink()
+    assert told(verify(whole, sample=0)) == [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing"]
+
+
+def test_every_bad_chunk_is_told_and_not_only_the_first(whole: Path) -> None:
+    chunk(whole, "error").unlink()
+    flip(chunk(whole, "period"), 5)
+    flip(chunk(whole, "period", "1/0"), 5)
+    assert len(told(verify(whole, sample=0))) == 3
+
+
+def test_repair_and_run_give_the_same_bits_again(whole: Path, client: Client) -> None:
+    before = arrays_of(whole)
+    flip(chunk(whole, "state"), 7)
+    chunk(whole, "largest", "1/1").unlink()
+    report = verify(whole, sample=0, repair=True)
+    assert report.repaired == ((0, 1), (1, 1))
+    assert atlas.run(SPEC, whole, client=client).tiles_solved == 2
+    assert arrays_of(whole) == before
+    assert verify(whole, sample=12).fine
+
+
+def test_without_repair_nothing_is_written(whole: Path) -> None:
+    flip(chunk(whole, "state"), 7)
+    before = {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()}
+    assert verify(whole).repaired is None
+    assert {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["omega", "b", "R", "component"])
+def test_a_corrupted_coordinate_is_found_and_restored(whole: Path, name: str) -> None:
+    before = arrays_of(whole)
+    (found,) = (path for path in (whole / name / "c", whole / name / "c" / "0") if path.is_file())
+    flip(found, 6)
+    assert f"coordinate {name} is damaged" in told(verify(whole, sample=0, repair=True))[0]
+    assert verify(whole, sample=0).fine
+    assert arrays_of(whole) == before
+
+
+def test_a_coordinate_with_another_value_is_found(whole: Path) -> None:
+    zarr.open_group(whole, mode="r+", use_consolidated=False)["omega"][1] = np.nextafter(2.4, 3)
+    assert told(verify(whole, sample=0)) == ["coordinate omega is not the spec's, or missing"]
+
+
+def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: Path) -> None:
+    cell = change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: np.nextafter(x, 0))
+    assert verify(whole, sample=0).fine
+    (fault,) = told(verify(whole, sample=12))
+    assert f"cell {recheck.place_in(SPEC, cell)}: largest " in fault
+    assert verify(whole, sample=12, repair=True).repaired == ((cell[0] // 2, cell[1] // 2),)
+
+
+@pytest.mark.parametrize(
+    ("name", "regime", "value", "rule"),
+    [
+        ("regime", PERIODIC, 9, "regime is none of 0 to 6"),
+        ("regime", PERIODIC, -1, "regime is none of 0 to 6"),
+        ("largest", CHAOTIC, np.nan, "largest is NaN"),
+        ("largest", CHAOTIC, 0.01, "chaotic, but largest is not positive by 4 errors"),
+        ("error", PERIODIC, -1e-9, "error is negative"),
+        ("period", PERIODIC, 0, "period is not positive in a periodic cell"),
+        ("period", CHAOTIC, 3, "period is not 0 outside orbits"),
+        ("period", NO_IMPACT, 2, "period is not 1 without impact"),
+        ("impacts_upper", CHAOTIC, 1, "impacts_upper is not 0 outside orbits"),
+        ("impacts_lower", PERIODIC, -1, "impacts_lower is negative"),
+        ("impacts_per_period", NO_IMPACT, 1.0, "impacts_per_period is not 0 without impact"),
+        ("impacts_per_period", PERIODIC, 7.5, "impacts_per_period is not the orbit's impacts over its period"),
+        ("sticks", PERIODIC, True, "stuck_fraction does not go with sticks"),
+        ("stuck_fraction", CHAOTIC, 1.5, "stuck_fraction is outside 0 to 1"),
+        ("symmetric", CHAOTIC, True, "symmetric outside orbits"),
+        ("min_impact_speed", NO_IMPACT, 0.1, "min_impact_speed without impact"),
+        ("periods_used", PERIODIC, -5, "periods_used is negative"),
+        ("state", PERIODIC, np.nan, "state is not finite"),
+        ("regime", PERIODIC, INVALID, "state has a value in an invalid or failed cell"),
+        ("spectrum", PERIODIC, lambda s: s[::-1], "spectrum does not fall"),
+        ("spectrum", PERIODIC, lambda s: s + np.array([1, 0, 0, 0]), "largest is not the first of the spectrum"),
+        ("spectrum", PERIODIC, lambda s: s - [0, 0, 0, 1e-6], "spectrum breaks the sum law"),
+        ("spectrum", CHAOTIC, lambda s: s - [0, 0, 0, 1e-6], "spectrum breaks the sum law"),
+        ("sum_law_defect", PERIODIC, 1e-6, "sum_law_defect is too large, or of no spectrum"),
+    ],
+)
+def test_results_that_contradict_each_other_are_found(
+    whole: Path, name: str, regime: int, value: Any, rule: str
+) -> None:
+    cell = change(whole, name, lambda found: found == regime, value)
+    faults = told(verify(whole, sample=0))
+    assert f"tile {(cell[0] // 2, cell[1] // 2)}: {rule}: 1 cell, the first at {recheck.place_in(SPEC, cell)}" in faults
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        {"omega": [1.0, 2.0, 3.0], "b": [0.1, 0.3]},
+        {"R": [0.0, 0.5, 1.0], "zeta": [0.0, 0.2]},
+        {"mu_k": [1.0, 4.0, 9.0], "mu_m": [0.5, 2.0]},
+        {"b": [0.1, 0.2], "x1": [0.0, 0.05]},
+        {"omega": [1.0, 2.0, 3.0]},
+    ],
+)
+def test_the_law_of_a_tile_is_that_of_each_of_its_cells(axes: dict[str, list[float]]) -> None:
+    spec = atlas.Spec("two-mass", axes=axes)
+    slices = tuple(slice(0, n) for n in spec.shape)
+    free, each = (np.broadcast_to(part, spec.shape) for part in law_of(spec, slices))
+    cells = {name: np.broadcast_to(values, spec.shape) for name, values in spec.cell_params(slices).items()}
+    for cell in np.ndindex(spec.shape):
+        oscillator = find_system("two-mass").build({name: float(values[cell]) for name, values in cells.items()})
+        assert free[cell] == sum_of_exponents(oscillator, 0.0)
+        if oscillator.R:
+            assert free[cell] + 2.5 * each[cell] == pytest.approx(sum_of_exponents(oscillator, 2.5), rel=1e-12)
+        else:
+            assert np.isnan(each[cell])
+
+
+def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) -> None:
+    chunk(whole, "regime").unlink()
+    report = verify(whole, repair=True)
+    assert (report.faults, report.tiles_done, report.fine, report.repaired) == ((), 3, False, ())
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This machine is of another kind than the one that solved the stores."""
+    monkeypatch.setattr(verifying, "this_machine", lambda: Machine("another", {}))
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_on_another_machine_solutions_may_differ_by_their_errors(whole: Path) -> None:
+    change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: x + 1e-12)
+    report = verify(whole, sample=12)
+    assert (report.comparison, report.fine, report.cells_solved) == ("error", True, 12)
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_on_another_machine_more_than_the_error_is_in_doubt_and_stays(whole: Path) -> None:
+    change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: x + 5e-7)
+    report = verify(whole, sample=12, repair=True)
+    assert not report.fine
+    assert (len(report.doubts), report.faults, report.repaired) == (1, (), ())
+
+
+def test_the_store_records_the_machines_that_solved_it(whole: Path) -> None:
+    (machine,) = store.machines(store.read_header(whole))
+    assert {"processor", "instructions", "software"} <= set(machine.facts)
+    assert f"numpy {np.__version__}" in machine.facts["software"]
+
+
+def test_tiles_of_two_kinds_of_machine_are_compared_within_error(whole: Path) -> None:
+    store.record_machine(store.read_header(whole), Machine("another", {"processor": "Z80"}))
+    assert verify(whole).comparison == "error"
+
+
+def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verifying, "SOLVER_VERSION", 99)
+    report = verify(whole)
+    assert (report.fine, report.cells_solved) == (True, 0)
+    assert "sample   not solved again: the store is of solver version" in str(report)
+
+
+def test_failed_cells_are_not_solved_again(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = {v.name: v.fill for v in result_variables(SPEC.settings)} | {"regime": FAILED}
+    for name, value in values.items():
+        change(whole, name, lambda regime: np.arange(regime.size).reshape(regime.shape) == 0, value)
+    monkeypatch.setattr(verifying, "solve_again", lambda _, one: pytest.fail("0") if one.cell == (0, 0) else one.stored)
+    report = verify(whole, sample=12)
+    assert (report.fine, report.cells_solved) == (True, 11)
+
+
+def test_metadata_that_differ_from_their_consolidated_copy_are_found(whole: Path) -> None:
+    zarr.open_group(whole, mode="r+", use_consolidated=False)["period"].attrs["units"] = "s"
+    assert told(verify(whole)) == ["zarr.json: its consolidated metadata are not those of period/zarr.json"]
+
+
+def test_metadata_that_are_gone_are_found(whole: Path) -> None:
+    (whole / "period" / "zarr.json").unlink()
+    assert told(verify(whole)) == ["period/zarr.json is missing"]
+
+
+def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
+    (whole / "regime" / "zarr.json").write_text("{")
+    with pytest.raises(InputError, match=r"out.zarr: its metadata are damaged: "):
+        verify(whole)
+
+
+def test_status_names_a_damaged_chunk(whole: Path) -> None:
+    flip(chunk(whole, "regime"), 3)
+    result = CliRunner().invoke(cli, ["status", str(whole)])
+    assert result.exit_code == 1
+    assert "regime/c/0/1 is damaged (" in result.stderr
+    assert f"atlas verify --repair {whole}" in result.stderr
+
+
+def test_a_digest_that_is_not_the_specs_is_found(whole: Path) -> None:
+    zarr.open_group(whole, mode="r+", use_consolidated=False).attrs["digest"] = "0" * 64
+    assert "zarr.json: the digest is not that of the spec" in told(verify(whole))
+
+
+def test_a_tile_beyond_the_grid_is_found_and_dropped(whole: Path) -> None:
+    shutil.copytree(whole / "regime" / "c" / "0", whole / "regime" / "c" / "7")
+    assert verify(whole, sample=0, repair=True).repaired == ((7, 0), (7, 1))
+    assert verify(whole, sample=0).fine
+
+
+def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object) -> None:
+        raise OSError("the network is gone")
+
+    header = store.read_header(whole)
+    arrays: dict[str, Any] = dict.fromkeys(
+        VARIABLES, type("Array", (), {"__getitem__": gone, "chunks": (), "shape": ()})()
+    )
+    with pytest.raises(OSError, match="the network is gone"):
+        read_tile(header, (0, 0), arrays=arrays)
+
+
+def test_reading_a_tile_tells_what_is_wrong_with_it(whole: Path) -> None:
+    chunk(whole, "error").unlink()
+    with pytest.raises(ChunkError, match=r"error/c/0/1 is missing: atlas verify --repair"):
+        read_tile(store.read_header(whole), (0, 1))
+
+
+def test_the_sample_is_that_of_its_seed(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[tuple[int, ...]] = []
+    monkeypatch.setattr(verifying, "solve_again", lambda _, one: drawn.append(one.cell) or one.stored)
+    for seed in (1, 1, 2):
+        verify(whole, sample=4, seed=seed)
+    assert len(set(drawn[:4])) == 4
+    assert drawn[:4] == drawn[4:8] != drawn[8:]
+
+
+def test_progress_ends_with_every_cell_read(whole: Path) -> None:
+    seen: list[Progress] = []
+    verify(whole, sample=1, on_progress=seen.append)
+    reading = [progress for progress in seen if progress.stage == "reading"]
+    assert (reading[-1].tiles_done, reading[-1].cells_done, reading[-1].cells_solved) == (4, 12, 12)
+
+
+def test_a_negative_sample_is_refused(whole: Path) -> None:
+    with pytest.raises(InputError, match="sample: found -1, must be 0 or more"):
+        verify(whole, sample=-1)
+
+
+def test_the_command_tells_by_its_exit_code(whole: Path, tmp_path: Path) -> None:
+    def call(*args: object) -> tuple[int, str]:
+        result = CliRunner().invoke(cli, ["verify", *map(str, args)])
+        return result.exit_code, result.stdout
+
+    assert call(whole, "--sample", 2)[0] == 0
+    flip(chunk(whole, "state"), 7)
+    code, shown = call(whole, "--sample", 2, "--json")
+    assert code == 1
+    found = json.loads(shown)
+    assert (found["fine"], found["faults"][0]["tile"]) == (False, [0, 1])
+    code, shown = call(whole, "--repair")
+    assert (code, "1 tile dropped: run it again to solve them" in shown) == (1, True)
+    assert "nothing wrong, but not complete" in call(whole)[1]
+    assert call(tmp_path / "none.zarr")[0] == 2
+
+
+def test_the_report_shows_so_many_faults_and_counts_the_rest() -> None:
+    faults = tuple(Fault((i,), "is damaged") for i in range(60))
+    report = Report("x", 60, 60, 0, 0, 0, "none asked for", 0, faults=faults, doubts=())
+    assert "and 10 more found: --json lists them" in str(report)
+    assert len(replace(report).as_dict()["faults"]) == 60
