@@ -14,7 +14,9 @@ averages, which share no code with it, are compared with it); for chaotic cells 
 (--long N: N times) the periods of tolerance 1e-2. What that long run does not find chaotic was a chaotic transient or
 too close to call, and is counted apart.
 
-Usage: .venv/bin/python scripts/bench_work_precision.py [--light] [--json] [--long N] [--picture FILE]
+Cells are timed one at a time; those of the plane once more side by side, as a tile is solved.
+
+Usage: .venv/bin/python -m scripts.bench_work_precision [--light] [--json] [--long N] [--picture FILE]
 """
 
 import argparse
@@ -174,6 +176,20 @@ def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
     return points
 
 
+def measure_together(cells: list[Cell], tolerance: float, paper: int) -> dict[str, float]:
+    """Seconds for all cells of the window side by side, as a tile is solved: adaptive, and the paper's schedule."""
+    window = [cell.params for cell in cells if cell.group == "window"]
+    params = {name: np.array([one[name] for one in window]) for name in window[0]}
+    schedules = {
+        "adaptive": Settings(tolerance=tolerance),
+        "fixed": Settings(method="fixed", transient_periods=paper // 4, periods=paper - paper // 4),
+    }
+    return {
+        name: timed(lambda settings=settings: solve_tile("two-mass", params, settings))[0]  # type: ignore[misc]
+        for name, settings in schedules.items()
+    }
+
+
 def measure_heyoka(cells: list[Cell], lengths: tuple[int, ...]) -> list[Point]:
     """Heyoka on every cell; empty if it is not installed."""
     if not INSTALLED:
@@ -265,7 +281,9 @@ def z_scores(points: list[Point], cells: list[Cell], tolerance: float) -> Array:
     )
 
 
-def summary(points: list[Point], errors: Array, cells: list[Cell], plan: Plan) -> dict[str, Any]:
+def summary(
+    points: list[Point], errors: Array, cells: list[Cell], plan: Plan, together: dict[str, float]
+) -> dict[str, Any]:
     """The figures of merit."""
     reference = 0.01 if 0.01 in plan.tolerances else plan.tolerances[-1]
     paper = PAPER if PAPER in plan.lengths else plan.lengths[-1]
@@ -297,6 +315,7 @@ def summary(points: list[Point], errors: Array, cells: list[Cell], plan: Plan) -
             if kinds.count(kind)
         }
         general["heyoka_window_ratio"] = sum(window.values()) / ours
+        general["heyoka_window_together_ratio"] = sum(window.values()) / together["adaptive"]
         for kind, seconds in window.items():
             general[f"heyoka_{kind}_ratio"] = seconds / spent[kind]
         per_period = {
@@ -323,6 +342,8 @@ def summary(points: list[Point], errors: Array, cells: list[Cell], plan: Plan) -
         "window_ratio": float(
             np.sum(chosen("fixed", paper, in_window)) / np.sum(chosen("adaptive", reference, in_window))
         ),
+        "window_together_seconds": together,
+        "window_together_ratio": together["fixed"] / together["adaptive"],
         "window_cells": {kind: kinds.count(kind) for kind in spent},
         "window_seconds": spent,
         "chaotic_cells": len(z),
@@ -411,8 +432,10 @@ def main() -> None:
         points += measure_solver(cells, "fixed", length)
     points += measure_heyoka(cells, plan.heyoka_lengths)
     points += measure_scipy(cells, plan.scipy_periods)
+    paper = PAPER if PAPER in plan.lengths else int(plan.lengths[-1])
+    together = measure_together(cells, 0.01, paper)
     errors = true_errors(points, cells)
-    result = summary(points, errors, cells, plan)
+    result = summary(points, errors, cells, plan, together)
     if options.picture:
         draw_picture(options.picture, points, errors, cells, result["curves"])
     if options.json:

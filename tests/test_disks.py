@@ -35,7 +35,8 @@ from distributed import Client
 import atlas
 from atlas import claim, fanout
 from atlas.errors import RunError
-from atlas.store import done_tiles, read_header, read_tile
+from atlas.chunks import read_tile
+from atlas.store import done_tiles, read_header
 from tests.planes import plane_of
 from workers.tile import solve_cells
 

@@ -17,9 +17,10 @@ from atlas import fanout
 from atlas import job as jobs
 from atlas import store as storing
 from atlas.beside import notes_of
+from atlas.chunks import read_tile
 from atlas.errors import RunError
 from atlas.job import Job, RefusedError, StoreFullError, run_job
-from atlas.store import create, done_tiles, read_header, read_tile
+from atlas.store import create, done_tiles, read_header
 from tests.faults import attempts, environment
 from workers import tile as solving
 from workers.results import FAILED, result_variables

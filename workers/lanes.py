@@ -52,6 +52,7 @@ STRIDE = LANES + 8
 """Numbers from one field to the next; a power of two would put all fields of a lane into the same few cache lines."""
 
 RENEWAL = float(REFRESH)
+
 LONGEST_MARCH = 64
 """Steps of one flight after which a lane is left to ``section``."""
 
@@ -62,6 +63,16 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 """What a lane has reached, +-1 being an impact at that stop; LEFT: what ``section`` has to take over."""
 
 # Fields of a lane. The offsets are constants, STRIDE apart, so that the compiler sees that no two overlap.
+#   OMEGA...LAM_1    constants of the signal, stops, impact law and section; forced part there, spread rate, lam_1
+#   T, PHASE, S      time since the section and phase at the flight's start, time in flight; FLOWN: of the last flight
+#   MODE, OWN        what is reached at S; the stop that the flight starts on until its first step is taken
+#   COUNT            evaluations of this flight
+#   FRESH, RENEW     1 where a flight starts, 1 where the bounds are to be computed anew
+#   FORCED...M4      the forced part, the signal with its derivatives and scale of rounding, bounds of its derivatives
+#   DV, DY, RATIO    change of velocity and position at an impact, and its a / v
+#   HITS_UP...COST   impacts per stop, slowest one, evaluations; evaluations of this period
+#   WIDTH, WIDE      log-spread of the frame; 1 where this flight takes it too far for the passes
+#   C_V, CA_V        c.V and cA.V of the tangent vector that is being carried through an impact
 _HEAD = 47
 (OMEGA, SIN_PART, COS_PART, AMPLITUDE, UP, DOWN, R, CA2K, PERIOD, TAU, Y_TAU, V_TAU, RATE, LAM_1,
  T, PHASE, S, FLOWN, MODE, OWN, COUNT, FRESH, RENEW,
@@ -71,6 +82,8 @@ _HEAD = 47
 CONSTANTS = 14
 """Fields that the oscillator sets, the first ones."""
 
+# Fields of a block of a lane: those of Block, c and cA (C, D), k and A k (K, L); its state at the flight's start (H)
+# and at S (G), the flow between them (F).
 _BLOCK = 24
 (ETA, LAM, D, W, INV_W, SLOW, FAST, INV_LAM, C0, C1, D0, D1, K0, K1, L0, L1,
  H0, H1, G0, G1, F11, F12, F21, F22) = (k * STRIDE for k in range(_BLOCK))  # fmt: skip
@@ -204,9 +217,9 @@ def arrival_pass(a, n):
         a[OWN + i] = side if hit else 0.0
         a[FLOWN + i] = s
         a[S + i] = 0.0 if event else s
-        forced, dforced, y_tau, v_tau = a[FORCED + i], a[DFORCED + i], a[Y_TAU + i], a[V_TAU + i]
-        a[FORCED + i] = y_tau if at_section else forced
-        a[DFORCED + i] = v_tau if at_section else dforced
+        y_force, v_force, y_tau, v_tau = a[FORCED + i], a[DFORCED + i], a[Y_TAU + i], a[V_TAU + i]
+        a[FORCED + i] = y_tau if at_section else y_force
+        a[DFORCED + i] = v_tau if at_section else v_force
         before_flight = a[WIDTH + i]
         width = before_flight + s * a[RATE + i]
         jump = impact_spread(ratio, a[LAM_1 + i])
