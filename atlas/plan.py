@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from atlas.coarsen import overview_bytes
 from atlas.errors import InputError
 from atlas.spec import Slices, Spec
@@ -20,6 +22,7 @@ DEFAULT_TILE = 64
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
 PROBE_CELLS = 16
+PROBED_TOGETHER = 8
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
 
@@ -138,27 +141,36 @@ def default_workers() -> int:
 
 
 def probe(spec: Spec, cells: int = PROBE_CELLS, seconds: float = 1.5) -> Probe:
-    """Mean time of a cell, from some that lie spread over the plane; stops at the first to end past ``seconds``."""
+    """Mean time of a cell, from some that lie spread over the plane; begins no more of them after ``seconds``."""
     from workers.tile import solve_cells
 
-    total = math.prod(spec.shape)
+    count = min(cells, math.prod(spec.shape))
     begin = time.perf_counter()
     solved = 0
-    for solved in range(1, min(cells, total) + 1):
-        solve_cells(spec.system, spec.cell_params(_spread(spec.shape, solved)), spec.settings)
-        if time.perf_counter() - begin > seconds:
-            break
+    while solved < count and time.perf_counter() - begin < seconds:
+        further = min(PROBED_TOGETHER, count - solved)
+        solve_cells(spec.system, _some_cells(spec, solved, further), spec.settings)
+        solved += further
     return Probe(solved, (time.perf_counter() - begin) / solved)
 
 
 def warm_up(spec: Spec) -> None:
-    """Compile the kernels, into the cache on disk that other processes read, by solving a few cells in brief."""
+    """Compile the kernels, into the cache on disk that other processes read, by solving a few cells in brief.
+
+    One alone and many side by side: they do not take the same kernels, nor do all kinds of motion.
+    """
     from workers.tile import solve_cells
 
     s = spec.settings
     brief: Settings = replace(s, max_periods=min(s.max_periods, 1000), transient_periods=0, periods=1)
-    for k in range(1, PROBE_CELLS + 1):  # one kind of motion alone does not need every kernel
-        solve_cells(spec.system, spec.cell_params(_spread(spec.shape, k)), brief)
+    for first, count in ((0, 1), (0, PROBE_CELLS)):
+        solve_cells(spec.system, _some_cells(spec, first, count), brief)
+
+
+def _some_cells(spec: Spec, first: int, count: int) -> dict[str, np.ndarray]:
+    """Parameters of so many cells spread over the plane, from the first-th on, as arrays (count,)."""
+    cells = [spec.cell_params(_spread(spec.shape, first + k + 1)) for k in range(count)]
+    return {name: np.array([np.ravel(cell[name])[0] for cell in cells]) for name in cells[0]}
 
 
 def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
