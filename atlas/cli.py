@@ -23,6 +23,7 @@ from workers.system import SYSTEMS
 if TYPE_CHECKING:
     from atlas.cluster import Tls
     from atlas.retry import Retry
+    from atlas.summary import Summary
 
 INTERRUPTED = 130
 CANCEL_SECONDS = 60
@@ -144,13 +145,7 @@ def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, worke
         line = shlex.join(["atlas", "run", spec, "-o", out, *(text for pair in options for text in pair)])
         _say(f"interrupted: finished tiles are kept; go on with\n  {line}")
         ctx.exit(INTERRUPTED)
-    click.echo(str(summary))
-    for worker, reason in summary.refused.items():
-        _say(f"worker {worker} did no tile: {reason}")
-    for failure in summary.failures:
-        _say(f"tile {failure.index} failed: {failure.message}")
-    if summary.failures:
-        ctx.exit(1)
+    _tell_end(ctx, summary)
 
 
 @cli.command()
@@ -223,11 +218,7 @@ def extend(
     except KeyboardInterrupt:
         _say("interrupted: finished tiles are kept; the same line goes on")
         ctx.exit(INTERRUPTED)
-    click.echo(str(summary))
-    for failure in summary.failures:
-        _say(f"tile {failure.index} failed: {failure.message}")
-    if summary.failures:
-        ctx.exit(1)
+    _tell_end(ctx, summary)
 
 
 @cli.command()
@@ -497,6 +488,17 @@ def _interruptible() -> Iterator[None]:
     finally:
         for caught, handler in before.items():
             signal.signal(caught, handler)
+
+
+def _tell_end(ctx: click.Context, summary: "Summary") -> None:
+    """Say how a run ended, and exit with 1 where a tile failed."""
+    click.echo(str(summary))
+    for worker, reason in summary.refused.items():
+        _say(f"worker {worker} did no tile: {reason}")
+    for failure in summary.failures:
+        _say(f"tile {failure.index} failed: {failure.message}")
+    if summary.failures:
+        ctx.exit(1)
 
 
 def _say(text: str) -> None:

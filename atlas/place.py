@@ -152,8 +152,8 @@ class LocalPlace:
 
 
 @dataclass(frozen=True)
-class ObjectPlace:
-    """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...)."""
+class _Remote:
+    """A place named by a URL, which is no folder of this machine."""
 
     url: str
 
@@ -163,6 +163,11 @@ class ObjectPlace:
     @property
     def local(self) -> None:
         """See Place."""
+
+
+@dataclass(frozen=True)
+class ObjectPlace(_Remote):
+    """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...)."""
 
     @cached_property
     def client(self) -> "ObjectStore":
@@ -265,17 +270,8 @@ class ObjectPlace:
 
 
 @dataclass(frozen=True)
-class FsspecPlace:
+class FsspecPlace(_Remote):
     """A root of any file system that fsspec knows; its options come from fsspec's own configuration files."""
-
-    url: str
-
-    def __str__(self) -> str:
-        return self.url
-
-    @property
-    def local(self) -> None:
-        """See Place."""
 
     @cached_property
     def _opened(self) -> tuple[Any, str]:

@@ -15,6 +15,7 @@ from distributed import Client
 import atlas
 from atlas.cli import cli
 from atlas.output import to_json
+from tests.faults import ATLAS
 
 ROOT = Path(__file__).parent.parent
 
@@ -304,8 +305,7 @@ def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> No
     kept = {path: path.stat().st_mtime_ns for path in chunks.rglob("*") if path.name.isdigit() and path.is_file()}
     assert 3 <= len(kept) < 12
 
-    entry = "import sys; from atlas.cli import cli; cli(sys.argv[1:])"
-    second = subprocess.run([sys.executable, "-c", entry, *args], timeout=300, check=False, **options)
+    second = subprocess.run([*ATLAS, *args], timeout=300, check=False, **options)
     assert second.returncode == 0
     assert f"going on: {len(kept)} of 12 tiles are done" in second.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == kept

@@ -3,7 +3,6 @@
 import errno
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from atlas.chunks import read_tile
 from atlas.errors import RunError
 from atlas.job import Job, RefusedError, StoreFullError, run_job
 from atlas.store import create, done_tiles, read_header
-from tests.faults import attempts, environment
+from tests.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import FAILED, result_variables
 from workers.tile import solve_cells
@@ -40,7 +39,6 @@ tolerance = 0.1
 [store]
 tile = [2, 2]
 """
-ATLAS = [sys.executable, "-c", "import sys; from atlas.cli import cli; cli(sys.argv[1:])"]
 
 
 @dataclass

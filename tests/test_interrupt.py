@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.faults import ROOT
+from tests.faults import ATLAS, ROOT
 
 SPEC = """
 system = "two-mass"
@@ -58,9 +58,8 @@ def test_ctrl_c_twice_leaves_at_once_and_the_next_run_goes_on(tmp_path: Path) ->
     assert "Traceback" not in struck.stderr
     claim = tmp_path / ".out.zarr.run" / "claim"
     assert claim.exists()  # nobody was left to take it back
-    code = "import sys; from atlas.cli import cli; cli(sys.argv[1:])"
     again = subprocess.run(
-        [sys.executable, "-c", code, "run", "spec.toml", "-o", "out.zarr", "--workers", "1"],
+        [*ATLAS, "run", "spec.toml", "-o", "out.zarr", "--workers", "1"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,

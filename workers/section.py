@@ -52,6 +52,9 @@ WORK_OF_A_TRIAL = 1_000_000
 OVERDRAFT = 1_000_000
 """Evaluations by which a period may exceed what is left, so that motions can end at a section."""
 
+NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""In place of an evaluation where a flight ends at no stop."""
+
 MAX_SPREAD = 5.0
 """Log-spread at which the frame is made orthonormal again: keeps 12 digits of the most contracted direction."""
 
@@ -285,7 +288,7 @@ def travel(osc, motion, duration):
             osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
         spend(tally, evaluations)
-        arrived = evaluate(osc.gap, h, s, phase, 0.0)
+        arrived = evaluate(osc.gap, h, s, phase, 0.0) if abs(side) == 1 else NOWHERE
         if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:

@@ -2,10 +2,14 @@
 
 import json
 import os
+import sys
 from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent.parent
+
+ATLAS = [sys.executable, "-c", "import sys; from atlas.cli import cli; cli(sys.argv[1:])"]
+"""The command, in a process of its own."""
 
 
 def environment(folder: Path, script: dict[str, list[str]]) -> dict[str, str]:
