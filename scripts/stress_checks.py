@@ -105,7 +105,7 @@ def _flights(found: Findings, number: int, params: Params, osc: Oscillator, star
     flights: list[_Flight] = []
     section = motion_from(osc, start)
     for _ in range(3):
-        motion = motion_at(osc, section.h, int(section.contact[0]), record=FLIGHTS + 1)
+        motion = motion_at(section.h, int(section.contact[0]), record=FLIGHTS + 1)
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             break
@@ -113,7 +113,7 @@ def _flights(found: Findings, number: int, params: Params, osc: Oscillator, star
         held = abs(int(section.contact[0])) == 1
         rows = motion.impacts[: int(motion.tally[RECORDED])].copy()
         for time, side, speed in rows:
-            there = motion_at(osc, section.h, int(section.contact[0]))
+            there = motion_at(section.h, int(section.contact[0]))
             travel(osc, there, float(time))
             beyond = side * _gap(osc, there.h, float(time)) - osc.b_upper
             found.checked["impact positions"] += 1
@@ -141,7 +141,7 @@ def _flights(found: Findings, number: int, params: Params, osc: Oscillator, star
 def _stuck_until(osc: Oscillator, section: Motion, t: float) -> float:
     if t == 0.0:
         return 0.0
-    there = motion_at(osc, section.h, int(section.contact[0]))
+    there = motion_at(section.h, int(section.contact[0]))
     travel(osc, there, t)
     return float(there.tally[STUCK])
 
@@ -175,15 +175,15 @@ def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator
     states, norms, scales = [], [], []
     partial: list[Array] = []
     for _ in range(periods):
-        mapped = map_with_jacobian(osc, motion.h, int(motion.contact[0]), 1, False)
+        _, jacobian = map_with_jacobian(osc, motion.h, int(motion.contact[0]), 1, False)
         scale = float(np.linalg.norm(motion.h * weights)) + forced
         advance(osc, motion)
-        if mapped is None or motion.tally[STATUS] != RUNNING:
+        if motion.tally[STATUS] != RUNNING:
             break
         hops = 25.0 / max(-math.log(osc.R), 1e-6) if motion.tally[STUCK] > 0.0 and osc.R > 0.0 else 0.0
         if motion.tally[UPPER] + motion.tally[LOWER] + hops > ORBIT_IMPACTS:
             break
-        J = weights.reshape(-1, 1) * mapped[1] / weights.reshape(1, -1)
+        J = weights.reshape(-1, 1) * jacobian / weights.reshape(1, -1)
         partial = [J @ earlier for earlier in [*partial, np.eye(len(J))]]
         norms.append(max(1.0, *(float(np.linalg.norm(one, 2)) for one in partial)))
         scales.append(scale)

@@ -16,7 +16,7 @@ import pytest
 from workers.orbits import Fixed, newton
 from workers.oscillator import Oscillator
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
-from workers.section import blocks_to_physical, motion_at, motion_from
+from workers.section import FREE, blocks_to_physical, motion_at, motion_from
 from workers.solve import scale_of
 from workers.system import TWO_MASS
 from workers.tile import solve_tile
@@ -71,8 +71,9 @@ def oscillator(omega: float) -> Oscillator:
 def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> Fixed | None:
     """The orbit at omega, stable or not, by Newton's method from a block state; None where there is none."""
     osc = oscillator(omega)
-    motion = motion_at(osc, h)
-    return newton(osc, motion, bifurcation.steps, bifurcation.half, scale_of(osc, motion), 20)[0]
+    scale = scale_of(osc, motion_at(h))
+    found, _ = newton(osc, h, FREE, bifurcation.steps, bifurcation.half, scale, 20)
+    return found if math.isfinite(found.residual) else None
 
 
 def multiplier(orbit: Fixed) -> complex:
@@ -148,7 +149,7 @@ def beside(bifurcation: Bifurcation, distance: float) -> dict[str, float]:
     omega = bifurcation.omega + distance
     near = orbit_near(bifurcation, omega, orbit.h)
     osc = oscillator(omega)
-    state = blocks_to_physical(osc, motion_at(osc, (near or orbit).h))
+    state = blocks_to_physical(osc, motion_at((near or orbit).h))
     return {"omega": omega} | dict(zip(("x1", "x2", "v1", "v2"), (state * 1.001).tolist(), strict=True))
 
 

@@ -25,7 +25,8 @@ def test_the_energy_product_is_that_of_undamped_flight() -> None:
             s = np.sqrt(lam)
             out[j] = np.array([[np.cos(s * t), np.sin(s * t) / s], [-s * np.sin(s * t), np.cos(s * t)]]) @ z[j]
         moved.append(out)
-    assert inner(LAM, *moved) == pytest.approx(inner(LAM, u, w), rel=1e-13)
+    before, after = np.array([u, w]), np.array(moved)
+    assert inner(LAM, after, 0, after, 1) == pytest.approx(inner(LAM, before, 0, before, 1), rel=1e-13)
 
 
 def test_a_frame_is_orthonormal_with_the_growth_of_a_qr_factorisation() -> None:

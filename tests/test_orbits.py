@@ -173,7 +173,7 @@ def sliced_exponents(params: dict[str, float], slices: int) -> np.ndarray:
     osc, start = naive.two_mass(**params)
     motion = motion_from(osc, start)
     run(osc, motion, 0, 50, np.empty((0, 2, 2)))
-    motion = motion_at(osc, motion.h, int(motion.contact[0]), vectors=4)
+    motion = motion_at(motion.h, int(motion.contact[0]), vectors=4)
     for _ in range(3):
         motion.growth[np.isfinite(motion.growth)] = 0.0
         for k in range(slices):

@@ -47,10 +47,9 @@ def physical(osc: Oscillator) -> np.ndarray:
 def jacobian(osc: Oscillator, state: np.ndarray, periods: int, half: bool = False) -> np.ndarray:
     """d(physical state after so many steps) / d(physical state)."""
     start = motion_from(osc, state)
-    mapped = map_with_jacobian(osc, start.h, int(start.contact[0]), periods, half)
-    assert mapped is not None
+    _, J = map_with_jacobian(osc, start.h, int(start.contact[0]), periods, half)
     P = physical(osc)
-    return P @ mapped[1] @ np.linalg.inv(P)
+    return P @ J @ np.linalg.inv(P)
 
 
 def differences(osc: Oscillator, state: np.ndarray, periods: int, width: float) -> np.ndarray:

@@ -88,11 +88,29 @@ def flow_with_tangent(signal, s, h, V):
 
 
 @kernel
+def rates(signal):
+    """The blocks' damping and stiffness as rows (n, 2) of an array: eta, lam."""
+    found = np.empty((len(signal.eta), 2))
+    for j in range(len(signal.eta)):
+        found[j, 0], found[j, 1] = signal.eta[j], signal.lam[j]
+    return found
+
+
+@kernel
 def dot(row, h):
     """row . h over all blocks, both (n, 2)."""
     total = 0.0
     for j in range(len(row)):
         total += row[j][0] * h[j, 0] + row[j][1] * h[j, 1]
+    return total
+
+
+@kernel
+def dot_vector(row, V, i):
+    """row . V[i] over all blocks."""
+    total = 0.0
+    for j in range(len(row)):
+        total += row[j][0] * V[i, j, 0] + row[j][1] * V[i, j, 1]
     return total
 
 
@@ -305,7 +323,8 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
             return H, 0, count
         s = s + step if s + step > s else np.nextafter(s, np.inf)
         if count % REFRESH == 0:
-            scratch[:] = h
+            for j in range(h.shape[0]):
+                scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]
             flow(signal, s, scratch)
             M0, _, M2, M3, M4 = derivative_bounds(signal, scratch)
     return s, 2, MAX_EVALUATIONS

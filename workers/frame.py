@@ -8,11 +8,11 @@ from workers.jit import kernel
 
 
 @kernel
-def inner(lam, u, w):
-    """The energy product sum_j lam_j u_j w_j + u_j' w_j' of two tangent vectors (n, 2): undamped flight keeps it."""
+def inner(lam, V, i, W, k):
+    """The energy product sum_j lam_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k]: undamped flight keeps it."""
     total = 0.0
     for j in range(len(lam)):
-        total += lam[j] * u[j, 0] * w[j, 0] + u[j, 1] * w[j, 1]
+        total += lam[j] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
     return total
 
 
@@ -24,38 +24,49 @@ def orthonormalise(lam, V, growth, triangle, rank):
     lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
     rows divided by exp(growth): it stays in range where the product itself would not.
     """
-    for i in range(min(rank, V.shape[0])):
-        norm = math.sqrt(inner(lam, V[i], V[i]))
+    m = V.shape[0]
+    for i in range(min(rank, m)):
+        norm = math.sqrt(inner(lam, V, i, V, i))
         for j in range(len(lam)):
             V[i, j, 0] /= norm
             V[i, j, 1] /= norm
-        for k in range(i + 1, V.shape[0]):
-            overlap = inner(lam, V[i], V[k])
+        for k in range(i + 1, m):
+            overlap = inner(lam, V, i, V, k)
             for j in range(len(lam)):
                 V[k, j, 0] -= overlap * V[i, j, 0]
                 V[k, j, 1] -= overlap * V[i, j, 1]
-            if triangle.shape[0] > 0 and overlap != 0.0:  # exp(...) may be infinite between blocks that never couple
-                triangle[i, k:] += overlap / norm * math.exp(growth[k] - growth[i]) * triangle[k, k:]
+            if triangle.shape[0] > 0:
+                add_row(triangle, growth, i, k, overlap / norm)
         growth[i] += math.log(norm)
-    for i in range(rank, V.shape[0]):
-        V[i] = 0.0
+    for i in range(rank, m):
+        for j in range(len(lam)):
+            V[i, j, 0] = V[i, j, 1] = 0.0
         growth[i] = -np.inf
 
 
 @kernel
-def graded_flow(etas, lams, s, V, growth, triangle, rank):
-    """Move the tangent vectors V (m, n, 2) of blocks (eta, lam) on by s, however far, as V exp(growth) triangle.
+def add_row(triangle, growth, i, k, factor):
+    """Take into the triangle that vector k had this multiple of vector i taken off, of which exp(growth) was in it."""
+    if factor != 0.0:  # exp(...) may be infinite between blocks that never couple
+        factor *= math.exp(growth[k] - growth[i])
+        for c in range(k, triangle.shape[1]):
+            triangle[i, c] += factor * triangle[k, c]
+
+
+@kernel
+def graded_flow(blocks, s, V, growth, triangle, rank):
+    """Move the tangent vectors V (m, n, 2) on by s, however far, as V exp(growth) triangle; rows of blocks: eta, lam...
 
     In coordinates of one decay rate each a flight is X -> D X, D = diag(exp(-rate s)) times a rotation. Gaussian
     elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
     growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
     """
-    n, m = len(etas), V.shape[0]
+    n, m = len(blocks), V.shape[0]
     X = np.empty((2 * n, m))
     back = np.zeros((2 * n, 2))
     decay = np.empty(2 * n)
     for j in range(n):
-        eta, lam = etas[j], lams[j]
+        eta, lam = blocks[j, 0], blocks[j, 1]
         w2 = eta * eta - lam
         w = math.sqrt(max(w2, 0.0))
         if w * s > 1.0:
@@ -93,7 +104,7 @@ def graded_flow(etas, lams, s, V, growth, triangle, rank):
         pivot, best = -1, -np.inf
         for i in range(2 * n):
             if not used[i] and X[i, k] != 0.0:
-                norm = math.sqrt(lams[i // 2] * back[i, 0] ** 2 + back[i, 1] ** 2)
+                norm = math.sqrt(blocks[i // 2, 1] * back[i, 0] ** 2 + back[i, 1] ** 2)
                 size = math.log(abs(X[i, k]) * norm) - decay[i]
                 if size > best:
                     pivot, best = i, size
@@ -112,6 +123,6 @@ def graded_flow(etas, lams, s, V, growth, triangle, rank):
             for i in range(2 * n):
                 if not used[i]:
                     X[i, later] -= f * X[i, k]
-            if triangle.shape[0] > 0 and f != 0.0:
-                triangle[k, later:] += f * math.exp(growth[later] - growth[k]) * triangle[later, later:]
+            if triangle.shape[0] > 0:
+                add_row(triangle, growth, k, later, f)
         growth[k] += gain

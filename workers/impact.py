@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from workers.flight import derivative_bounds, dot, flow, flow_with_tangent, next_crossing
+from workers.flight import derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing, rates
 from workers.frame import graded_flow
-from workers.jit import inlined, kernel
+from workers.jit import inlined, kernel, piece
 
 REBOUND, REST, LEAVE = range(3)
 """What an impact leads to: a rebound; rest on the stop; v = 0 with the load pulling away (R = 0)."""
@@ -54,7 +54,7 @@ def outcome(osc, h, side, v, a, scale, remaining):
     return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
 
 
-@kernel
+@piece
 def kick(osc, h, dv):
     """Change the velocity of the gap coordinate by dv: z + dv k, in place."""
     for j in range(len(osc.kick)):
@@ -62,7 +62,7 @@ def kick(osc, h, dv):
         h[j, 1] += dv * osc.kick[j][1]
 
 
-@kernel
+@piece
 def shift(osc, h, dy):
     """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
     for j in range(len(osc.kick1)):
@@ -78,8 +78,8 @@ def saltation(row, row1, kick, kick1, R, V, ratio):
     """
     q = 1.0 + R
     for i in range(V.shape[0]):
-        dy = dot(row, V[i])
-        dv = dot(row1, V[i])
+        dy = dot_vector(row, V, i)
+        dv = dot_vector(row1, V, i)
         along_k = -q * (dv - ratio * dy)
         along_Ak = -q * dy
         for j in range(len(kick)):
@@ -87,22 +87,22 @@ def saltation(row, row1, kick, kick1, R, V, ratio):
             V[i, j, 1] += along_k * kick[j][1] + along_Ak * kick1[j][1]
 
 
-@kernel
+@piece
 def rest_projection(osc, V):
     """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
 
     P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
     """
     for i in range(V.shape[0]):
-        dy = dot(osc.gap.row, V[i])
-        dv = dot(osc.gap.row1, V[i])
+        dy = dot_vector(osc.gap.row, V, i)
+        dv = dot_vector(osc.gap.row1, V, i)
         along_k = -(dv - osc.cA2k * dy)
         for j in range(len(osc.kick)):
             V[i, j, 0] += along_k * osc.kick[j][0] - dy * osc.kick1[j][0]
             V[i, j, 1] += along_k * osc.kick[j][1] - dy * osc.kick1[j][1]
 
 
-@kernel
+@piece
 def stop_position(osc, side):
     """Where the stop is: +b_upper or -b_lower."""
     return osc.b_upper if side > 0 else -osc.b_lower
@@ -140,7 +140,7 @@ def from_held(osc, u, phase, side, h):
         h[j, 0] += osc.kick[j][1] * y
 
 
-@kernel
+@piece
 def tangent_to_held(osc, V, U):
     """Write the held part U (m, n - 1, 2) of tangent vectors V (m, n, 2) with c.V = cA.V = 0."""
     for m in range(V.shape[0]):
@@ -151,7 +151,7 @@ def tangent_to_held(osc, V, U):
                     U[m, i, k] += osc.held.down[i][j] * V[m, j, k]
 
 
-@kernel
+@piece
 def tangent_from_held(osc, U, V):
     """Write the free tangent vectors V (m, n, 2) of held ones U (m, n - 1, 2)."""
     for m in range(V.shape[0]):
@@ -187,7 +187,7 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, 0, 0, H, scratch)
     if growth.shape[0] > 0:
         flow(release, s, u)
-        graded_flow(release.eta, release.lam, s, U, growth, triangle, 2 * n)
+        graded_flow(rates(release), s, U, growth, triangle, 2 * n)
     else:
         flow_with_tangent(release, s, u, U)
     from_held(osc, u, phase + release.omega * s, side, h)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from numba import config, njit
 
-__all__ = ["inlined", "kernel"]
+__all__ = ["inlined", "kernel", "piece"]
 
 
 def _source_hash() -> str:
@@ -52,3 +52,6 @@ kernel = njit(nogil=True, error_model="numpy", cache=_prepare_cache())
 
 inlined = njit(nogil=True, error_model="numpy", forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
+
+piece = njit(nogil=True, error_model="numpy", inline="always")
+"""Decorator of parts of one kernel: compiled with their caller, since a kernel compiles all that it calls once more."""

@@ -379,7 +379,7 @@ def carry_wide_frame(a, i, block, frame, growth, no_triangle, rank):
     """What the vector passes leave out: a flight that spreads the frame too far, and a frame that is too far spread."""
     lam = block[:, 1]
     if a[WIDE + i] > 0.0:
-        graded_flow(block[:, 0], lam, a[FLOWN + i], frame, growth, no_triangle, rank)
+        graded_flow(block, a[FLOWN + i], frame, growth, no_triangle, rank)
         orthonormalise(lam, frame, growth, no_triangle, rank)
         a[WIDTH + i] = 0.0
         if a[OWN + i] != 0.0:
@@ -432,12 +432,22 @@ def keep_section(h, r, k, periods, sections):
 
 
 @kernel
+def keep_frame(frame, growths, i, V, growth, r):
+    """Write the tangent vectors of lane i and their growth back to request r."""
+    for k in range(frame.shape[0]):
+        growth[r, k] = growths[i, k]
+        for j in range(frame.shape[1]):
+            V[r, k, j, 0], V[r, k, j, 1] = frame[k, j, 0], frame[k, j, 1]
+
+
+@kernel
 def move_lane(a, source, target, frames, growths):
     """Copy a lane."""
     for fields in (a, frames):
         for f in range(len(fields) // STRIDE):
             fields[f * STRIDE + target] = fields[f * STRIDE + source]
-    growths[target] = growths[source]
+    for k in range(growths.shape[1]):
+        growths[target, k] = growths[source, k]
 
 
 @kernel
@@ -450,13 +460,14 @@ def run_lanes(batch):
     frames, growths = np.zeros(m * n * 2 * STRIDE), np.zeros((LANES, m))
     frame, no_triangle = np.zeros((m, n, 2)), np.zeros((0, 0))
     weighted[:] = 0.0
-    active, queued = 0, 0
+    active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     while True:
         while active < LANES and queued < N:
             load(a, active, queued, head, blocks, h, tally)
             if m > 0:
                 write_frame(frames, active, V[queued])
-                growths[active] = growth[queued]
+                for k in range(m):
+                    growths[active, k] = growth[queued, k]
             if m < 2:  # one vector cannot spread
                 a[RATE + active], a[LAM_1 + active] = 0.0, np.inf
             active, queued = active + 1, queued + 1
@@ -477,8 +488,7 @@ def run_lanes(batch):
                 flow_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), j == 0, active)
             for j in range(n):
                 saltate_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), active)
-        i = 0
-        while i < active:
+        for i in range(active - 1, -1, -1):  # from the last one: what moves into a place that falls free is done with
             ended = a[MODE + i] == LEFT
             at_section = a[MODE + i] == AT_SECTION
             r = int(a[REQUEST + i])
@@ -494,8 +504,7 @@ def run_lanes(batch):
                     write_frame(frames, i, frame)
                     a[WIDTH + i] = 0.0
                     add_growth(levels[r], weighted[r], growths[i, 0] - growth[r, 0], k, periods[r])
-                    V[r] = frame
-                    growth[r] = growths[i]
+                    keep_frame(frame, growths, i, V, growth, r)
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
@@ -503,5 +512,3 @@ def run_lanes(batch):
             if ended:
                 active -= 1
                 move_lane(a, active, i, frames, growths)
-            else:
-                i += 1

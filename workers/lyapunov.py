@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.jit import kernel
 from workers.oscillator import Oscillator
-from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, reset_frame
+from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, copy_state, reset_frame
 
 LEVELS = 40
 COUNT, MEAN, SQUARES, PENDING = range(4)
@@ -101,7 +101,7 @@ def average(osc, motion, done, periods, averages, sections):
         if motion.growth.shape[0] > 0:
             add_growth(averages.levels, averages.weighted, motion.growth[0] - before, k, periods)
         if k >= first:
-            sections[k - first] = motion.h
+            copy_state(motion.h, sections, k - first)
         if motion.tally[WORK] < 0.0:
             return k + 1
     return periods

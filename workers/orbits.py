@@ -10,17 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.jit import kernel
+from workers.frame import inner
+from workers.jit import kernel, piece
 from workers.oscillator import Oscillator
 from workers.section import (
     LOST,
     RUNNING,
     STATUS,
     Motion,
-    advance,
-    half_advance,
-    motion_at,
+    axes,
+    mirror,
+    motion_with,
     reset_frame,
+    travel,
 )
 
 Array = NDArray[np.float64]
@@ -72,46 +74,6 @@ class Orbit(NamedTuple):
         return self.half and self.steps % 2 == 1
 
 
-@kernel
-def step_many(osc, motion, steps, half):
-    """Take so many steps of the map, half periods or whole ones; returns the steps completed."""
-    for k in range(steps):
-        if half:
-            half_advance(osc, motion)
-        else:
-            advance(osc, motion)
-        if motion.tally[STATUS] != RUNNING:
-            return k
-    return steps
-
-
-def energy_norm(osc: Oscillator, h: Array) -> float:
-    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
-    return float(np.linalg.norm(_weights(osc) * h))
-
-
-def _weights(osc: Oscillator) -> Array:
-    """What block states (n, 2) are multiplied with for the energy norm."""
-    return np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
-
-
-def framed_motion(osc: Oscillator, h: Array, contact: int, frame: Array) -> Motion:
-    """A motion from h with tangent vectors frame (m, n, 2) that also collects the triangle of its growth."""
-    motion = motion_at(osc, h, contact)
-    m = len(frame)
-    return motion._replace(V=frame.copy(), growth=np.zeros(m), triangle=np.eye(m))
-
-
-def map_with_jacobian(osc: Oscillator, h: Array, contact: int, steps: int, half: bool) -> tuple[Motion, Array] | None:
-    """The motion after so many steps from h, and the Jacobian (2n, 2n) of the map; None if it cannot get there."""
-    size = h.size
-    motion = motion_at(osc, h, contact, vectors=size)._replace(growth=np.zeros(0))  # carried along as they are
-    if step_many(osc, motion, steps, half) < steps:
-        return None
-    J = motion.V.reshape(size, size).T.copy()
-    return (motion, J) if np.all(np.isfinite(J)) else None
-
-
 class Fixed(NamedTuple):
     """A fixed point of so many steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
 
@@ -122,84 +84,290 @@ class Fixed(NamedTuple):
     residual: float
 
 
-def newton(osc: Oscillator, start: Motion, steps: int, half: bool, scale: float, most: int) -> tuple[Fixed | None, int]:
-    """The fixed point of the map near a motion, to rounding, or None where Newton finds none; and the steps it took.
+@kernel
+def image(osc, h, contact, V, growth, triangle, steps, half):
+    """The motion that so many steps of the map, half periods or whole ones, make of block state h; see motion_with.
 
-    h <- h - (J - I)^-1 (F(h) - h), at most so many times, until the residual stops falling; it must end
-    below 1e-10 of ``scale``.
+    Not RUNNING where it cannot get there.
     """
-    h, contact = start.h.copy(), int(start.contact[0])
-    best: Fixed | None = None
+    motion = motion_with(h, contact, V, growth, triangle)
+    for _ in range(steps):
+        travel(osc, motion, 0.5 * osc.period if half else osc.period)
+        if half:
+            mirror(motion)
+        if motion.tally[STATUS] != RUNNING:
+            break
+    return motion
+
+
+@kernel
+def energy_norm(lam, h):
+    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
+    total = 0.0
+    for j in range(len(lam)):
+        total += lam[j] * h[j, 0] ** 2 + h[j, 1] ** 2
+    return math.sqrt(total)
+
+
+@kernel
+def separation(lam, h, g):
+    """The energy norm of the difference of two block states (n, 2)."""
+    total = 0.0
+    for j in range(len(lam)):
+        total += lam[j] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
+    return math.sqrt(total)
+
+
+@kernel
+def nonlinear_part(lam, h, image, point):
+    """|F(h) - h* - J (h - h*)| in the energy norm: what the linear map at a fixed point does not explain."""
+    J = point.jacobian
+    total = 0.0
+    for row in range(len(J)):
+        rest = image[row // 2, row % 2] - point.h[row // 2, row % 2]
+        for k in range(len(J)):
+            rest -= J[row, k] * (h[k // 2, k % 2] - point.h[k // 2, k % 2])
+        total += rest * rest * (lam[row // 2] if row % 2 == 0 else 1.0)
+    return math.sqrt(total)
+
+
+@kernel
+def corrected(h, image, J):
+    """One step of Newton's method, h - (J - I)^-1 (F(h) - h); NaN where the matrix is singular."""
+    size = len(J)
+    matrix, right = J.copy(), np.empty(size)
+    for k in range(size):
+        matrix[k, k] -= 1.0
+        right[k] = image[k // 2, k % 2] - h[k // 2, k % 2]
+    try:
+        change = np.linalg.solve(matrix, right)
+    except Exception:  # a kernel can catch no other
+        change = np.full(size, np.nan)
+    better = np.empty(h.shape)
+    for k in range(size):
+        better[k // 2, k % 2] = h[k // 2, k % 2] - change[k]
+    return better
+
+
+@kernel
+def moduli(matrix):
+    """|eigenvalues| of a real matrix; infinity where it is not finite."""
+    try:
+        return np.abs(np.linalg.eigvals(matrix.astype(np.complex128)))
+    except Exception:  # a kernel can catch no other
+        return np.full(len(matrix), np.inf)
+
+
+@kernel
+def spectral_radius(matrix):
+    """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
+    return np.max(moduli(matrix))
+
+
+@piece
+def bare_image(osc, h, contact, steps, half):
+    """The image of h alone, without tangent vectors."""
+    return image(osc, h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
+
+
+@kernel
+def jacobian_of(V):
+    """The Jacobian (2n, 2n) that has tangent vectors V (2n, n, 2) for columns."""
+    size = V.shape[0]
+    J = np.empty((size, size))
+    for i in range(size):
+        for j in range(V.shape[1]):
+            J[2 * j, i], J[2 * j + 1, i] = V[i, j, 0], V[i, j, 1]
+    return J
+
+
+@piece
+def map_with_jacobian(osc, h, contact, steps, half):
+    """The motion that so many steps of the map make of h, and the Jacobian (2n, 2n) of the map there."""
+    motion = image(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
+    return motion, jacobian_of(motion.V)
+
+
+@piece
+def newton_steps(osc, start, contact, steps, half, scale, most):
+    """See newton."""
+    h = start.copy()
+    lam = osc.gap.lam
+    size = h.size
+    best = Fixed(h, h, contact, np.zeros((size, size)), np.inf)
     spent = 0
     while spent < most:
         spent += 1
-        mapped = map_with_jacobian(osc, h, contact, steps, half)
-        if mapped is None or mapped[0].contact[0] != contact:
-            break
-        motion, J = mapped
-        difference = motion.h - h
-        residual = energy_norm(osc, difference)
-        if best is not None and residual > 0.5 * best.residual:
+        motion, J = map_with_jacobian(osc, h, contact, steps, half)
+        residual = separation(lam, motion.h, h)
+        arrived = motion.tally[STATUS] == RUNNING and motion.contact[0] == contact
+        if not (arrived and residual <= 0.5 * best.residual):
             break
         best = Fixed(h, motion.h, contact, J, residual)
-        if residual > 0.3 * scale or residual < 1e-15 * scale or _spectral_radius(J) > HOPELESS:
+        if residual > 0.3 * scale or residual < 1e-15 * scale or not spectral_radius(J) < HOPELESS:
             break
-        try:
-            change = np.linalg.solve(J - np.eye(h.size), -difference.ravel())
-        except np.linalg.LinAlgError:
-            break
-        h = h + change.reshape(h.shape)
-    return (best if best is not None and best.residual < 1e-10 * scale else None), spent
+        h = corrected(h, motion.h, J)
+    if best.residual >= 1e-10 * scale:
+        best = Fixed(h, h, contact, np.zeros((size, size)), np.inf)
+    return best, spent
 
 
-def floquet(osc: Oscillator, point: Fixed, steps: int, half: bool, most: int) -> tuple[Array, float, int] | None:
-    """(log moduli of the multipliers per turn, their rounding error, turns), largest first; None without ``most`` > 1.
+@kernel
+def newton(osc, start, contact, steps, half, scale, most):
+    """The fixed point of the map near block state ``start``, to rounding, and the steps of Newton's method it took.
+
+    h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10
+    of ``scale``; the residual is infinite where none is found.
+    """
+    return newton_steps(osc, start, contact, steps, half, scale, most)
+
+
+@kernel
+def overlaps(lam, before, after):
+    """The energy products of the vectors of two frames (m, n, 2): an orthogonal matrix where both span one space."""
+    m = before.shape[0]
+    products = np.empty((m, m))
+    for i in range(m):
+        for k in range(m):
+            products[i, k] = inner(lam, before, i, after, k)
+    return products
+
+
+@kernel
+def block_ends(rotation):
+    """Where the diagonal blocks end into which an orthogonal matrix falls apart."""
+    size = len(rotation)
+    ends = np.empty(size, dtype=np.int64)
+    count = 0
+    for end in range(1, size + 1):
+        coupling = 0.0
+        for i in range(end, size):
+            for k in range(end):
+                coupling = max(coupling, abs(rotation[i, k]))
+        if coupling < SETTLED:
+            ends[count] = end
+            count += 1
+    return ends[:count]
+
+
+@kernel
+def spread_of(logs, ends):
+    """The largest difference of logarithms within one block."""
+    spread, start = 0.0, 0
+    for end in ends:
+        spread = max(spread, np.max(logs[start:end]) - np.min(logs[start:end]))
+        start = end
+    return spread
+
+
+@kernel
+def block_logs(rotation, growth, triangle, ends, size):
+    """ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest modulus of them.
+
+    Scaled so that nothing overflows. Up to ``size`` they are -infinity: directions that are lost.
+    """
+    logs = np.full(size, -np.inf)
+    largest, start = 0.0, 0
+    for end in ends:
+        top = np.max(growth[start:end])
+        product = np.zeros((end - start, end - start))
+        for i in range(start, end):
+            for k in range(start, end):
+                for j in range(start, end):
+                    product[i - start, k - start] += rotation[i, j] * math.exp(growth[j] - top) * triangle[j, k]
+        for modulus in moduli(product):
+            logs[start] = top + math.log(modulus)
+            largest = max(largest, abs(logs[start]))
+            start += 1
+    return logs, largest
+
+
+@piece
+def floquet(osc, point, steps, half, most):
+    """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``most`` < 2.
 
     A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
     kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
     multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity.
     """
-    frame = np.eye(point.h.size).reshape(point.h.size, *point.h.shape)
-    weights = _weights(osc)
+    size = point.h.size
+    frame = axes(point.h.shape[0])
+    logs = np.full(size, -np.inf)
+    rounding = np.inf
+    turns = 0
     for turn in range(1, most + 1):
-        motion = framed_motion(osc, point.h, point.contact, frame)
-        if step_many(osc, motion, steps, half) < steps:
-            return None
+        m = frame.shape[0]
+        motion = image(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
+        if motion.tally[STATUS] != RUNNING:
+            break
         reset_frame(osc, motion)
-        rank = point.h.size - int(motion.tally[LOST])
-        before = (frame * weights).reshape(len(frame), -1)[:rank]
-        after = (motion.V * weights).reshape(len(frame), -1)[:rank]
+        rank = size - int(motion.tally[LOST])
+        rotation = overlaps(osc.gap.lam, frame[:rank], motion.V[:rank])
         frame = motion.V[:rank].copy()
         if turn == 1:
             continue
-        rotation = before @ after.T
-        blocks = _blocks(rotation)
-        logs = motion.growth[:rank]
-        spread = max((float(np.ptp(logs[b])) for b in blocks), default=0.0)
+        ends = block_ends(rotation)
+        spread = spread_of(motion.growth, ends)
         if spread < NARROW or turn == most:
-            moduli = [_block_moduli(rotation[b, b], logs[b], motion.triangle[b, b]) for b in blocks]
-            found = np.sort(np.concatenate([*moduli, np.zeros(0)]))[::-1]
-            lost = np.full(point.h.size - rank, -np.inf)
-            rounding = 1e-15 * (1.0 + float(np.max(np.abs(found), initial=0.0))) * math.exp(min(spread, 700.0))
-            return np.concatenate([found, lost]), rounding, turn
-    return None
+            logs, largest = block_logs(rotation, motion.growth, motion.triangle, ends, size)
+            rounding = 1e-15 * (1.0 + largest) * math.exp(min(spread, 700.0))
+            turns = turn
+            break
+    return logs, rounding, turns
 
 
-def _blocks(rotation: Array) -> list[slice]:
-    """The diagonal blocks into which an orthogonal matrix falls apart."""
-    cuts = [0]
-    for i in range(1, len(rotation)):
-        if np.max(np.abs(rotation[i:, :i])) < SETTLED:
-            cuts.append(i)
-    return [slice(a, b) for a, b in zip(cuts, [*cuts[1:], len(rotation)], strict=True) if b > a]
+@piece
+def closes_earlier(osc, point, steps, half, scale):
+    """Whether fewer steps close the orbit already, or as many under G if these are of P; and the steps taken to see.
+
+    With an odd number of steps under G it is the symmetric orbit, whose turn under G was not accepted.
+    """
+    spent = 0
+    mirrors = not half and steps % 2 == 1 and osc.b_upper == osc.b_lower
+    for fewer in range(1, steps + 1):
+        if steps % fewer == 0 and (fewer < steps or mirrors):
+            trial = bare_image(osc, point.h, point.contact, fewer, half or fewer == steps)
+            spent += fewer
+            if separation(osc.gap.lam, trial.h, point.h) < 1e-6 * scale:
+                return True, spent
+    return False, spent
 
 
-def _block_moduli(rotation: Array, logs: Array, triangle: Array) -> Array:
-    """ln|eigenvalues| of rotation diag(exp(logs)) triangle, scaled so that nothing under- or overflows."""
-    top = float(np.max(logs))
-    product = rotation @ (np.exp(logs - top)[:, None] * triangle)
-    with np.errstate(divide="ignore"):
-        return top + np.log(np.abs(np.linalg.eigvals(product)))
+@kernel
+def find_orbit(osc, h, contact, steps, half, scale, budget):
+    """(found, Orbit with its exponents in any order, steps spent): see settle."""
+    lam = osc.gap.lam
+    turns_left = budget // steps - RESERVED_TURNS
+    point, tried = newton_steps(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
+    spent = tried * steps
+    orbit = Orbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
+    if point.residual == np.inf:
+        return False, orbit, spent
+    radius = spectral_radius(point.jacobian)
+    if radius > 1.001:
+        return False, orbit, spent
+    closed, tried_steps = closes_earlier(osc, point, steps, half, scale)
+    spent += tried_steps
+    if closed:
+        return False, orbit, spent
+    logs, rounding, turns = floquet(osc, point, steps, half, min(CYCLES, turns_left - tried))
+    spent += turns * steps
+    largest = np.max(logs)
+    if turns == 0 or not largest < 0.0:
+        return False, orbit, spent
+    distance = separation(lam, h, point.h)
+    if distance > 1e-9 * scale:
+        trial = bare_image(osc, h, contact, steps, half)
+        spent += steps
+        if not nonlinear_part(lam, h, trial.h, point) < 0.5 * -math.expm1(largest) * distance:
+            return False, orbit, spent
+    again, J = map_with_jacobian(osc, point.image, contact, steps, half)
+    spent += steps
+    if again.tally[STATUS] == RUNNING:
+        rounding = max(rounding, 4.0 * abs(spectral_radius(J) / max(radius, 1e-300) - 1.0))
+    periods = 0.5 * steps if half else 1.0 * steps
+    orbit = Orbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
+    return largest < -rounding, orbit, spent  # else too near a bifurcation for these digits to tell
 
 
 def settle(
@@ -212,58 +380,15 @@ def settle(
     one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
     At most ``budget`` steps are spent.
     """
-    turns_left = budget // steps - RESERVED_TURNS
-    if turns_left < 1:
+    if budget // steps <= RESERVED_TURNS:
         return None, 0
-    point, tried = newton(osc, motion, steps, half, scale, min(NEWTON_STEPS, turns_left))
-    turns_left -= tried
-    spent = tried * steps
-    if point is None:
-        return None, spent
-    if _spectral_radius(point.jacobian) > 1.001:
-        return None, spent
-    for divisor in range(1, steps):
-        if steps % divisor == 0:
-            trial = motion_at(osc, point.h, point.contact)
-            step_many(osc, trial, divisor, half)
-            spent += divisor
-            if energy_norm(osc, trial.h - point.h) < 1e-6 * scale:
-                return None, spent
-    if not half and steps % 2 and osc.b_upper == osc.b_lower:
-        trial = motion_at(osc, point.h, point.contact)
-        step_many(osc, trial, steps, True)
-        spent += steps
-        if energy_norm(osc, trial.h - point.h) < 1e-6 * scale:
-            return None, spent  # the symmetric orbit, whose turn under G was not accepted
-    multipliers = floquet(osc, point, steps, half, min(CYCLES, turns_left))
-    if multipliers is None:
-        return None, spent
-    logs, rounding, turns = multipliers
-    spent += turns * steps
-    if not logs[0] < 0.0:
-        return None, spent
-    away = motion.h - point.h
-    distance = energy_norm(osc, away)
-    if distance > 1e-9 * scale:
-        trial = motion_at(osc, motion.h, int(motion.contact[0]))
-        step_many(osc, trial, steps, half)
-        spent += steps
-        unexplained = trial.h - point.h - (point.jacobian @ away.ravel()).reshape(away.shape)
-        if not energy_norm(osc, unexplained) < 0.5 * -math.expm1(logs[0]) * distance:
-            return None, spent
-    again = map_with_jacobian(osc, point.image, point.contact, steps, half)
-    spent += steps
-    if again is not None:
-        rounding = max(rounding, 4.0 * abs(_spectral_radius(again[1]) / _spectral_radius(point.jacobian) - 1.0))
-    if not logs[0] < -rounding:  # too near a bifurcation for these digits to tell
-        return None, spent
-    periods = steps / 2 if half else steps
-    orbit = Orbit(point.h, point.contact, steps, half, logs / periods, point.residual, rounding / periods)
-    return orbit, spent
+    found, orbit, spent = find_orbit(osc, motion.h, int(motion.contact[0]), steps, half, scale, budget)
+    return (orbit._replace(exponents=np.sort(orbit.exponents)[::-1]) if found else None), spent
 
 
-def _spectral_radius(jacobian: Array) -> float:
-    return float(np.max(np.abs(np.linalg.eigvals(jacobian)), initial=1e-300))
+def _weights(osc: Oscillator) -> Array:
+    """What block states (n, 2) are multiplied with for the energy norm."""
+    return np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
 
 
 def closest_return(osc: Oscillator, sections: Array) -> float:

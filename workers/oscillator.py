@@ -5,6 +5,7 @@ array inside a record costs a reference count at every use.
 """
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,56 +132,92 @@ def mass_spring(
     resonance, where no periodic forced response exists, and for a forcing period of more free oscillations than
     double precision keeps the phase of.
     """
-    n = len(gap_row)
-    lam, modes = _modes(mass, stiffness)
-    eta = _modal_damping(modes, damping)
-    mobility = float(gap_row @ np.linalg.solve(mass, gap_row))
-    response = _response(lam, eta, modes.T @ force, omega)
-    participation = gap_row @ modes
-    gap = _signal(lam, eta, np.column_stack([participation, np.zeros(n)]), response, (0.0, 0.0), omega, 0.0)
+    structure = _structure(_tuples(mass), _tuples(damping), _tuples(stiffness), _tuples(gap_row))
+    free, held = structure.unforced, structure.unforced.held
+    loads = tuple(float(f) for f in force)
+    modal = _projected(structure.modes, loads)
+    forced = _response(free.gap.block, modal, omega)
+    held_forced = _response(held.release.block, _projected(structure.held_modes, loads), omega)
     period = 2.0 * math.pi / omega
-    if max((block.w for block in gap.block if block.d > 0.0), default=0.0) * period > LARGEST_ANGLE:
+    if max((block.w for block in free.gap.block if block.d > 0.0), default=0.0) * period > LARGEST_ANGLE:
         raise ValueError(f"a forcing period spans more than {LARGEST_ANGLE:g} radians of a free oscillation")
-    kick = np.column_stack([np.zeros(n), participation / mobility])
-    return Oscillator(
-        gap=gap,
-        kick=_tuples(kick),
-        kick1=_tuples(np.column_stack([kick[:, 1], -2.0 * eta * kick[:, 1]])),
-        cA2k=float(np.sum(np.array(gap.row2) * kick)),
-        forced=_tuples(response),
-        to_physical=_tuples(modes),
-        to_blocks=_tuples(modes.T @ mass),
-        gap_row=_tuples(gap_row),
+    acceleration = math.fsum(a * f for a, f in zip(structure.receptance, loads, strict=True))
+    return free._replace(
+        gap=_with_force(free.gap, forced, 0.0, omega),
+        forced=forced,
         b_upper=b_upper,
         b_lower=b_lower,
         R=R,
         period=period,
         tau=math.remainder(tau, 2.0 * math.pi),
-        trace=float(2.0 * np.sum(eta)),
-        held=_held(mass, damping, stiffness, gap_row, force, omega, modes),
+        held=held._replace(forced=held_forced, release=_with_force(held.release, held_forced, acceleration, omega)),
     )
 
 
-def _held(
-    mass: Array, damping: Array, stiffness: Array, gap_row: Array, force: Array, omega: float, modes: Array
-) -> Held:
-    """The oscillator with y fixed: x = N q + d y_s, with N spanning the null space of the gap row."""
+class _Structure(NamedTuple):
+    """What masses, dampers and springs make of an oscillator, whatever forces it and wherever its stops are.
+
+    modes (n, n) and held_modes (n, n - 1) are mass-normalised; receptance = M^-1 gap_row is the acceleration of the
+    gap coordinate per unit force.
+    """
+
+    unforced: Oscillator
+    modes: Rows
+    held_modes: Rows
+    receptance: Row
+
+
+@lru_cache(maxsize=1024)
+def _structure(mass_rows: Rows, damping_rows: Rows, stiffness_rows: Rows, gap: Row) -> _Structure:
+    """Kept, since the cells of a plane often share their structure: its modes cost more than all else of a cell."""
+    mass, damping, stiffness = np.array(mass_rows), np.array(damping_rows), np.array(stiffness_rows)
+    gap_row = np.array(gap)
+    n = len(gap)
+    lam, modes = _modes(mass, stiffness)
+    eta = _modal_damping(modes, damping)
+    receptance = np.linalg.solve(mass, gap_row)
+    participation = gap_row @ modes
+    signal = _signal(lam, eta, np.column_stack([participation, np.zeros(n)]), 0.0)
+    kick = np.column_stack([np.zeros(n), participation / float(gap_row @ receptance)])
+    held, held_modes = _held(mass, damping, stiffness, gap_row, modes)
+    unforced = Oscillator(
+        gap=signal,
+        kick=_tuples(kick),
+        kick1=_tuples(np.column_stack([kick[:, 1], -2.0 * eta * kick[:, 1]])),
+        cA2k=float(np.sum(np.array(signal.row2) * kick)),
+        forced=_tuples(np.zeros((n, 2, 2))),
+        to_physical=_tuples(modes),
+        to_blocks=_tuples(modes.T @ mass),
+        gap_row=gap,
+        b_upper=math.inf,
+        b_lower=math.inf,
+        R=math.nan,
+        period=math.nan,
+        tau=0.0,
+        trace=float(2.0 * np.sum(eta)),
+        held=held,
+    )
+    return _Structure(unforced, _tuples(modes), _tuples(held_modes), _tuples(receptance))
+
+
+def _held(mass: Array, damping: Array, stiffness: Array, gap_row: Array, modes: Array) -> tuple[Held, Array]:
+    """The oscillator with y fixed and its modes: x = N q + d y_s, with N spanning the null space of the gap row."""
     mass_inv_gap = np.linalg.solve(mass, gap_row)
     d = mass_inv_gap / (gap_row @ mass_inv_gap)
     null = _null_space(gap_row)
     lam, psi = _modes(null.T @ mass @ null, null.T @ stiffness @ null)
     shapes = null @ psi
     eta = _modal_damping(psi, null.T @ damping @ null)
-    response = _response(lam, eta, shapes.T @ force, omega)
     static = -(shapes.T @ stiffness @ d) / lam
     row = np.column_stack([-(mass_inv_gap @ stiffness @ shapes), -(mass_inv_gap @ damping @ shapes)])
     offset = -float(mass_inv_gap @ stiffness @ (d + shapes @ static))
-    return Held(
+    held = Held(
         down=_tuples(shapes.T @ mass @ modes),
         static=_tuples(static),
-        forced=_tuples(response),
-        release=_signal(lam, eta, row, response, (float(mass_inv_gap @ force), 0.0), omega, offset),
+        forced=_tuples(np.zeros((len(lam), 2, 2))),
+        release=_signal(lam, eta, row, offset),
     )
+    return held, shapes
 
 
 def _modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
@@ -203,22 +240,34 @@ def _modal_damping(modes: Array, damping: Array) -> Array:
     return np.maximum(eta, 0.0)
 
 
-def _response(lam: Array, eta: Array, force: Array, omega: float) -> Array:
+def _projected(modes: Rows, force: Row) -> Row:
+    """modes.T @ force."""
+    return tuple(math.fsum(m * f for m, f in zip(mode, force, strict=True)) for mode in zip(*modes, strict=True))
+
+
+def _response(blocks: tuple[Block, ...], force: Row, omega: float) -> tuple[Rows, ...]:
     """Forced response f Im(e^(i phi) / (lam - omega^2 + 2 i eta omega)) of each block and its velocity."""
-    stiffness = (lam - omega**2) + 2j * eta * omega
-    if np.any((np.abs(stiffness) < 1e-13 * (lam + omega**2)) & (force != 0.0)):
-        raise ValueError("undamped resonance: no periodic forced response exists")
-    H = np.where(force == 0.0, 0.0, force) / np.where(stiffness == 0.0, 1.0, stiffness)
-    displacement = np.column_stack([H.real, H.imag])
-    velocity = omega * np.column_stack([-H.imag, H.real])
-    return np.stack([displacement, velocity], axis=1)
+    found = []
+    for block, f in zip(blocks, force, strict=True):
+        stiffness = complex(block.lam - omega**2, 2.0 * block.eta * omega)
+        if f != 0.0 and abs(stiffness) < 1e-13 * (block.lam + omega**2):
+            raise ValueError("undamped resonance: no periodic forced response exists")
+        H = f / stiffness if f != 0.0 else 0j
+        found.append(((H.real, H.imag), (-omega * H.imag, omega * H.real)))
+    return tuple(found)
 
 
-def _signal(
-    lam: Array, eta: Array, row: Array, response: Array, direct: tuple[float, float], omega: float, offset: float
-) -> Signal:
-    """The signal row . (free + forced blocks) + direct . (sin, cos), its derivative rows from row -> row A."""
-    sin_part, cos_part = np.einsum("jk,jkp->p", row, response) + np.asarray(direct)
+def _with_force(signal: Signal, response: tuple[Rows, ...], direct: float, omega: float) -> Signal:
+    """The signal with its forced part, row . response + direct sin(phi)."""
+    pairs = [pair for row, block in zip(signal.row, response, strict=True) for pair in zip(row, block, strict=True)]
+    sin_part = math.fsum([direct, *(weight * sin for weight, (sin, _) in pairs)])
+    cos_part = math.fsum(weight * cos for weight, (_, cos) in pairs)
+    amplitude = math.hypot(sin_part, cos_part)
+    return signal._replace(sin_part=sin_part, cos_part=cos_part, amplitude=amplitude, omega=omega)
+
+
+def _signal(lam: Array, eta: Array, row: Array, offset: float) -> Signal:
+    """The signal row . blocks without a force, its derivative rows from row -> row A."""
     row1 = _derivative(row, lam, eta)
     return Signal(
         eta=_tuples(eta),
@@ -227,10 +276,10 @@ def _signal(
         row=_tuples(row),
         row1=_tuples(row1),
         row2=_tuples(_derivative(row1, lam, eta)),
-        sin_part=float(sin_part),
-        cos_part=float(cos_part),
-        amplitude=math.hypot(sin_part, cos_part),
-        omega=omega,
+        sin_part=0.0,
+        cos_part=0.0,
+        amplitude=0.0,
+        omega=math.nan,
         offset=offset,
     )
 

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from workers.flight import (
@@ -18,6 +19,7 @@ from workers.flight import (
     flow,
     flow_with_tangent,
     next_crossing,
+    rates,
 )
 from workers.frame import graded_flow, orthonormalise
 from workers.impact import (
@@ -33,7 +35,7 @@ from workers.impact import (
     stop_position,
     to_held,
 )
-from workers.jit import inlined, kernel
+from workers.jit import inlined, kernel, piece
 from workers.oscillator import Oscillator
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
@@ -82,27 +84,33 @@ class Motion(NamedTuple):
     scratch: NDArray[np.float64]
 
 
-def motion_at(
-    osc: Oscillator, h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0
+@register_jitable
+def motion_with(
+    h: NDArray[np.float64],
+    contact: int,
+    V: NDArray[np.float64],
+    growth: NDArray[np.float64],
+    triangle: NDArray[np.float64],
+    record: int = 0,
 ) -> Motion:
-    """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
-    n = len(osc.gap_row)
-    V = np.zeros((vectors, n, 2))
-    for i in range(vectors):
-        V[i, i // 2, i % 2] = 1.0
+    """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
     tally = np.zeros(TALLIES)
-    tally[MIN_SPEED] = math.inf
+    tally[MIN_SPEED] = np.inf
     tally[WORK] = WORK_OF_A_TRIAL
-    return Motion(
-        h=np.array(h),
-        contact=np.array([contact], dtype=np.int64),
-        V=V,
-        growth=np.zeros(vectors),
-        triangle=np.zeros((0, 0)),
-        tally=tally,
-        impacts=np.zeros((record, 3)),
-        scratch=np.zeros((n, 2)),
-    )
+    contacts = np.full(1, contact)
+    return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), np.zeros(h.shape))
+
+
+@register_jitable
+def axes(n: int) -> NDArray[np.float64]:
+    """The 2n tangent vectors (2n, n, 2) along the block axes."""
+    return np.eye(2 * n).reshape(2 * n, n, 2)
+
+
+def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
+    frame = axes(len(h))[:vectors].copy()
+    return motion_with(h, contact, frame, np.zeros(vectors), np.zeros((0, 0)), record)
 
 
 def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
@@ -113,7 +121,7 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     n = len(osc.gap_row)
     h = physical_to_blocks(osc, state)
     y, v = float(np.dot(osc.gap_row, state[:n])), float(np.dot(osc.gap_row, state[n:]))
-    return motion_at(osc, h, _contact(osc, h, y, v), vectors, record)
+    return motion_at(h, _contact(osc, h, y, v), vectors, record)
 
 
 def physical_to_blocks(osc: Oscillator, state: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -172,12 +180,12 @@ def spread_rate(block):
     return high - low
 
 
-@kernel
+@piece
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
     flow(osc.gap, s, motion.h)
-    graded_flow(osc.gap.eta, osc.gap.lam, s, motion.V, motion.growth, motion.triangle, rank)
+    graded_flow(rates(osc.gap), s, motion.V, motion.growth, motion.triangle, rank)
     reset_frame(osc, motion)
 
 
@@ -191,7 +199,7 @@ def reset_frame(osc, motion):
     motion.tally[SPREAD] = 0.0
 
 
-@kernel
+@piece
 def record_impact(tally, impacts, t, side, speed):
     """Count an impact and, while there is room in impacts (K, 3), write it down."""
     tally[UPPER if side > 0 else LOWER] += 1.0
@@ -204,7 +212,7 @@ def record_impact(tally, impacts, t, side, speed):
         tally[RECORDED] += 1.0
 
 
-@kernel
+@piece
 def meet_stop(osc, h, V, tally, impacts, t, side, remaining, arrived):
     """The impact at time t, evaluated there as ``arrived``: changes state and frame; returns what follows."""
     y, v, a, _, scale = arrived
@@ -235,7 +243,7 @@ def impact_spread(ratio, lam):
     return 2.0 * u / math.sqrt(1.0 + u)
 
 
-@kernel
+@piece
 def spend(tally, evaluations):
     """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
     tally[EVALUATIONS] += evaluations
@@ -244,7 +252,7 @@ def spend(tally, evaluations):
         tally[STATUS] = OUT_OF_WORK
 
 
-@kernel
+@piece
 def leave_stop(osc, motion, phase, contact, remaining):
     """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
     h, V, tally = motion.h, motion.V, motion.tally
@@ -309,22 +317,35 @@ def travel(osc, motion, duration):
         contact = side if following == REST else FREE
 
 
-@kernel
+@piece
 def advance(osc, motion):
     """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
     travel(osc, motion, osc.period)
 
 
-@kernel
+@piece
 def half_advance(osc, motion):
     """The half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G is the stroboscopic map."""
     travel(osc, motion, 0.5 * osc.period)
+    mirror(motion)
+
+
+@kernel
+def mirror(motion):
+    """z -> -z, in place."""
     motion.contact[0] = -motion.contact[0]
-    for j in range(len(osc.kick)):
+    for j in range(motion.h.shape[0]):
         for k in range(2):
             motion.h[j, k] = -motion.h[j, k]
             for i in range(motion.V.shape[0]):
                 motion.V[i, j, k] = -motion.V[i, j, k]
+
+
+@kernel
+def copy_state(h, sections, row):
+    """sections[row] = h."""
+    for j in range(h.shape[0]):
+        sections[row, j, 0], sections[row, j, 1] = h[j, 0], h[j, 1]
 
 
 @kernel
@@ -339,7 +360,7 @@ def run(osc, motion, done, periods, sections):
         if motion.tally[STATUS] != RUNNING:
             return k
         if k >= first:
-            sections[k - first] = motion.h
+            copy_state(motion.h, sections, k - first)
         if motion.tally[WORK] < 0.0:
             return k + 1
     return periods

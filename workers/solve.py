@@ -35,6 +35,7 @@ from workers.section import (
     UPPER,
     WORK,
     Motion,
+    axes,
     blocks_to_physical,
     motion_at,
     motion_from,
@@ -139,14 +140,14 @@ def vectors_for(settings: Settings, osc: Oscillator) -> int:
 
 def with_frame(motion: Motion, vectors: int) -> Motion:
     """The same motion with so many tangent vectors, along the block axes."""
-    frame = np.eye(motion.h.size).reshape(motion.h.size, *motion.h.shape)[:vectors].copy()
+    frame = axes(len(motion.h))[:vectors].copy()
     return motion._replace(V=frame, growth=np.zeros(vectors), tally=motion.tally)
 
 
 def restart_counts(osc: Oscillator, motion: Motion) -> None:
     """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
     if motion.tally[LOST]:
-        motion.V[:] = np.eye(motion.h.size).reshape(motion.h.size, *motion.h.shape)[: len(motion.V)]
+        motion.V[:] = axes(len(motion.h))[: len(motion.V)]
     work, status = motion.tally[WORK], motion.tally[STATUS]
     motion.tally[:] = 0.0
     motion.tally[WORK], motion.tally[STATUS] = work, status
@@ -164,7 +165,7 @@ def impact_free(osc: Oscillator, motion: Motion) -> bool:
 def scale_of(osc: Oscillator, motion: Motion) -> float:
     """Energy norm that deviations of this motion are measured against: its own and its forced response's."""
     forced = np.array(osc.forced)
-    return energy_norm(osc, motion.h) + energy_norm(osc, np.hypot(forced[..., 0], forced[..., 1]))
+    return energy_norm(osc.gap.lam, motion.h) + energy_norm(osc.gap.lam, np.hypot(forced[..., 0], forced[..., 1]))
 
 
 def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
@@ -287,7 +288,7 @@ def _clearly_positive(mean: float, error: float, count: int) -> bool:
 
 def _no_impact(osc: Oscillator, motion: Motion, settings: Settings, used: int) -> Cell:
     exponents = free_exponents(osc)
-    steady = motion_at(osc, np.zeros_like(motion.h) if osc.trace > 0.0 else motion.h)
+    steady = motion_at(np.zeros_like(motion.h) if osc.trace > 0.0 else motion.h)
     return Cell(
         largest=float(exponents[0]),
         error=abs(float(exponents[0])) * 1e-15,
@@ -305,7 +306,7 @@ def _no_impact(osc: Oscillator, motion: Motion, settings: Settings, used: int) -
 
 def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> Cell:
     """A proved orbit: one turn of it counts impacts and rest; its exponents are the Floquet exponents."""
-    turn = motion_at(osc, orbit.h, orbit.contact)
+    turn = motion_at(orbit.h, orbit.contact)
     run(osc, turn, 0, orbit.period, np.empty((0, *turn.h.shape)))
     sticks = bool(turn.tally[STUCK] > 0.0)
     hits = impacts(turn) / orbit.period
@@ -313,7 +314,7 @@ def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> C
         return _no_impact(osc, turn, settings, used + orbit.period)
     exponents = orbit.exponents
     holds = sum_law_holds(osc, turn)
-    start = motion_at(osc, orbit.h, orbit.contact)
+    start = motion_at(orbit.h, orbit.contact)
     return Cell(
         largest=float(exponents[0]),
         error=orbit.digits,
@@ -395,7 +396,7 @@ def _sections(osc: Oscillator, motion: Motion, settings: Settings, period: int) 
     K = settings.section_samples
     if K == 0:
         return None
-    ahead = motion_at(osc, motion.h, int(motion.contact[0]))
+    ahead = motion_at(motion.h, int(motion.contact[0]))
     states = []
     for _ in range(min(K, period) if period else K):
         reached = ahead.tally[STATUS] == RUNNING
