@@ -72,7 +72,7 @@ def random_cells(seed: int, count: int, vectors: int, periods: int) -> list[Stre
 def test_side_by_side_is_bit_for_bit_one_by_one(figure: int, vectors: int) -> None:
     together = family(figure, vectors, 150, 40)
     alone = copies(together)
-    assert follow_together(together) == [follow(one) for one in alone]
+    assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
 
 
@@ -81,7 +81,7 @@ def test_cells_of_every_kind_have_the_bits_of_one_by_one(vectors: int) -> None:
     """Those that rest on a stop or chatter leave their lane on the way."""
     together = random_cells(7, 200, vectors, 30)
     alone = copies(together)
-    assert follow_together(together) == [follow(one) for one in alone]
+    assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
     rest = sum(one.motion.contact[0] != FREE for one in together)
     assert 10 < rest < 150
@@ -93,8 +93,9 @@ def test_company_and_place_do_not_matter() -> None:
     order = np.random.default_rng(3).permutation(140)[:77]
     part = copies([whole[k] for k in order])
     others = [one._replace(periods=7 + k) for k, one in enumerate(family(4, 1, 77, 7))]
-    follow_together(whole)
-    follow_together([one for pair in zip(part, others, strict=True) for one in pair])
+    follow_together(whole, [0] * 140)
+    mixed = [one for pair in zip(part, others, strict=True) for one in pair]
+    follow_together(mixed, [0] * 154)
     assert all(same_bits(whole[k], one) for k, one in zip(order, part, strict=True))
 
 
@@ -103,7 +104,7 @@ def test_a_motion_that_is_out_of_work_stops_where_it_would_alone() -> None:
     for k, one in enumerate(together):
         one.motion.tally[WORK] = 40.0 * k
     alone = copies(together)
-    done = follow_together(together)
+    done = follow_together(together, [0] * len(together))
     assert done == [follow(one) for one in alone]
     assert 1 == done[0] < done[4] < 50
     assert all(one.motion.tally[STATUS] == RUNNING for one in together)
@@ -116,7 +117,7 @@ def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
     ]
     together = [stretch(osc, start, 0, 3) for osc, start in cells]
     alone = copies(together)
-    assert follow_together(together) == [follow(one) for one in alone]
+    assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
     assert max(one.motion.tally[EVALUATIONS] for one in together) > 100_000
 

@@ -48,7 +48,10 @@ Array = NDArray[np.float64]
 LANES = 128
 """Cells side by side: their fields stay in the processor's nearest caches."""
 
-STRIDE = LANES + 8
+WIDTH_OF_VECTORS = 8
+"""Numbers in the longest vectors of today's processors: passes run over multiples, or what is over would be scalar."""
+
+STRIDE = LANES + WIDTH_OF_VECTORS
 """Numbers from one field to the next; a power of two would put all fields of a lane into the same few cache lines."""
 
 RENEWAL = float(REFRESH)
@@ -95,7 +98,8 @@ class Batch(NamedTuple):
 
     head       (N, CONSTANTS)           what the oscillators say, and
     blocks     (N, n, BLOCK_CONSTANTS)  of each block: Block, rows c and cA, columns k and A k
-    periods    (N,)                     wanted; done (N,) completed
+    periods    (N,)                     wanted; done (N,) completed, before and after
+    left       (N,)                     set where ``section`` has to take over
     h          (N, n, 2), V (N, m, n, 2), growth (N, m), tally (N, TALLIES): as in Motion
     levels     (N, LEVELS, 4), weighted (N, 2): as in Averages
     sections   (N, K, n, 2)             the last K states
@@ -105,6 +109,7 @@ class Batch(NamedTuple):
     blocks: Array
     periods: NDArray[np.int64]
     done: NDArray[np.int64]
+    left: NDArray[np.bool_]
     h: Array
     V: Array
     growth: Array
@@ -451,15 +456,28 @@ def move_lane(a, source, target, frames, growths):
 
 
 @kernel
-def run_lanes(batch):
-    """Advance every request of a batch by its periods, or to where ``section`` has to take over; see Batch.done."""
+def park(a, i, frames):
+    """Give a lane that no cell needs a mass that nothing moves, for the passes to run over."""
+    for fields in (a, frames):
+        for f in range(len(fields) // STRIDE):
+            fields[f * STRIDE + i] = 0.0
+    a[UP + i], a[DOWN + i], a[PERIOD + i] = 1.0, -1.0, 1.0
+
+
+@kernel
+def run_lanes(batch, enough):
+    """Advance every request of a batch by its periods, or to where ``section`` has to take over; see Batch.
+
+    Once fewer than ``enough`` are under way each stops at its next section.
+    """
     # Taken out once: a field of a record costs a reference count at every use.
-    head, blocks, periods, done, h, V, growth, tally, levels, weighted, sections = batch
+    head, blocks, periods, done, left, h, V, growth, tally, levels, weighted, sections = batch
     N, n, m = h.shape[0], h.shape[1], V.shape[1]
     a = np.zeros((_HEAD + n * _BLOCK) * STRIDE)
     frames, growths = np.zeros(m * n * 2 * STRIDE), np.zeros((LANES, m))
     frame, no_triangle = np.zeros((m, n, 2)), np.zeros((0, 0))
-    weighted[:] = 0.0
+    for i in range(LANES):
+        park(a, i, frames)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     while True:
         while active < LANES and queued < N:
@@ -470,29 +488,35 @@ def run_lanes(batch):
                     growths[active, k] = growth[queued, k]
             if m < 2:  # one vector cannot spread
                 a[RATE + active], a[LAM_1 + active] = 0.0, np.inf
+            if done[queued] == 0:
+                weighted[queued, 0] = weighted[queued, 1] = 0.0
             active, queued = active + 1, queued + 1
         if active == 0:
             return
-        restart_pass(a, active)
+        ending = active < enough
+        padded = -(-active // WIDTH_OF_VECTORS) * WIDTH_OF_VECTORS
+        restart_pass(a, padded)
         for j in range(n):
-            bounds_pass(a, fields_of(a, j), active)
-        step_pass(a, active)
-        forced_pass(a, active)
+            bounds_pass(a, fields_of(a, j), padded)
+        step_pass(a, padded)
+        forced_pass(a, padded)
         for j in range(n):
-            block_pass(a, fields_of(a, j), active)
-        arrival_pass(a, active)
+            block_pass(a, fields_of(a, j), padded)
+        arrival_pass(a, padded)
         for j in range(n):
-            kick_pass(a, fields_of(a, j), active)
+            kick_pass(a, fields_of(a, j), padded)
         for k in range(m):
             for j in range(n):
-                flow_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), j == 0, active)
+                flow_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), j == 0, padded)
             for j in range(n):
-                saltate_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), active)
+                saltate_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), padded)
         for i in range(active - 1, -1, -1):  # from the last one: what moves into a place that falls free is done with
             ended = a[MODE + i] == LEFT
             at_section = a[MODE + i] == AT_SECTION
             r = int(a[REQUEST + i])
-            if not ended and (a[WIDE + i] > 0.0 or a[WIDTH + i] > MAX_SPREAD):
+            if ended:
+                left[r] = True
+            elif a[WIDE + i] > 0.0 or a[WIDTH + i] > MAX_SPREAD:
                 read_frame(frames, i, frame)
                 carry_wide_frame(a, i, blocks[r], frame, growths[i], no_triangle, 2 * n - int(tally[r, LOST]))
                 write_frame(frames, i, frame)
@@ -508,7 +532,8 @@ def run_lanes(batch):
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
-                ended = k + 1 == periods[r] or tally[r, WORK] < 0.0
+                ended = ending or k + 1 == periods[r] or tally[r, WORK] < 0.0
             if ended:
                 active -= 1
                 move_lane(a, active, i, frames, growths)
+                park(a, active, frames)

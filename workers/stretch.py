@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lanes import Batch, constants, run_lanes
+from workers.lanes import LANES, Batch, constants, run_lanes
 from workers.lyapunov import Averages, average, no_averages
 from workers.oscillator import Oscillator
 from workers.section import FREE, RUNNING, STATUS, WORK, Motion, run
@@ -36,26 +36,40 @@ def follow(stretch: Stretch, done: int = 0) -> int:
     return int(average(osc, motion, done, periods, averages, sections))
 
 
-def follow_together(stretches: list[Stretch]) -> list[int]:
-    """As follow, for each of many stretches: side by side as far as that goes, the same bits in any company."""
-    done = [0] * len(stretches)
+def ended(stretch: Stretch, done: int) -> bool:
+    """Whether nothing of a stretch is left to do: it is complete, or its motion ends, or its work is spent."""
+    tally = stretch.motion.tally
+    return done == stretch.periods or bool(tally[STATUS] != RUNNING or tally[WORK] < 0.0)
+
+
+def follow_together(stretches: list[Stretch], done: list[int], *, all_the_way: bool = True) -> list[int]:
+    """As follow, for each of many stretches: side by side as far as that goes, the same bits in any company.
+
+    Not all the way, it returns once half of those side by side are through, for others to take their place; the rest
+    has not ended.
+    """
+    done = list(done)
     groups: dict[tuple[int, ...], list[int]] = {}
     for k, stretch in enumerate(stretches):
-        motion = stretch.motion
-        if motion.contact[0] == FREE and motion.tally[STATUS] == RUNNING and stretch.periods > 0:
-            groups.setdefault(motion.V.shape, []).append(k)
+        if stretch.motion.contact[0] == FREE and not ended(stretch, done[k]):
+            groups.setdefault(stretch.motion.V.shape, []).append(k)
+    alone = set(range(len(stretches)))
     for members in groups.values():
-        if len(members) >= FEWEST:
-            for k, count in zip(members, _side_by_side([stretches[k] for k in members]), strict=True):
-                done[k] = count
-    return [
-        follow(stretch, count) if count < stretch.periods and stretch.motion.tally[WORK] >= 0.0 else count
-        for stretch, count in zip(stretches, done, strict=True)
-    ]
+        if len(members) < FEWEST:
+            continue
+        enough = 0 if all_the_way else min(LANES, len(members)) // 2
+        counts, left = _side_by_side([stretches[k] for k in members], [done[k] for k in members], enough)
+        for k, count in zip(members, counts, strict=True):
+            done[k] = count
+        alone -= {k for k, out in zip(members, left, strict=True) if not out}
+    for k in alone:
+        if not ended(stretches[k], done[k]):
+            done[k] = follow(stretches[k], done[k])
+    return done
 
 
-def _side_by_side(stretches: list[Stretch]) -> list[int]:
-    """The periods that run_lanes completes of each; what is left over is not begun."""
+def _side_by_side(stretches: list[Stretch], done: list[int], enough: int) -> tuple[list[int], list[bool]]:
+    """The periods that run_lanes has completed of each, and whether it leaves the rest to ``follow``."""
     motions = [stretch.motion for stretch in stretches]
     averages = [stretch.averages or no_averages() for stretch in stretches]
     heads, blocks = zip(*(constants(stretch.osc) for stretch in stretches), strict=True)
@@ -64,7 +78,8 @@ def _side_by_side(stretches: list[Stretch]) -> list[int]:
         head=np.array(heads),
         blocks=np.array(blocks),
         periods=np.array([stretch.periods for stretch in stretches]),
-        done=np.zeros(len(stretches), dtype=np.int64),
+        done=np.array(done),
+        left=np.zeros(len(stretches), dtype=np.bool_),
         h=np.array([motion.h for motion in motions]),
         V=np.array([motion.V for motion in motions]),
         growth=np.array([motion.growth for motion in motions]),
@@ -73,7 +88,9 @@ def _side_by_side(stretches: list[Stretch]) -> list[int]:
         weighted=np.array([average.weighted for average in averages]),
         sections=np.zeros((len(stretches), longest, *motions[0].h.shape)),
     )
-    run_lanes(batch)
+    for k, stretch in enumerate(stretches):
+        batch.sections[k, longest - len(stretch.sections) :] = stretch.sections
+    run_lanes(batch, enough)
     for k, stretch in enumerate(stretches):
         motion = stretch.motion
         motion.h[:], motion.V[:], motion.growth[:], motion.tally[:] = (
@@ -82,4 +99,4 @@ def _side_by_side(stretches: list[Stretch]) -> list[int]:
         if stretch.averages is not None:
             stretch.averages.levels[:], stretch.averages.weighted[:] = batch.levels[k], batch.weighted[k]
         stretch.sections[:] = batch.sections[k, longest - len(stretch.sections) :]
-    return batch.done.tolist()
+    return batch.done.tolist(), batch.left.tolist()

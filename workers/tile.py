@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from workers.results import FAILED, INVALID, empty_results, result_variables
 from workers.settings import Settings
 from workers.solve import Cell, Solving, solving
-from workers.stretch import Stretch, follow_together
+from workers.stretch import Stretch, ended, follow_together
 from workers.system import System, find_system
 
 
@@ -74,18 +74,22 @@ def _solve_together(record: System, cells: Iterable[dict[str, float]], settings:
     started = [_start(record, values, settings) for values in cells]
     running = {k: one for k, one in enumerate(started) if not isinstance(one, Cell)}
     solved = {k: one for k, one in enumerate(started) if isinstance(one, Cell)}
-    done: dict[int, int | None] = dict.fromkeys(running)
-    while running:
-        waiting: dict[int, Stretch] = {}
-        for k, cell in running.items():
+    waiting: dict[int, Stretch] = {}
+    done: dict[int, int] = dict.fromkeys(running, 0)
+    ready: dict[int, int | None] = dict.fromkeys(running)
+    while ready or waiting:
+        for k, count in ready.items():
             try:
-                waiting[k] = cell.send(done[k])  # type: ignore[arg-type]
+                waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
             except StopIteration as end:
                 solved[k] = end.value
             except (ArithmeticError, np.linalg.LinAlgError) as error:
                 solved[k] = Cell(regime=FAILED, reason=f"{type(error).__name__}: {error}")
-        running = {k: running[k] for k in waiting}
-        done = dict(zip(waiting, follow_together(list(waiting.values())), strict=True))
+        counts = follow_together(list(waiting.values()), [done[k] for k in waiting], all_the_way=False)
+        done.update(zip(waiting, counts, strict=True))
+        ready = {k: done[k] for k, stretch in waiting.items() if ended(stretch, done[k])}
+        for k in ready:
+            del waiting[k]
     return [solved[k] for k in range(len(started))]
 
 
