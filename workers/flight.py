@@ -32,34 +32,50 @@ ON_STOP_MOVING, ON_STOP_AT_REST, ON_STOP_RELEASED = 1, 2, 3
 
 
 @inlined
+def oscillating_flow(s, eta, lam, w, inv_w):
+    """flow_entries of an underdamped block."""
+    decay = exp_minus(eta * s)
+    sin, cos = sin_cos(w * s)
+    S = sin * inv_w
+    f12 = decay * S
+    return decay * (cos + eta * S), f12, -lam * f12, decay * (cos - eta * S)
+
+
+@inlined
 def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
     """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
 
     f = e^(-eta s) (C + eta S, S, -lam S, C - eta S). With d = lam - eta^2 and w = sqrt|d|: C, S = cos(w s),
-    sin(w s) / w where d > 0; their series in d s^2 where that is small; and for d < 0, with the decay rates
+    sin(w s) / w where d > 0; for d <= 0 their series in d s^2 where that is small; and else, with the decay rates
     slow = lam / (eta + w) and fast = eta + w, the exponentials themselves, which do not cancel.
     """
+    o11, o12, o21, o22 = oscillating_flow(s, eta, lam, w, inv_w)
+    oscillates = d > 0.0
     e_slow = exp_minus(slow * s)
     e_w = exp_minus(w * s)
-    sin, cos = sin_cos(w * s)
     x = d * s * s
-    cosc, sinc = cosc_sinc(x)
-    near = abs(x) < 0.1
-    C = cosc if near else cos
-    S = s * sinc if near else sin * inv_w
-    decay = e_slow * e_w if d < 0.0 else e_slow
+    C, sinc = cosc_sinc(x)
+    near = x > -0.1
+    S = s * sinc
+    decay = e_slow * e_w
     ratio = e_w * e_w
     half = 0.5 * e_slow * inv_w
-    overdamped = d < 0.0 and not near
-    f11 = half * (fast - slow * ratio) if overdamped else decay * (C + eta * S)
-    f12 = half * (1.0 - ratio) if overdamped else decay * S
-    f22 = half * (fast * ratio - slow) if overdamped else decay * (C - eta * S)
-    return f11, f12, -lam * f12, f22
+    f11 = decay * (C + eta * S) if near else half * (fast - slow * ratio)
+    f12 = decay * S if near else half * (1.0 - ratio)
+    f22 = decay * (C - eta * S) if near else half * (fast * ratio - slow)
+    return (
+        o11 if oscillates else f11,
+        o12 if oscillates else f12,
+        o21 if oscillates else -lam * f12,
+        o22 if oscillates else f22,
+    )
 
 
 @inlined
 def block_flow(block, s):
     """flow_entries of a Block."""
+    if block.d > 0.0:
+        return oscillating_flow(s, block.eta, block.lam, block.w, block.inv_w)
     return flow_entries(s, block.eta, block.lam, block.d, block.w, block.inv_w, block.slow, block.fast)
 
 
@@ -154,57 +170,66 @@ def evaluate(signal, h, s, phase, offset):
 
 @inlined
 def forced_bounds(w, amplitude):
-    """Bounds of the forced part and of its first four derivatives."""
+    """Bounds of the forced part and of its second to fourth derivatives."""
     w2 = w * w
-    return amplitude, w * amplitude, w2 * amplitude, w2 * w * amplitude, w2 * w2 * amplitude
+    return amplitude, w2 * amplitude, w2 * w * amplitude, w2 * w2 * amplitude
 
 
 @inlined
-def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, inv_lam):
-    """Bounds of one block's share q of the signal and of its first four derivatives, for all later times.
+def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
+    """Bounds of one block's share q of the signal and of its second to fourth derivatives, for all later times.
 
-    The smaller of two: sqrt(q^2 + q'^2 / lam), since the energy never grows; and where well overdamped the moduli
-    of the two exponentials, |alpha| slow^k + |beta| fast^k.
+    sqrt(q^2 + weight (q' + tilt q)^2) bounds q: with tilt = eta and weight = 1 / d it is the amplitude of the
+    oscillation, with 0 and 1 / lam the energy, which never grows. The derivatives are at most grow2...grow4 times that.
     """
+    turned = q1 + tilt * q0
+    b0 = math.sqrt(q0 * q0 + weight * (turned * turned))
+    return b0, grow2 * b0, grow3 * b0, grow4 * b0
+
+
+@inlined
+def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
+    """amplitude_bounds where the block oscillates, d > 0; else the smaller of two.
+
+    sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows; and where well overdamped the moduli of
+    the two exponentials, |alpha| slow^k + |beta| fast^k.
+    """
+    a0, a2, a3, a4 = amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4)
     q2 = -2.0 * eta * q1 - lam * q0
     q3 = -2.0 * eta * q2 - lam * q1
     q4 = -2.0 * eta * q3 - lam * q2
     q5 = -2.0 * eta * q4 - lam * q3
-    b0 = math.sqrt(q0 * q0 + q1 * q1 * inv_lam)
-    b1 = math.sqrt(q1 * q1 + q2 * q2 * inv_lam)
-    b2 = math.sqrt(q2 * q2 + q3 * q3 * inv_lam)
-    b3 = math.sqrt(q3 * q3 + q4 * q4 * inv_lam)
-    b4 = math.sqrt(q4 * q4 + q5 * q5 * inv_lam)
+    b2 = math.sqrt(q2 * q2 + q3 * q3 * weight)
+    b3 = math.sqrt(q3 * q3 + q4 * q4 * weight)
+    b4 = math.sqrt(q4 * q4 + q5 * q5 * weight)
     split = d < -0.5 * lam
     alpha = 0.5 * inv_w * abs(fast * q0 + q1)
     beta = 0.5 * inv_w * abs(slow * q0 + q1)
-    b0 = min(b0, alpha + beta) if split else b0
-    alpha, beta = alpha * slow, beta * fast
-    b1 = min(b1, alpha + beta) if split else b1
-    alpha, beta = alpha * slow, beta * fast
+    b0 = min(a0, alpha + beta) if split else a0
+    alpha, beta = alpha * slow * slow, beta * fast * fast
     b2 = min(b2, alpha + beta) if split else b2
     alpha, beta = alpha * slow, beta * fast
     b3 = min(b3, alpha + beta) if split else b3
     alpha, beta = alpha * slow, beta * fast
     b4 = min(b4, alpha + beta) if split else b4
-    return b0, b1, b2, b3, b4
+    oscillates = d > 0.0
+    return b0, a2 if oscillates else b2, a3 if oscillates else b3, a4 if oscillates else b4
 
 
 @kernel
 def derivative_bounds(signal, h):
-    """Bounds M0..M4 of |y - offset| and of its first four derivatives, for all times after block state h (n, 2)."""
-    M0, M1, M2, M3, M4 = forced_bounds(signal.omega, signal.amplitude)
+    """Bounds M0, M2, M3, M4 of |y - offset| and of its second to fourth derivatives, for all times after h (n, 2)."""
+    M0, M2, M3, M4 = forced_bounds(signal.omega, signal.amplitude)
     for j in range(len(signal.eta)):
         q0 = signal.row[j][0] * h[j, 0] + signal.row[j][1] * h[j, 1]
         q1 = signal.row1[j][0] * h[j, 0] + signal.row1[j][1] * h[j, 1]
-        eta, lam, d, _, inv_w, slow, fast, inv_lam = signal.block[j]
-        b0, b1, b2, b3, b4 = block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, inv_lam)
+        eta, lam, d, _, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4 = signal.block[j]
+        b0, b2, b3, b4 = block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4)
         M0 += b0
-        M1 += b1
         M2 += b2
         M3 += b3
         M4 += b4
-    return M0, M1, M2, M3, M4
+    return M0, M2, M3, M4
 
 
 @inlined
@@ -237,15 +262,20 @@ def stays_open(g, v, K, h):
 
 
 @inlined
-def safe_step(g, v, a, j3, M2, M3, M4, H):
-    """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close.
+def bracket(g, v, a, j3, M2, M3, M4, H):
+    """(L, U): times <= H such that a gap g, closing at v with acceleration a and jerk j3, does not close before L.
 
     No arrival before min(h, s(h)), where s(h) is the arrival under the curvature bound K(h). s falls with h, so
-    L = min(h, s(h)) of any h is certified and U = s(L) is a limit: the best h lies between, and trials close in on it.
+    L = min(h, s(h)) of any h is certified and U = s(L) is a limit: the best h lies between.
     """
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
     U = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, L)))
-    L = max(L, min(U, arrival(g, v, curvature(a, j3, M2, M3, M4, U))))
+    return max(L, min(U, arrival(g, v, curvature(a, j3, M2, M3, M4, U)))), U
+
+
+@inlined
+def close_in(L, U, g, v, a, j3, M2, M3, M4):
+    """The longest time of a few between L and U, besides L, for which the gap certainly does not close."""
     h = math.sqrt(L * U)  # at a graze L and U can be far apart
     for _ in range(TRIALS):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
@@ -255,17 +285,35 @@ def safe_step(g, v, a, j3, M2, M3, M4, H):
 
 
 @inlined
+def safe_step(g, v, a, j3, M2, M3, M4, H):
+    """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close."""
+    L, U = bracket(g, v, a, j3, M2, M3, M4, H)
+    return close_in(L, U, g, v, a, j3, M2, M3, M4)
+
+
+@inlined
+def safe_retreat(g, v, a, j3, M2, M3, M4, H):
+    """As safe_step for a gap that is opening, v <= 0, and seldom what ends a step: found with less effort."""
+    L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
+    return close_in(L, H, g, v, a, j3, M2, M3, M4)
+
+
+@inlined
 def landing(g, v, a, j3, M3, M4, tol):
     """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
 
-    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 by Newton from g / v; what is left out is below M4 s^4 / 24.
+    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 from its series in g / v by Halley's method; what the cubic leaves out is
+    below M4 s^4 / 24.
     """
-    first = g / v
-    s = first
+    inv_v = 1.0 / v
+    first = g * inv_v
     j6, a2, j2 = j3 * (1.0 / 6.0), 0.5 * a, 0.5 * j3
-    for _ in range(4):
+    e = a2 * first * inv_v
+    s = first * (1.0 - e + 2.0 * (e * e) - j6 * (first * first) * inv_v)
+    for _ in range(2):
         excess = ((j6 * s + a2) * s + v) * s - g
-        s -= excess / ((j2 * s + a) * s + v)
+        speed = (j2 * s + a) * s + v
+        s -= excess * speed / (speed * speed - 0.5 * excess * (j3 * s + a))
     sure = v > 0.0 and M4 * (first * first * first * first) <= 12.0 * tol
     sure = sure and (abs(a) + M3 * first) * first <= 0.25 * v and M4 * (s * s * s * s) <= 24.0 * tol
     return s if sure else np.inf
@@ -296,7 +344,7 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
     2 where the march needed more than MAX_EVALUATIONS.
     """
-    M0, _, M2, M3, M4 = derivative_bounds(signal, h)
+    M0, M2, M3, M4 = derivative_bounds(signal, h)
     s = 0.0
     for count in range(1, MAX_EVALUATIONS + 1):
         reach = M0 * (1.0 + 1e-12)
@@ -318,7 +366,10 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
             rest = meets(g, approach, push, side * j3, M3, M4, ROUNDING * (scale + abs(stop)), H - s)
             if rest < np.inf:
                 return s + rest, side, count
-            step = min(step, safe_step(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
+            if side == ahead:
+                step = min(step, safe_step(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
+            else:
+                step = min(step, safe_retreat(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count
         s = s + step if s + step > s else np.nextafter(s, np.inf)
@@ -326,5 +377,5 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]
             flow(signal, s, scratch)
-            M0, _, M2, M3, M4 = derivative_bounds(signal, scratch)
+            M0, M2, M3, M4 = derivative_bounds(signal, scratch)
     return s, 2, MAX_EVALUATIONS

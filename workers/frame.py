@@ -27,16 +27,17 @@ def orthonormalise(lam, V, growth, triangle, rank):
     m = V.shape[0]
     for i in range(min(rank, m)):
         norm = math.sqrt(inner(lam, V, i, V, i))
+        inverse = 1.0 / norm
         for j in range(len(lam)):
-            V[i, j, 0] /= norm
-            V[i, j, 1] /= norm
+            V[i, j, 0] *= inverse
+            V[i, j, 1] *= inverse
         for k in range(i + 1, m):
             overlap = inner(lam, V, i, V, k)
             for j in range(len(lam)):
                 V[k, j, 0] -= overlap * V[i, j, 0]
                 V[k, j, 1] -= overlap * V[i, j, 1]
             if triangle.shape[0] > 0:
-                add_row(triangle, growth, i, k, overlap / norm)
+                add_row(triangle, growth, i, k, overlap * inverse)
         growth[i] += math.log(norm)
     for i in range(rank, m):
         for j in range(len(lam)):

@@ -27,8 +27,7 @@ def is_rebound(load, v, R, cA2k, scale, remaining):
     w = R * abs(v)
     negligible = w * w <= 200.0 * load * EPS * scale
     change = 2.0 * abs(cA2k * v)
-    duration = 2.0 * w / (load * (1.0 - R))
-    slow = change > COMPLETION * load or duration > remaining
+    slow = change > COMPLETION * load or 2.0 * w > remaining * (load * (1.0 - R))
     return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not negligible))
 
 
@@ -49,7 +48,7 @@ def outcome(osc, h, side, v, a, scale, remaining):
     w = osc.R * abs(v)
     if w * w <= 200.0 * load * EPS * scale:
         return REST
-    M3 = derivative_bounds(osc.gap, h)[3]
+    M3 = derivative_bounds(osc.gap, h)[2]
     duration = 2.0 * w / (load * (1.0 - osc.R))
     return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
 

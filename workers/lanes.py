@@ -17,17 +17,21 @@ from workers.flight import (
     REFRESH,
     ROUNDING,
     TINY,
+    amplitude_bounds,
     block_bounds,
     block_output,
+    bracket,
+    close_in,
     flow_entries,
     forced,
     forced_bounds,
     meets,
-    safe_step,
+    oscillating_flow,
+    safe_retreat,
 )
 from workers.frame import graded_flow, orthonormalise
-from workers.impact import is_rebound, load_at_rest, saltation
-from workers.jit import kernel
+from workers.impact import is_rebound, load_at_rest
+from workers.jit import inlined, kernel
 from workers.lyapunov import add_growth
 from workers.oscillator import Oscillator
 from workers.section import (
@@ -66,7 +70,7 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 """What a lane has reached, +-1 being an impact at that stop; LEFT: what ``section`` has to take over."""
 
 # Fields of a lane. The offsets are constants, STRIDE apart, so that the compiler sees that no two overlap.
-#   OMEGA...LAM_1    constants of the signal, stops, impact law and section; forced part there, spread rate, lam_1
+#   OMEGA...UNIT     constants of signal, stops, impact law and section; forced part there; for the spread of the frame
 #   T, PHASE, S      time since the section and phase at the flight's start, time in flight; FLOWN: of the last flight
 #   MODE, OWN        what is reached at S; the stop that the flight starts on until its first step is taken
 #   COUNT            evaluations of this flight
@@ -74,23 +78,24 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 #   FORCED...M4      the forced part, the signal with its derivatives and scale of rounding, bounds of its derivatives
 #   DV, DY, RATIO    change of velocity and position at an impact, and its a / v
 #   HITS_UP...COST   impacts per stop, slowest one, evaluations; evaluations of this period
-#   WIDTH, WIDE      log-spread of the frame; 1 where this flight takes it too far for the passes
-#   C_V, CA_V        c.V and cA.V of the tangent vector that is being carried through an impact
-_HEAD = 47
-(OMEGA, SIN_PART, COS_PART, AMPLITUDE, UP, DOWN, R, CA2K, PERIOD, TAU, Y_TAU, V_TAU, RATE, LAM_1,
+#   AHEAD...STEP     the stop ahead, the gap to it, the time to it and to the section, bounds of a safe time, that time
+#   WIDTH, WIDE      log-spread of the frame; 1 where this flight takes it too far for a plain flow
+_HEAD = 52
+(OMEGA, SIN_PART, COS_PART, AMPLITUDE, UP, DOWN, R, CA2K, PERIOD, TAU, Y_TAU, V_TAU, RATE, UNIT,
  T, PHASE, S, FLOWN, MODE, OWN, COUNT, FRESH, RENEW,
  FORCED, DFORCED, Y, V, A, J, SCALE, M0, M2, M3, M4, DV, DY, RATIO,
- HITS_UP, HITS_DOWN, SLOWEST, EVALS, COST, REQUEST, WIDTH, WIDE, C_V, CA_V,
+ HITS_UP, HITS_DOWN, SLOWEST, EVALS, COST, REQUEST, WIDTH, WIDE,
+ AHEAD, GAP, REST, ROOM, LOW, HIGH, STEP,
  ) = (k * STRIDE for k in range(_HEAD))  # fmt: skip
 CONSTANTS = 14
 """Fields that the oscillator sets, the first ones."""
 
 # Fields of a block of a lane: those of Block, c and cA (C, D), k and A k (K, L); its state at the flight's start (H)
 # and at S (G), the flow between them (F).
-_BLOCK = 24
-(ETA, LAM, D, W, INV_W, SLOW, FAST, INV_LAM, C0, C1, D0, D1, K0, K1, L0, L1,
+_BLOCK = 28
+(ETA, LAM, D, W, INV_W, SLOW, FAST, TILT, WEIGHT, GROW2, GROW3, GROW4, C0, C1, D0, D1, K0, K1, L0, L1,
  H0, H1, G0, G1, F11, F12, F21, F22) = (k * STRIDE for k in range(_BLOCK))  # fmt: skip
-BLOCK_CONSTANTS = 16
+BLOCK_CONSTANTS = 20
 
 
 class Batch(NamedTuple):
@@ -125,7 +130,7 @@ def constants(osc: Oscillator) -> tuple[Array, Array]:
     y, v = forced(osc.tau, gap.omega, gap.sin_part, gap.cos_part)
     head = np.array([
         gap.omega, gap.sin_part, gap.cos_part, gap.amplitude, osc.b_upper, -osc.b_lower, osc.R, osc.cA2k,
-        osc.period, osc.tau, y, v, spread_rate(gap.block), gap.lam[0],
+        osc.period, osc.tau, y, v, spread_rate(gap.block), 1.0 / math.sqrt(gap.lam[0]),
     ])  # fmt: skip
     rows = zip(gap.block, gap.row, gap.row1, osc.kick, osc.kick1, strict=True)
     return head, np.array([[x for part in row for x in part] for row in rows])
@@ -135,12 +140,6 @@ def constants(osc: Oscillator) -> tuple[Array, Array]:
 def fields_of(a, j):
     """The fields of block j."""
     return a[(_HEAD + j * _BLOCK) * STRIDE : (_HEAD + (j + 1) * _BLOCK) * STRIDE]
-
-
-@kernel
-def vector_of(frames, index):
-    """The two fields of one block of one tangent vector."""
-    return frames[index * 2 * STRIDE : (index + 1) * 2 * STRIDE]
 
 
 @kernel
@@ -158,28 +157,39 @@ def forced_pass(a, n):
         a[SCALE + i] = abs(y)
 
 
+@inlined
+def keep_flow(a, q, i, flow):
+    """Take the state of one block to the time S and add its share of the signal."""
+    f11, f12, f21, f22 = flow
+    h0 = f11 * q[H0 + i] + f12 * q[H1 + i]
+    h1 = f21 * q[H0 + i] + f22 * q[H1 + i]
+    q0, q1, q2, q3 = block_output(h0, h1, q[ETA + i], q[LAM + i], q[C0 + i], q[C1 + i], q[D0 + i], q[D1 + i])
+    q[F11 + i] = f11
+    q[F12 + i] = f12
+    q[F21 + i] = f21
+    q[F22 + i] = f22
+    q[G0 + i] = h0
+    q[G1 + i] = h1
+    a[Y + i] += q0
+    a[V + i] += q1
+    a[A + i] += q2
+    a[J + i] += q3
+    a[SCALE + i] += abs(q0)
+
+
+@kernel
+def oscillating_block_pass(a, q, n):
+    """Flow one block (q: its fields) to the time S and add its share of the signal; underdamped in every lane."""
+    for i in range(n):
+        keep_flow(a, q, i, oscillating_flow(a[S + i], q[ETA + i], q[LAM + i], q[W + i], q[INV_W + i]))
+
+
 @kernel
 def block_pass(a, q, n):
-    """Flow one block (q: its fields) to the time S and add its share of the signal."""
+    """Flow one block (q: its fields) to the time S and add its share of the signal, whatever its damping."""
     for i in range(n):
-        eta, lam = q[ETA + i], q[LAM + i]
-        f11, f12, f21, f22 = flow_entries(
-            a[S + i], eta, lam, q[D + i], q[W + i], q[INV_W + i], q[SLOW + i], q[FAST + i]
-        )
-        h0 = f11 * q[H0 + i] + f12 * q[H1 + i]
-        h1 = f21 * q[H0 + i] + f22 * q[H1 + i]
-        q0, q1, q2, q3 = block_output(h0, h1, eta, lam, q[C0 + i], q[C1 + i], q[D0 + i], q[D1 + i])
-        q[F11 + i] = f11
-        q[F12 + i] = f12
-        q[F21 + i] = f21
-        q[F22 + i] = f22
-        q[G0 + i] = h0
-        q[G1 + i] = h1
-        a[Y + i] += q0
-        a[V + i] += q1
-        a[A + i] += q2
-        a[J + i] += q3
-        a[SCALE + i] += abs(q0)
+        eta, lam, d, w, inv_w = q[ETA + i], q[LAM + i], q[D + i], q[W + i], q[INV_W + i]
+        keep_flow(a, q, i, flow_entries(a[S + i], eta, lam, d, w, inv_w, q[SLOW + i], q[FAST + i]))
 
 
 @kernel
@@ -227,7 +237,7 @@ def arrival_pass(a, n):
         a[DFORCED + i] = v_tau if at_section else v_force
         before_flight = a[WIDTH + i]
         width = before_flight + s * a[RATE + i]
-        jump = impact_spread(ratio, a[LAM_1 + i])
+        jump = impact_spread(ratio, a[UNIT + i])
         a[WIDE + i] = 1.0 if event and width > MAX_SPREAD else 0.0
         width = width + jump if hit else width
         a[WIDTH + i] = width if event else before_flight
@@ -259,61 +269,127 @@ def restart_pass(a, n):
         a[A + i] = -w * w * y if fresh else a_
         a[J + i] = -w * w * v if fresh else j_
         a[SCALE + i] = abs(y) if fresh else scale
-        b0, _, b2, b3, b4 = forced_bounds(w, Y_)
+        b0, b2, b3, b4 = forced_bounds(w, Y_)
         a[M0 + i] = b0 if renew else m0
         a[M2 + i] = b2 if renew else m2
         a[M3 + i] = b3 if renew else m3
         a[M4 + i] = b4 if renew else m4
 
 
+@inlined
+def share_at_start(a, q, i):
+    """A block's share of the signal where bounds are wanted, taken into the signal where a flight starts there."""
+    fresh = a[FRESH + i] > 0.0
+    eta, lam, h0, h1, g0, g1 = q[ETA + i], q[LAM + i], q[H0 + i], q[H1 + i], q[G0 + i], q[G1 + i]
+    h0, h1 = h0 if fresh else g0, h1 if fresh else g1
+    q0, q1, q2, q3 = block_output(h0, h1, eta, lam, q[C0 + i], q[C1 + i], q[D0 + i], q[D1 + i])
+    a[Y + i] += q0 if fresh else 0.0
+    a[V + i] += q1 if fresh else 0.0
+    a[A + i] += q2 if fresh else 0.0
+    a[J + i] += q3 if fresh else 0.0
+    a[SCALE + i] += abs(q0) if fresh else 0.0
+    return q0, q1
+
+
+@inlined
+def add_bounds(a, i, bounds):
+    """Add a block's bounds to the sums where they are computed anew."""
+    renew = a[RENEW + i] > 0.0
+    b0, b2, b3, b4 = bounds
+    a[M0 + i] += b0 if renew else 0.0
+    a[M2 + i] += b2 if renew else 0.0
+    a[M3 + i] += b3 if renew else 0.0
+    a[M4 + i] += b4 if renew else 0.0
+
+
+@kernel
+def oscillating_bounds_pass(a, q, n):
+    """Add one block's share to the sums that restart_pass began; underdamped in every lane."""
+    for i in range(n):
+        q0, q1 = share_at_start(a, q, i)
+        tilt, weight, grow2, grow3, grow4 = q[TILT + i], q[WEIGHT + i], q[GROW2 + i], q[GROW3 + i], q[GROW4 + i]
+        add_bounds(a, i, amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4))
+
+
 @kernel
 def bounds_pass(a, q, n):
-    """Add one block's share to the sums that restart_pass began."""
+    """Add one block's share to the sums that restart_pass began, whatever its damping."""
     for i in range(n):
-        fresh, renew = a[FRESH + i] > 0.0, a[RENEW + i] > 0.0
-        eta, lam, h0, h1, g0, g1 = q[ETA + i], q[LAM + i], q[H0 + i], q[H1 + i], q[G0 + i], q[G1 + i]
-        h0, h1 = h0 if fresh else g0, h1 if fresh else g1
-        q0, q1, q2, q3 = block_output(h0, h1, eta, lam, q[C0 + i], q[C1 + i], q[D0 + i], q[D1 + i])
-        a[Y + i] += q0 if fresh else 0.0
-        a[V + i] += q1 if fresh else 0.0
-        a[A + i] += q2 if fresh else 0.0
-        a[J + i] += q3 if fresh else 0.0
-        a[SCALE + i] += abs(q0) if fresh else 0.0
-        b0, _, b2, b3, b4 = block_bounds(
-            q0, q1, eta, lam, q[D + i], q[INV_W + i], q[SLOW + i], q[FAST + i], q[INV_LAM + i]
-        )
-        a[M0 + i] += b0 if renew else 0.0
-        a[M2 + i] += b2 if renew else 0.0
-        a[M3 + i] += b3 if renew else 0.0
-        a[M4 + i] += b4 if renew else 0.0
+        q0, q1 = share_at_start(a, q, i)
+        eta, lam, d, inv_w, slow, fast = q[ETA + i], q[LAM + i], q[D + i], q[INV_W + i], q[SLOW + i], q[FAST + i]
+        tilt, weight, grow2, grow3, grow4 = q[TILT + i], q[WEIGHT + i], q[GROW2 + i], q[GROW3 + i], q[GROW4 + i]
+        add_bounds(a, i, block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4))
+
+
+# The next time of each lane, certified or an arrival: one turn of the loop of flight.next_crossing, in five passes.
+# One would be a chain of operations too long for the processor to work on the next lanes meanwhile.
+
+
+@kernel
+def approach_pass(a, n):
+    """The stop that each mass moves towards: the gap left, and the time after which it has certainly closed."""
+    for i in range(n):
+        upper, lower = a[UP + i], a[DOWN + i]
+        ahead = 1.0 if a[V + i] > 0.0 else -1.0
+        stop = upper if ahead > 0.0 else lower
+        reach = a[M0 + i] * (1.0 + 1e-12)
+        room = a[PERIOD + i] - a[T + i] - a[S + i]
+        g = ahead * (stop - a[Y + i])
+        g = 0.0 if a[OWN + i] == ahead else g
+        v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
+        rest = meets(g, v, push, jerk, a[M3 + i], a[M4 + i], ROUNDING * (a[SCALE + i] + abs(stop)), room)
+        a[AHEAD + i] = ahead
+        a[GAP + i] = max(g, 0.0)
+        a[REST + i] = rest if reach - ahead * stop >= 0.0 else np.inf
+        a[ROOM + i] = room
+
+
+@kernel
+def bracket_pass(a, n):
+    """Bounds of the time that is safe from the stop ahead."""
+    for i in range(n):
+        ahead = a[AHEAD + i]
+        v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
+        L, U = bracket(a[GAP + i], v, push, jerk, a[M2 + i], a[M3 + i], a[M4 + i], a[ROOM + i])
+        a[LOW + i] = L
+        a[HIGH + i] = U
+
+
+@kernel
+def close_in_pass(a, n):
+    """The time that is safe from the stop ahead."""
+    for i in range(n):
+        ahead, room, upper, lower = a[AHEAD + i], a[ROOM + i], a[UP + i], a[DOWN + i]
+        stop = upper if ahead > 0.0 else lower
+        reach = a[M0 + i] * (1.0 + 1e-12)
+        v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
+        free = close_in(a[LOW + i], a[HIGH + i], a[GAP + i], v, push, jerk, a[M2 + i], a[M3 + i], a[M4 + i])
+        a[STEP + i] = free if reach - ahead * stop >= 0.0 else room
+
+
+@kernel
+def retreat_pass(a, n):
+    """The time that is safe from the stop behind too."""
+    for i in range(n):
+        step, ahead, upper, lower = a[STEP + i], a[AHEAD + i], a[UP + i], a[DOWN + i]
+        reach = a[M0 + i] * (1.0 + 1e-12)
+        behind = lower if ahead > 0.0 else upper
+        g = ahead * (a[Y + i] - behind)
+        g = 0.0 if a[OWN + i] == -ahead else g
+        v, push, jerk = -ahead * a[V + i], -ahead * a[A + i], -ahead * a[J + i]
+        free = safe_retreat(max(g, 0.0), v, push, jerk, a[M2 + i], a[M3 + i], a[M4 + i], step)
+        a[STEP + i] = free if reach + ahead * behind >= 0.0 else step
 
 
 @kernel
 def step_pass(a, n):
-    """The next time of each lane, certified or an arrival: one turn of the loop of flight.next_crossing."""
+    """What each lane does next."""
     for i in range(n):
-        s, y = a[S + i], a[Y + i]
-        m2, m3, m4 = a[M2 + i], a[M3 + i], a[M4 + i]
+        s, step, rest, ahead = a[S + i], a[STEP + i], a[REST + i], a[AHEAD + i]
         reach = a[M0 + i] * (1.0 + 1e-12)
-        upper, lower = a[UP + i], a[DOWN + i]
-        excluded = reach < upper and -reach > lower
         H = a[PERIOD + i] - a[T + i]
-        room = H - s
-        own = a[OWN + i]
-        ahead = 1.0 if a[V + i] > 0.0 else -1.0
-        stop = upper if ahead > 0.0 else lower
-        g = 0.0 if own == ahead else ahead * (stop - y)
-        v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
-        open_way = -ahead * stop + reach >= 0.0
-        rest = meets(g, v, push, jerk, m3, m4, ROUNDING * (a[SCALE + i] + abs(stop)), room)
-        met = open_way and rest < np.inf
-        free = safe_step(max(g, 0.0), v, push, jerk, m2, m3, m4, room)
-        step = free if open_way else room
-        other = lower if ahead > 0.0 else upper
-        g = 0.0 if own == -ahead else ahead * (y - other)
-        open_way = ahead * other + reach >= 0.0
-        free = safe_step(max(g, 0.0), -v, -push, -jerk, m2, m3, m4, step)
-        step = free if open_way else step
+        met = rest < np.inf
+        excluded = reach < a[UP + i] and -reach > a[DOWN + i]
         later = s + rest if met else s + step
         ends = excluded or (later >= H and not met)
         count = a[COUNT + i]
@@ -328,72 +404,49 @@ def step_pass(a, n):
         a[OWN + i] = 0.0
 
 
-@kernel
-def flow_vector_pass(a, q, u, first, n):
-    """Take one block of one tangent vector (u: its two fields) through the flight that a lane has just ended.
-
-    Adds its share of c.V and cA.V, which begin with the ``first`` block.
-    """
-    for i in range(n):
-        flows = a[FRESH + i] > 0.0 and a[WIDE + i] == 0.0
-        u0, u1, cV, cAV = u[i], u[STRIDE + i], a[C_V + i], a[CA_V + i]
-        w0 = q[F11 + i] * u0 + q[F12 + i] * u1
-        w1 = q[F21 + i] * u0 + q[F22 + i] * u1
-        w0, w1 = w0 if flows else u0, w1 if flows else u1
-        u[i] = w0
-        u[STRIDE + i] = w1
-        a[C_V + i] = (0.0 if first else cV) + (q[C0 + i] * w0 + q[C1 + i] * w1)
-        a[CA_V + i] = (0.0 if first else cAV) + (q[D0 + i] * w0 + q[D1 + i] * w1)
+@inlined
+def flow_frame(a, i, frames):
+    """Take the tangent vectors of lane i, frames[i] (m, n, 2), through the flight that it has just ended."""
+    for j in range(frames.shape[2]):
+        b = (_HEAD + j * _BLOCK) * STRIDE + i
+        f11, f12, f21, f22 = a[b + F11], a[b + F12], a[b + F21], a[b + F22]
+        for k in range(frames.shape[1]):
+            u0, u1 = frames[i, k, j, 0], frames[i, k, j, 1]
+            frames[i, k, j, 0] = f11 * u0 + f12 * u1
+            frames[i, k, j, 1] = f21 * u0 + f22 * u1
 
 
-@kernel
-def saltate_vector_pass(a, q, u, n):
-    """Take one block of one tangent vector through the impact that a lane has just had: see impact.saltation."""
-    for i in range(n):
-        hit = a[OWN + i] != 0.0 and a[WIDE + i] == 0.0
-        r1, cV, cAV, ratio = 1.0 + a[R + i], a[C_V + i], a[CA_V + i], a[RATIO + i]
-        along_k = -r1 * (cAV - ratio * cV)
-        along_Ak = -r1 * cV
-        u0, u1 = u[i], u[STRIDE + i]
-        w0 = u0 + (along_k * q[K0 + i] + along_Ak * q[L0 + i])
-        w1 = u1 + (along_k * q[K1 + i] + along_Ak * q[L1 + i])
-        u[i] = w0 if hit else u0
-        u[STRIDE + i] = w1 if hit else u1
+@inlined
+def saltate_frame(blocks, r, restitution, ratio, frames, i):
+    """Take the tangent vectors of lane i through an impact, as impact.saltation does; blocks[r]: see Batch."""
+    for k in range(frames.shape[1]):
+        dy, dv = 0.0, 0.0
+        for j in range(frames.shape[2]):
+            u0, u1 = frames[i, k, j, 0], frames[i, k, j, 1]
+            dy += blocks[r, j, 12] * u0 + blocks[r, j, 13] * u1
+            dv += blocks[r, j, 14] * u0 + blocks[r, j, 15] * u1
+        along_k = -(1.0 + restitution) * (dv - ratio * dy)
+        along_Ak = -(1.0 + restitution) * dy
+        for j in range(frames.shape[2]):
+            frames[i, k, j, 0] += along_k * blocks[r, j, 16] + along_Ak * blocks[r, j, 18]
+            frames[i, k, j, 1] += along_k * blocks[r, j, 17] + along_Ak * blocks[r, j, 19]
 
 
 @kernel
-def read_frame(frames, i, frame):
-    """Tangent vectors (m, n, 2) of lane i."""
-    for k in range(frame.shape[0]):
-        for j in range(frame.shape[1]):
-            at = (k * frame.shape[1] + j) * 2 * STRIDE + i
-            frame[k, j, 0], frame[k, j, 1] = frames[at], frames[at + STRIDE]
+def fly_frame_far(a, i, block, V, growth, no_triangle, rank):
+    """As flow_frame, for a flight that spreads the frame V (m, n, 2) far."""
+    graded_flow(block, a[FLOWN + i], V, growth, no_triangle, rank)
+    orthonormalise(block[:, 1], V, growth, no_triangle, rank)
+    a[WIDTH + i] = impact_spread(a[RATIO + i], a[UNIT + i]) if a[OWN + i] != 0.0 else 0.0
 
 
 @kernel
-def write_frame(frames, i, frame):
-    """Set the tangent vectors of lane i."""
-    for k in range(frame.shape[0]):
-        for j in range(frame.shape[1]):
-            at = (k * frame.shape[1] + j) * 2 * STRIDE + i
-            frames[at], frames[at + STRIDE] = frame[k, j, 0], frame[k, j, 1]
-
-
-@kernel
-def carry_wide_frame(a, i, block, frame, growth, no_triangle, rank):
-    """What the vector passes leave out: a flight that spreads the frame too far, and a frame that is too far spread."""
-    lam = block[:, 1]
-    if a[WIDE + i] > 0.0:
-        graded_flow(block, a[FLOWN + i], frame, growth, no_triangle, rank)
-        orthonormalise(lam, frame, growth, no_triangle, rank)
-        a[WIDTH + i] = 0.0
-        if a[OWN + i] != 0.0:
-            row, row1, kick, kick1 = block[:, 8:10], block[:, 10:12], block[:, 12:14], block[:, 14:16]
-            saltation(row, row1, kick, kick1, a[R + i], frame, a[RATIO + i])
-            a[WIDTH + i] = impact_spread(a[RATIO + i], lam[0])
-    if a[OWN + i] != 0.0 and a[WIDTH + i] > MAX_SPREAD:
-        orthonormalise(lam, frame, growth, no_triangle, rank)
-        a[WIDTH + i] = 0.0
+def copy_frame(V, growth, source, W, increase, target):
+    """W[target] = V[source], with its growth (m,)."""
+    for k in range(V.shape[1]):
+        increase[target, k] = growth[source, k]
+        for j in range(V.shape[2]):
+            W[target, k, j, 0], W[target, k, j, 1] = V[source, k, j, 0], V[source, k, j, 1]
 
 
 @kernel
@@ -437,30 +490,17 @@ def keep_section(h, r, k, periods, sections):
 
 
 @kernel
-def keep_frame(frame, growths, i, V, growth, r):
-    """Write the tangent vectors of lane i and their growth back to request r."""
-    for k in range(frame.shape[0]):
-        growth[r, k] = growths[i, k]
-        for j in range(frame.shape[1]):
-            V[r, k, j, 0], V[r, k, j, 1] = frame[k, j, 0], frame[k, j, 1]
-
-
-@kernel
-def move_lane(a, source, target, frames, growths):
+def move_lane(a, source, target):
     """Copy a lane."""
-    for fields in (a, frames):
-        for f in range(len(fields) // STRIDE):
-            fields[f * STRIDE + target] = fields[f * STRIDE + source]
-    for k in range(growths.shape[1]):
-        growths[target, k] = growths[source, k]
+    for f in range(len(a) // STRIDE):
+        a[f * STRIDE + target] = a[f * STRIDE + source]
 
 
 @kernel
-def park(a, i, frames):
+def park(a, i):
     """Give a lane that no cell needs a mass that nothing moves, for the passes to run over."""
-    for fields in (a, frames):
-        for f in range(len(fields) // STRIDE):
-            fields[f * STRIDE + i] = 0.0
+    for f in range(len(a) // STRIDE):
+        a[f * STRIDE + i] = 0.0
     a[UP + i], a[DOWN + i], a[PERIOD + i] = 1.0, -1.0, 1.0
 
 
@@ -474,20 +514,20 @@ def run_lanes(batch, enough):
     head, blocks, periods, done, left, h, V, growth, tally, levels, weighted, sections = batch
     N, n, m = h.shape[0], h.shape[1], V.shape[1]
     a = np.zeros((_HEAD + n * _BLOCK) * STRIDE)
-    frames, growths = np.zeros(m * n * 2 * STRIDE), np.zeros((LANES, m))
-    frame, no_triangle = np.zeros((m, n, 2)), np.zeros((0, 0))
+    frames, growths, no_triangle = np.zeros((LANES, m, n, 2)), np.zeros((LANES, m)), np.zeros((0, 0))
+    oscillates = np.ones(n, dtype=np.bool_)
+    for r in range(N):
+        for j in range(n):
+            oscillates[j] &= blocks[r, j, 2] > 0.0  # d
     for i in range(LANES):
-        park(a, i, frames)
+        park(a, i)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     while True:
         while active < LANES and queued < N:
             load(a, active, queued, head, blocks, h, tally)
-            if m > 0:
-                write_frame(frames, active, V[queued])
-                for k in range(m):
-                    growths[active, k] = growth[queued, k]
+            copy_frame(V, growth, queued, frames, growths, active)
             if m < 2:  # one vector cannot spread
-                a[RATE + active], a[LAM_1 + active] = 0.0, np.inf
+                a[RATE + active] = a[UNIT + active] = 0.0
             if done[queued] == 0:
                 weighted[queued, 0] = weighted[queued, 1] = 0.0
             active, queued = active + 1, queued + 1
@@ -497,43 +537,52 @@ def run_lanes(batch, enough):
         padded = -(-active // WIDTH_OF_VECTORS) * WIDTH_OF_VECTORS
         restart_pass(a, padded)
         for j in range(n):
-            bounds_pass(a, fields_of(a, j), padded)
+            if oscillates[j]:
+                oscillating_bounds_pass(a, fields_of(a, j), padded)
+            else:
+                bounds_pass(a, fields_of(a, j), padded)
+        approach_pass(a, padded)
+        bracket_pass(a, padded)
+        close_in_pass(a, padded)
+        retreat_pass(a, padded)
         step_pass(a, padded)
         forced_pass(a, padded)
         for j in range(n):
-            block_pass(a, fields_of(a, j), padded)
+            if oscillates[j]:
+                oscillating_block_pass(a, fields_of(a, j), padded)
+            else:
+                block_pass(a, fields_of(a, j), padded)
         arrival_pass(a, padded)
         for j in range(n):
             kick_pass(a, fields_of(a, j), padded)
-        for k in range(m):
-            for j in range(n):
-                flow_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), j == 0, padded)
-            for j in range(n):
-                saltate_vector_pass(a, fields_of(a, j), vector_of(frames, k * n + j), padded)
         for i in range(active - 1, -1, -1):  # from the last one: what moves into a place that falls free is done with
             ended = a[MODE + i] == LEFT
             at_section = a[MODE + i] == AT_SECTION
             r = int(a[REQUEST + i])
             if ended:
                 left[r] = True
-            elif a[WIDE + i] > 0.0 or a[WIDTH + i] > MAX_SPREAD:
-                read_frame(frames, i, frame)
-                carry_wide_frame(a, i, blocks[r], frame, growths[i], no_triangle, 2 * n - int(tally[r, LOST]))
-                write_frame(frames, i, frame)
+            elif m > 0 and a[FRESH + i] > 0.0:
+                rank = 2 * n - int(tally[r, LOST])
+                if a[WIDE + i] > 0.0:
+                    fly_frame_far(a, i, blocks[r], frames[i], growths[i], no_triangle, rank)
+                else:
+                    flow_frame(a, i, frames)
+                if not at_section:
+                    saltate_frame(blocks, r, a[R + i], a[RATIO + i], frames, i)
+                if at_section or a[WIDTH + i] > MAX_SPREAD:
+                    orthonormalise(blocks[r, :, 1], frames[i], growths[i], no_triangle, rank)
+                    a[WIDTH + i] = 0.0
             if at_section:
                 k = done[r]
                 if m > 0:
-                    read_frame(frames, i, frame)
-                    orthonormalise(blocks[r, :, 1], frame, growths[i], no_triangle, 2 * n - int(tally[r, LOST]))
-                    write_frame(frames, i, frame)
-                    a[WIDTH + i] = 0.0
                     add_growth(levels[r], weighted[r], growths[i, 0] - growth[r, 0], k, periods[r])
-                    keep_frame(frame, growths, i, V, growth, r)
+                    copy_frame(frames, growths, i, V, growth, r)
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
                 ended = ending or k + 1 == periods[r] or tally[r, WORK] < 0.0
             if ended:
                 active -= 1
-                move_lane(a, active, i, frames, growths)
-                park(a, active, frames)
+                move_lane(a, active, i)
+                copy_frame(frames, growths, active, frames, growths, i)
+                park(a, active)

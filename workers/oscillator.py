@@ -20,9 +20,10 @@ LARGEST_ANGLE = 3e7
 
 
 class Block(NamedTuple):
-    """h'' + 2 eta h' + lam h = 0 with what its flow needs.
+    """h'' + 2 eta h' + lam h = 0 with what its flow and its bounds need.
 
-    d = lam - eta^2; w = sqrt|d| and its inverse (0 for w = 0); the decay rates, both eta unless overdamped; 1 / lam.
+    d = lam - eta^2; w = sqrt|d| and its inverse (0 for w = 0); the decay rates, both eta unless overdamped.
+    tilt, weight and grow2...grow4 are those of flight.amplitude_bounds.
     """
 
     eta: float
@@ -32,16 +33,30 @@ class Block(NamedTuple):
     inv_w: float
     slow: float
     fast: float
-    inv_lam: float
+    tilt: float
+    weight: float
+    grow2: float
+    grow3: float
+    grow4: float
 
 
 def make_block(eta: float, lam: float) -> Block:
-    """The block of that damping and stiffness, lam > 0."""
+    """The block of that damping and stiffness, lam > 0.
+
+    The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping, where that
+    is large, its energy and q'' = -2 eta q' - lam q bound it better.
+    """
     d = lam - eta * eta
     w = math.sqrt(abs(d))
     fast = eta + (w if d < 0.0 else 0.0)
     slow = lam / fast if d < 0.0 else eta
-    return Block(eta, lam, d, w, 1.0 / w if w > 0.0 else 0.0, slow, fast, 1.0 / lam)
+    root = math.sqrt(lam)
+    weak = d > 0.05 * lam
+    tilt, weight, twice = (eta, 1.0 / d, 0.0) if weak else (0.0, 1.0 / lam, 2.0 * eta)
+    grow2 = lam + twice * root
+    grow3 = lam * root + twice * grow2
+    grow4 = lam * grow2 + twice * grow3
+    return Block(eta, lam, d, w, 1.0 / w if w > 0.0 else 0.0, slow, fast, tilt, weight, grow2, grow3, grow4)
 
 
 class Signal(NamedTuple):

@@ -229,17 +229,17 @@ def meet_stop(osc, h, V, tally, impacts, t, side, remaining, arrived):
     if following == LEAVE:
         tally[LOST] = max(tally[LOST], 1.0)
     if V.shape[0] > 1:
-        tally[SPREAD] += impact_spread(a / v, osc.gap.lam[0])
+        tally[SPREAD] += impact_spread(a / v, 1.0 / math.sqrt(osc.gap.lam[0]))
     return following
 
 
 @inlined
-def impact_spread(ratio, lam):
+def impact_spread(ratio, unit):
     """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
 
-    2 ln(1 + u) < 2 u / sqrt(1 + u) with u = |ratio| / sqrt(lam).
+    2 ln(1 + u) < 2 u / sqrt(1 + u) with u = |ratio| unit, where unit = 1 / sqrt(lam_1).
     """
-    u = abs(ratio) / math.sqrt(lam)
+    u = abs(ratio) * unit
     return 2.0 * u / math.sqrt(1.0 + u)
 
 
