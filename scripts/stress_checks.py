@@ -11,7 +11,7 @@ from scripts.stress_cells import POSITION, Findings, Params, draw, frequencies
 from tests.oracle import dense_violation, simulate
 from tests.oracle.model import model
 from tests.oracle.simulate import first_hit
-from workers.orbits import map_with_jacobian
+from workers.maps import map_with_jacobian
 from workers.oscillator import Oscillator
 from workers.section import (
     BEYOND,

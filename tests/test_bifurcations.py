@@ -13,7 +13,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from workers.orbits import Fixed, newton
+from workers.maps import Fixed
+from workers.orbits import newton
 from workers.oscillator import Oscillator
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
 from workers.section import FREE, blocks_to_physical, motion_at, motion_from

@@ -9,7 +9,7 @@ from workers.lyapunov import no_averages
 from workers.oscillator import Oscillator
 from workers.section import EVALUATIONS, FREE, RUNNING, STATUS, WORK, Motion, motion_from
 from workers.solve import with_frame
-from workers.stretch import Stretch, follow, follow_together
+from workers.stretch import Stretch, ended, follow, follow_together
 from workers.system import find_system
 
 KEPT = 5
@@ -97,6 +97,20 @@ def test_company_and_place_do_not_matter() -> None:
     mixed = [one for pair in zip(part, others, strict=True) for one in pair]
     follow_together(mixed, [0] * 154)
     assert all(same_bits(whole[k], one) for k, one in zip(order, part, strict=True))
+
+
+def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits() -> None:
+    """Stretches of 10 to 400 periods, taken along until all have ended: each return leaves fewer of them under way."""
+    together = [one._replace(periods=10 + 3 * k) for k, one in enumerate(family(5, 1, 130, 1))]
+    alone = copies(together)
+    done, rounds = [0] * 130, []
+    while any(not ended(one, count) for one, count in zip(together, done, strict=True)):
+        done = follow_together(together, done, all_the_way=False)
+        rounds.append(sum(not ended(one, count) for one, count in zip(together, done, strict=True)))
+    assert done == [follow(one) for one in alone]
+    assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
+    assert len(rounds) > 3
+    assert all(after <= before / 2 + 2 for before, after in zip([128, *rounds], rounds, strict=False))
 
 
 def test_a_motion_that_is_out_of_work_stops_where_it_would_alone() -> None:

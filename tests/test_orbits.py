@@ -11,7 +11,8 @@ import pytest
 from tests import naive
 from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
-from workers.orbits import recurrence
+from workers.floquet import spectral_radius
+from workers.orbits import corrected, recurrence
 from workers.results import PERIODIC
 from workers.section import motion_at, motion_from, reset_frame, run, travel
 from workers.settings import Settings
@@ -147,6 +148,16 @@ def test_recurrence_puts_the_lag_that_closes_first() -> None:
     sections = np.zeros((20, 2, 2))
     sections[:, 0, 0] = np.arange(20) % 4 * 1e-3
     assert recurrence(osc, sections, 1.0, 10)[0] == 4
+
+
+def test_a_newton_step_without_an_answer_is_nan() -> None:
+    """J = I: every point is fixed, or none."""
+    h = np.ones((2, 2))
+    assert np.all(np.isnan(corrected(h, 2.0 * h, np.eye(4))))
+
+
+def test_a_matrix_that_is_not_finite_has_an_infinite_spectral_radius() -> None:
+    assert spectral_radius(np.full((4, 4), np.nan)) == math.inf
 
 
 def test_the_error_of_a_periodic_orbit_covers_what_its_section_leaves_open() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian, simulate
-from workers.orbits import map_with_jacobian
+from workers.maps import map_with_jacobian
 from workers.oscillator import Oscillator
 from workers.section import (
     EVALUATIONS,

@@ -1,4 +1,4 @@
-"""Periodic orbits: Newton on the period map, Floquet exponents without forming the product, symmetry.
+"""Periodic orbits: near returns, Newton on the period map, what makes a fixed point the orbit that attracts, symmetry.
 
 Where the gap is symmetric every orbit is sought as one of the half-period map G, G o G = P: period m under G
 with m odd is a symmetric orbit of period m, m even an asymmetric one of period m / 2.
@@ -10,20 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.frame import inner
+from workers.floquet import floquet, spectral_radius
 from workers.jit import kernel, piece
+from workers.maps import Fixed, iterate_alone, map_with_jacobian, separation
 from workers.oscillator import Oscillator
-from workers.section import (
-    LOST,
-    RUNNING,
-    STATUS,
-    Motion,
-    axes,
-    mirror,
-    motion_with,
-    reset_frame,
-    travel,
-)
+from workers.section import RUNNING, STATUS, Motion
 
 Array = NDArray[np.float64]
 
@@ -37,12 +28,6 @@ HOPELESS = 30.0
 RESERVED_TURNS = 6
 """Turns that the other tests of an orbit take: divisors (less than two), one under G, one of the motion, one for the
 error of the multipliers, one last count."""
-
-SETTLED = 1e-13
-"""Coupling below which the Floquet frame has split into invariant subspaces."""
-
-NARROW = 2.0
-"""Log-spread of multipliers up to which their block's product may be formed: loses no digit that counts."""
 
 
 class Orbit(NamedTuple):
@@ -74,50 +59,6 @@ class Orbit(NamedTuple):
         return self.half and self.steps % 2 == 1
 
 
-class Fixed(NamedTuple):
-    """A fixed point of so many steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
-
-    h: Array
-    image: Array
-    contact: int
-    jacobian: Array
-    residual: float
-
-
-@kernel
-def image(osc, h, contact, V, growth, triangle, steps, half):
-    """The motion that so many steps of the map, half periods or whole ones, make of block state h; see motion_with.
-
-    Not RUNNING where it cannot get there.
-    """
-    motion = motion_with(h, contact, V, growth, triangle)
-    for _ in range(steps):
-        travel(osc, motion, 0.5 * osc.period if half else osc.period)
-        if half:
-            mirror(motion)
-        if motion.tally[STATUS] != RUNNING:
-            break
-    return motion
-
-
-@kernel
-def energy_norm(lam, h):
-    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
-    total = 0.0
-    for j in range(len(lam)):
-        total += lam[j] * h[j, 0] ** 2 + h[j, 1] ** 2
-    return math.sqrt(total)
-
-
-@kernel
-def separation(lam, h, g):
-    """The energy norm of the difference of two block states (n, 2)."""
-    total = 0.0
-    for j in range(len(lam)):
-        total += lam[j] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
-    return math.sqrt(total)
-
-
 @kernel
 def nonlinear_part(lam, h, image, point):
     """|F(h) - h* - J (h - h*)| in the energy norm: what the linear map at a fixed point does not explain."""
@@ -147,45 +88,6 @@ def corrected(h, image, J):
     for k in range(size):
         better[k // 2, k % 2] = h[k // 2, k % 2] - change[k]
     return better
-
-
-@kernel
-def moduli(matrix):
-    """|eigenvalues| of a real matrix; infinity where it is not finite."""
-    try:
-        return np.abs(np.linalg.eigvals(matrix.astype(np.complex128)))
-    except Exception:  # a kernel can catch no other
-        return np.full(len(matrix), np.inf)
-
-
-@kernel
-def spectral_radius(matrix):
-    """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
-    return np.max(moduli(matrix))
-
-
-@piece
-def bare_image(osc, h, contact, steps, half):
-    """The image of h alone, without tangent vectors."""
-    return image(osc, h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
-
-
-@kernel
-def jacobian_of(V):
-    """The Jacobian (2n, 2n) that has tangent vectors V (2n, n, 2) for columns."""
-    size = V.shape[0]
-    J = np.empty((size, size))
-    for i in range(size):
-        for j in range(V.shape[1]):
-            J[2 * j, i], J[2 * j + 1, i] = V[i, j, 0], V[i, j, 1]
-    return J
-
-
-@piece
-def map_with_jacobian(osc, h, contact, steps, half):
-    """The motion that so many steps of the map make of h, and the Jacobian (2n, 2n) of the map there."""
-    motion = image(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
-    return motion, jacobian_of(motion.V)
 
 
 @piece
@@ -222,100 +124,6 @@ def newton(osc, start, contact, steps, half, scale, most):
     return newton_steps(osc, start, contact, steps, half, scale, most)
 
 
-@kernel
-def overlaps(lam, before, after):
-    """The energy products of the vectors of two frames (m, n, 2): an orthogonal matrix where both span one space."""
-    m = before.shape[0]
-    products = np.empty((m, m))
-    for i in range(m):
-        for k in range(m):
-            products[i, k] = inner(lam, before, i, after, k)
-    return products
-
-
-@kernel
-def block_ends(rotation):
-    """Where the diagonal blocks end into which an orthogonal matrix falls apart."""
-    size = len(rotation)
-    ends = np.empty(size, dtype=np.int64)
-    count = 0
-    for end in range(1, size + 1):
-        coupling = 0.0
-        for i in range(end, size):
-            for k in range(end):
-                coupling = max(coupling, abs(rotation[i, k]))
-        if coupling < SETTLED:
-            ends[count] = end
-            count += 1
-    return ends[:count]
-
-
-@kernel
-def spread_of(logs, ends):
-    """The largest difference of logarithms within one block."""
-    spread, start = 0.0, 0
-    for end in ends:
-        spread = max(spread, np.max(logs[start:end]) - np.min(logs[start:end]))
-        start = end
-    return spread
-
-
-@kernel
-def block_logs(rotation, growth, triangle, ends, size):
-    """ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest modulus of them.
-
-    Scaled so that nothing overflows. Up to ``size`` they are -infinity: directions that are lost.
-    """
-    logs = np.full(size, -np.inf)
-    largest, start = 0.0, 0
-    for end in ends:
-        top = np.max(growth[start:end])
-        product = np.zeros((end - start, end - start))
-        for i in range(start, end):
-            for k in range(start, end):
-                for j in range(start, end):
-                    product[i - start, k - start] += rotation[i, j] * math.exp(growth[j] - top) * triangle[j, k]
-        for modulus in moduli(product):
-            logs[start] = top + math.log(modulus)
-            largest = max(largest, abs(logs[start]))
-            start += 1
-    return logs, largest
-
-
-@piece
-def floquet(osc, point, steps, half, most):
-    """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``most`` < 2.
-
-    A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
-    kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
-    multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity.
-    """
-    size = point.h.size
-    frame = axes(point.h.shape[0])
-    logs = np.full(size, -np.inf)
-    rounding = np.inf
-    turns = 0
-    for turn in range(1, most + 1):
-        m = frame.shape[0]
-        motion = image(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
-        if motion.tally[STATUS] != RUNNING:
-            break
-        reset_frame(osc, motion)
-        rank = size - int(motion.tally[LOST])
-        rotation = overlaps(osc.gap.lam, frame[:rank], motion.V[:rank])
-        frame = motion.V[:rank].copy()
-        if turn == 1:
-            continue
-        ends = block_ends(rotation)
-        spread = spread_of(motion.growth, ends)
-        if spread < NARROW or turn == most:
-            logs, largest = block_logs(rotation, motion.growth, motion.triangle, ends, size)
-            rounding = 1e-15 * (1.0 + largest) * math.exp(min(spread, 700.0))
-            turns = turn
-            break
-    return logs, rounding, turns
-
-
 @piece
 def closes_earlier(osc, point, steps, half, scale):
     """Whether fewer steps close the orbit already, or as many under G if these are of P; and the steps taken to see.
@@ -326,7 +134,7 @@ def closes_earlier(osc, point, steps, half, scale):
     mirrors = not half and steps % 2 == 1 and osc.b_upper == osc.b_lower
     for fewer in range(1, steps + 1):
         if steps % fewer == 0 and (fewer < steps or mirrors):
-            trial = bare_image(osc, point.h, point.contact, fewer, half or fewer == steps)
+            trial = iterate_alone(osc, point.h, point.contact, fewer, half or fewer == steps)
             spent += fewer
             if separation(osc.gap.lam, trial.h, point.h) < 1e-6 * scale:
                 return True, spent
@@ -357,7 +165,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         return False, orbit, spent
     distance = separation(lam, h, point.h)
     if distance > 1e-9 * scale:
-        trial = bare_image(osc, h, contact, steps, half)
+        trial = iterate_alone(osc, h, contact, steps, half)
         spent += steps
         if not nonlinear_part(lam, h, trial.h, point) < 0.5 * -math.expm1(largest) * distance:
             return False, orbit, spent

@@ -17,7 +17,8 @@ from workers.lyapunov import (
     sum_law_holds,
     sum_of_exponents,
 )
-from workers.orbits import Orbit, closest_return, energy_norm, recurrence, settle
+from workers.maps import energy_norm
+from workers.orbits import Orbit, closest_return, recurrence, settle
 from workers.oscillator import Oscillator
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, QUASIPERIODIC, UNDETERMINED
 from workers.section import (
