@@ -40,9 +40,6 @@ FIGURES = {
 }
 SETTINGS_NAME = {0: "none", 1: "largest", 4: "spectrum"}
 
-TRANSCENDENTALS = 10
-"""exp, sin and cos of an evaluation: two exp, a sin and a cos for each of two blocks; a sin and a cos for the force."""
-
 
 def numpy_rates(t: float, flat: Array, A: Array, force: Array, omega: float, tau: float) -> Array:
     """d/dt of (x1, x2, v1, v2) and of the tangent vectors stored beside it as columns."""
@@ -234,10 +231,11 @@ def taylor_cost(params: dict[str, float], exponents: int, schedule: Schedule) ->
     return 1e6 * min(run[1][1] - run[0][1] for run in runs) / (lengths[1] - lengths[0])
 
 
-def evaluations(params: dict[str, float], periods: int = 1000) -> float:
-    """Evaluations of exponentials, sines and cosines per period on the attractor.
+def counts(params: dict[str, float], periods: int = 1000) -> tuple[float, float]:
+    """Evaluations per period on the attractor, and their exponentials, sines and cosines.
 
-    The first one of a flight needs none, the one at its end is not counted by the march: they make up for each other.
+    A block has one of each, and two exponentials more where overdamped; the force a sine and a cosine. The first
+    evaluation of a flight needs none, the one at its end is not counted by the march: they make up for each other.
     """
     system = find_system("two-mass")
     osc = system.build({parameter.name: parameter.default for parameter in system.parameters} | params)
@@ -246,7 +244,8 @@ def evaluations(params: dict[str, float], periods: int = 1000) -> float:
     run(osc, motion, 0, periods, none)
     before = float(motion.tally[EVALUATIONS])
     run(osc, motion, 0, periods, none)
-    return (float(motion.tally[EVALUATIONS]) - before) / periods
+    count = (float(motion.tally[EVALUATIONS]) - before) / periods
+    return count, count * (2 + sum(3 if block.d > 0.0 else 5 for block in osc.gap.block))
 
 
 def measure(schedule: Schedule) -> list[dict[str, Any]]:
@@ -254,7 +253,7 @@ def measure(schedule: Schedule) -> list[dict[str, Any]]:
     rows = []
     for figure, params in FIGURES.items():
         beside = params | {"b": params["b"] * (1.0 + 1e-5 * np.arange(CELLS))}
-        count = evaluations(params)
+        count, calls = counts(params)
         for exponents in (0, 1, 4):
             together, found = solver_cost(beside, exponents, schedule.short, schedule.long, schedule.repeats)
             alone, _ = solver_cost(params, exponents, schedule.alone // 20, schedule.alone, schedule.repeats)
@@ -265,7 +264,7 @@ def measure(schedule: Schedule) -> list[dict[str, Any]]:
                 "solver_alone_us_per_period": alone,
                 "heyoka_us_per_period": taylor_cost(params, exponents, schedule),
                 "evaluations_per_period": count,
-                "transcendentals_per_period": TRANSCENDENTALS * count,
+                "transcendentals_per_period": calls,
                 "solver_exponents": found.tolist(),
             }
             row["heyoka_ratio"] = row["heyoka_us_per_period"] / together
