@@ -213,7 +213,7 @@ def extend(
     read = None if spec is None else Spec.from_toml(spec)
     options: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
     try:
-        with reporter(sys.stderr) as show:
+        with _interruptible(), reporter(sys.stderr) as show:
             summary = extend_store(store, out, read, factors, on_progress=show, probe=True, **options)
     except KeyboardInterrupt:
         _say("interrupted: finished tiles are kept; the same line goes on")

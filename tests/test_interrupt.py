@@ -24,9 +24,12 @@ from atlas import progress
 from atlas.cli import cli
 
 class Striking(progress.LogReporter):
+    struck = False
+
     def __call__(self, snapshot):
         super().__call__(snapshot)
-        if snapshot.tiles_done == 2 and snapshot.stage == "solving":
+        if not self.struck and snapshot.tiles_done >= 2 and snapshot.stage == "solving":
+            self.struck = True
             os.kill(os.getpid(), getattr(signal, sys.argv[1]))
         if snapshot.stage.startswith("interrupted") and sys.argv[2] == "twice":
             os.kill(os.getpid(), getattr(signal, sys.argv[1]))
@@ -37,10 +40,17 @@ cli(sys.argv[3:])
 """
 
 
-def strike(folder: Path, signal: str, often: str) -> subprocess.CompletedProcess[str]:
+RUN = ("run", "spec.toml", "-o", "out.zarr", "--workers", "1")
+
+
+def strike(folder: Path, signal: str, often: str, *command: str) -> subprocess.CompletedProcess[str]:
+    return atlas_in(folder, [sys.executable, "-c", STRUCK, signal, often], *command)
+
+
+def atlas_in(folder: Path, program: list[str], *command: str) -> subprocess.CompletedProcess[str]:
     (folder / "spec.toml").write_text(SPEC)
     return subprocess.run(
-        [sys.executable, "-c", STRUCK, signal, often, "run", "spec.toml", "-o", "out.zarr", "--workers", "1"],
+        [*program, *command],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -51,22 +61,14 @@ def strike(folder: Path, signal: str, often: str) -> subprocess.CompletedProcess
 
 
 def test_ctrl_c_twice_leaves_at_once_and_the_next_run_goes_on(tmp_path: Path) -> None:
-    struck = strike(tmp_path, "SIGINT", "twice")
+    struck = strike(tmp_path, "SIGINT", "twice", *RUN)
     assert struck.returncode == 130
     # Python's own helper process may say after it that it cleans up.
     assert "left at once: finished tiles are kept" in struck.stderr.splitlines()
     assert "Traceback" not in struck.stderr
     claim = tmp_path / ".out.zarr.run" / "claim"
     assert claim.exists()  # nobody was left to take it back
-    again = subprocess.run(
-        [*ATLAS, "run", "spec.toml", "-o", "out.zarr", "--workers", "1"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    again = atlas_in(tmp_path, ATLAS, *RUN)
     assert again.returncode == 0
     assert "which is gone" in again.stderr
     assert "12 of 12 tiles done" in again.stdout
@@ -74,7 +76,19 @@ def test_ctrl_c_twice_leaves_at_once_and_the_next_run_goes_on(tmp_path: Path) ->
 
 
 def test_sigterm_ends_a_run_in_order(tmp_path: Path) -> None:
-    struck = strike(tmp_path, "SIGTERM", "once")
+    struck = strike(tmp_path, "SIGTERM", "once", *RUN)
     assert struck.returncode == 130
     assert struck.stderr.splitlines()[-1].strip() == "atlas run spec.toml -o out.zarr --workers 1"
     assert not (tmp_path / ".out.zarr.run").exists()
+
+
+def test_sigterm_ends_an_extension_in_order_and_the_same_line_goes_on(tmp_path: Path) -> None:
+    line = ("extend", "out.zarr", "--refine", "3", "-o", "fine.zarr", "--workers", "1")
+    assert atlas_in(tmp_path, ATLAS, *RUN).returncode == 0
+    struck = strike(tmp_path, "SIGTERM", "once", *line)
+    assert struck.returncode == 130
+    assert struck.stderr.splitlines()[-1] == "interrupted: finished tiles are kept; the same line goes on"
+    assert not (tmp_path / ".fine.zarr.run").exists()
+    again = atlas_in(tmp_path, ATLAS, *line)
+    assert again.returncode == 0
+    assert "34 of 34 tiles done" in again.stdout
