@@ -208,6 +208,7 @@ def measure_scipy(cells: list[Cell], periods: int) -> list[Point]:
     points = []
     for k, cell in enumerate(cells):
         if cell.group == "figures":
+            GeneralIntegrator(cell.params, 1).run(1)  # compiles what it calls
             integrator = GeneralIntegrator(cell.params, 1)
 
             def work(integrator: GeneralIntegrator = integrator) -> None:
@@ -328,6 +329,7 @@ def summary(
         slower = float(np.mean([seconds / per_period[k] for k, seconds in dop853.items()]))
         general["dop853_us_per_period"] = 1e6 * float(np.mean(list(dop853.values())))
         general["dop853_window_ratio"] = general["heyoka_window_ratio"] * slower
+        general["dop853_window_together_ratio"] = general["heyoka_window_together_ratio"] * slower
         check = [
             errors[i] for i, p in enumerate(points)
             if p.method == "heyoka" and p.setting == plan.heyoka_lengths[-1] and cells[p.cell].kind == "periodic"
