@@ -12,6 +12,7 @@ from tests import naive
 from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
 from workers.floquet import spectral_radius
+from workers.history import trace
 from workers.orbits import corrected, recurrence
 from workers.results import PERIODIC
 from workers.section import motion_at, motion_from, reset_frame, run, travel
@@ -134,6 +135,7 @@ LONG = [
     (1.918644, 0.191026, 0.8, 32),
     (0.962712, 0.280769, 0.8, 4),
     (2.322034, 0.05541, 0.5, 24),
+    (1.918591, 0.191026, 0.8, 64),
 ]
 
 
@@ -141,6 +143,16 @@ LONG = [
 def test_the_period_is_the_one_that_closes_not_a_near_return(omega: float, b: float, R: float, period: int) -> None:
     found = solve_tile("two-mass", {"omega": omega, "b": b, "R": R})
     assert (found["regime"], found["period"]) == (PERIODIC, period)
+
+
+@pytest.mark.parametrize(("omega", "b", "R", "period"), LONG)
+def test_a_long_orbit_returns_after_its_period_and_not_halfway(omega: float, b: float, R: float, period: int) -> None:
+    """Truth: the section states of the cell followed from the state that was found."""
+    params = {"omega": omega, "b": b, "R": R}
+    state = solve_tile("two-mass", params)["state"]
+    states = trace("two-mass", params | dict(zip(("x1", "x2", "v1", "v2"), state, strict=True)), period).states
+    assert states[period] == pytest.approx(states[0], abs=1e-9)
+    assert all(np.max(np.abs(states[k] - states[0])) > 1e-6 for k in range(1, period))
 
 
 def test_recurrence_puts_the_lag_that_closes_first() -> None:
