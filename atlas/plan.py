@@ -155,16 +155,19 @@ def probe(spec: Spec, cells: int = PROBE_CELLS, seconds: float = 1.5) -> Probe:
 
 
 def warm_up(spec: Spec) -> None:
-    """Compile the kernels, into the cache on disk that other processes read, by solving a few cells in brief.
+    """Compile the kernels, into the cache on disk that other processes read, by solving the system's default cell.
 
-    One alone and many side by side: they do not take the same kernels, nor do all kinds of motion.
+    Adaptive and on a fixed schedule, one alone and many side by side: they do not take the same kernels.
     """
     from workers.tile import solve_cells
 
+    first = spec.record.parameters[0]
+    many = {first.name: np.full(PROBED_TOGETHER, first.default)}
     s = spec.settings
-    brief: Settings = replace(s, max_periods=min(s.max_periods, 1000), transient_periods=0, periods=1)
-    for first, count in ((0, 1), (0, PROBE_CELLS)):
-        solve_cells(spec.system, _some_cells(spec, first, count), brief)
+    brief: Settings = replace(s, max_periods=1000, transient_periods=0, periods=1)
+    for method in ("adaptive", "fixed"):
+        for cells in ({}, many):
+            solve_cells(spec.system, cells, replace(brief, method=method))
 
 
 def _some_cells(spec: Spec, first: int, count: int) -> dict[str, np.ndarray]:

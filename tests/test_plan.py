@@ -1,5 +1,8 @@
 import itertools
 import math
+import os
+import subprocess
+import sys
 from collections import namedtuple
 from pathlib import Path
 
@@ -8,6 +11,7 @@ import pytest
 
 from atlas import Spec, plan
 from atlas.errors import InputError
+from tests.faults import ROOT
 from tests.planes import plane_of
 from workers.results import result_variables
 
@@ -81,3 +85,45 @@ def test_a_plan_prints_itself() -> None:
     printed = str(plan.make_plan(plane_of(), workers=2))
     assert "omega 2..4 (7 values) x b 0.1..0.5 (5 values)" in printed
     assert "35 (5 x 7; b, omega) in 9 tiles of 2 x 3" in printed
+
+
+WARM = """
+import sys
+import numpy as np
+from atlas import Spec, plan
+from workers.tile import solve_cells
+
+def compiled():
+    modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("workers.")]
+    return {
+        (name, str(signature))
+        for module in modules
+        for name, kernel in vars(module).items()
+        for signature in getattr(kernel, "signatures", ())
+    }
+
+spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})
+plan.warm_up(spec)
+before = compiled()
+rng = np.random.default_rng(1)
+cells = {
+    "omega": rng.uniform(0.5, 4.0, 60), "b": 10.0 ** rng.uniform(-2, 0, 60), "zeta": 10.0 ** rng.uniform(-2, 1, 60),
+    "R": rng.choice([0.0, 0.3, 0.8, 1.0], 60),
+}
+found = solve_cells("two-mass", cells, spec.settings)
+for k in range(60):
+    solve_cells("two-mass", {name: values[k] for name, values in cells.items()}, spec.settings)
+assert found.arrays["sticks"].any() and (found.arrays["regime"] == (4 if sys.argv[1] == "none" else 3)).any()
+print(len(before), *sorted(compiled() - before))
+"""
+
+
+@pytest.mark.parametrize("exponents", ["none", "largest", "spectrum"])
+def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
+    """Cells of every kind, alone and side by side, sticking and overdamped ones among them."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", WARM, exponents]
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
+    count, *more = said.split(maxsplit=1)
+    assert int(count) >= 10
+    assert not more
