@@ -404,6 +404,31 @@ def step_pass(a, n):
         a[OWN + i] = 0.0
 
 
+@kernel
+def take_round(a, blocks, oscillates, n):
+    """One round of the first n lanes, a multiple of WIDTH_OF_VECTORS; which blocks are underdamped in all of them."""
+    restart_pass(a, n)
+    for j in range(blocks):
+        if oscillates[j]:
+            oscillating_bounds_pass(a, fields_of(a, j), n)
+        else:
+            bounds_pass(a, fields_of(a, j), n)
+    approach_pass(a, n)
+    bracket_pass(a, n)
+    close_in_pass(a, n)
+    retreat_pass(a, n)
+    step_pass(a, n)
+    forced_pass(a, n)
+    for j in range(blocks):
+        if oscillates[j]:
+            oscillating_block_pass(a, fields_of(a, j), n)
+        else:
+            block_pass(a, fields_of(a, j), n)
+    arrival_pass(a, n)
+    for j in range(blocks):
+        kick_pass(a, fields_of(a, j), n)
+
+
 @inlined
 def flow_frame(a, i, frames):
     """Take the tangent vectors of lane i, frames[i] (m, n, 2), through the flight that it has just ended."""
@@ -423,13 +448,13 @@ def saltate_frame(blocks, r, restitution, ratio, frames, i):
         dy, dv = 0.0, 0.0
         for j in range(frames.shape[2]):
             u0, u1 = frames[i, k, j, 0], frames[i, k, j, 1]
-            dy += blocks[r, j, 12] * u0 + blocks[r, j, 13] * u1
-            dv += blocks[r, j, 14] * u0 + blocks[r, j, 15] * u1
+            dy += blocks[r, j, C0 // STRIDE] * u0 + blocks[r, j, C1 // STRIDE] * u1
+            dv += blocks[r, j, D0 // STRIDE] * u0 + blocks[r, j, D1 // STRIDE] * u1
         along_k = -(1.0 + restitution) * (dv - ratio * dy)
         along_Ak = -(1.0 + restitution) * dy
         for j in range(frames.shape[2]):
-            frames[i, k, j, 0] += along_k * blocks[r, j, 16] + along_Ak * blocks[r, j, 18]
-            frames[i, k, j, 1] += along_k * blocks[r, j, 17] + along_Ak * blocks[r, j, 19]
+            frames[i, k, j, 0] += along_k * blocks[r, j, K0 // STRIDE] + along_Ak * blocks[r, j, L0 // STRIDE]
+            frames[i, k, j, 1] += along_k * blocks[r, j, K1 // STRIDE] + along_Ak * blocks[r, j, L1 // STRIDE]
 
 
 @kernel
@@ -518,7 +543,7 @@ def run_lanes(batch, enough):
     oscillates = np.ones(n, dtype=np.bool_)
     for r in range(N):
         for j in range(n):
-            oscillates[j] &= blocks[r, j, 2] > 0.0  # d
+            oscillates[j] &= blocks[r, j, D // STRIDE] > 0.0
     for i in range(LANES):
         park(a, i)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
@@ -535,26 +560,7 @@ def run_lanes(batch, enough):
             return
         ending = active < enough
         padded = -(-active // WIDTH_OF_VECTORS) * WIDTH_OF_VECTORS
-        restart_pass(a, padded)
-        for j in range(n):
-            if oscillates[j]:
-                oscillating_bounds_pass(a, fields_of(a, j), padded)
-            else:
-                bounds_pass(a, fields_of(a, j), padded)
-        approach_pass(a, padded)
-        bracket_pass(a, padded)
-        close_in_pass(a, padded)
-        retreat_pass(a, padded)
-        step_pass(a, padded)
-        forced_pass(a, padded)
-        for j in range(n):
-            if oscillates[j]:
-                oscillating_block_pass(a, fields_of(a, j), padded)
-            else:
-                block_pass(a, fields_of(a, j), padded)
-        arrival_pass(a, padded)
-        for j in range(n):
-            kick_pass(a, fields_of(a, j), padded)
+        take_round(a, n, oscillates, padded)
         for i in range(active - 1, -1, -1):  # from the last one: what moves into a place that falls free is done with
             ended = a[MODE + i] == LEFT
             at_section = a[MODE + i] == AT_SECTION
