@@ -7,10 +7,12 @@ from tests import naive
 from workers import Settings, solve_tile
 from workers.lyapunov import no_averages
 from workers.oscillator import Oscillator
+from workers.results import UNDETERMINED
 from workers.section import EVALUATIONS, FREE, RUNNING, STATUS, WORK, Motion, motion_from
 from workers.solve import with_frame
 from workers.stretch import Stretch, ended, follow, follow_together
 from workers.system import find_system
+from workers.tile import solve_cells
 
 KEPT = 5
 
@@ -134,6 +136,17 @@ def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
     assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
     assert max(one.motion.tally[EVALUATIONS] for one in together) > 100_000
+
+
+def test_a_mass_at_rest_but_for_rounding_is_given_up_for_its_cost_not_failed() -> None:
+    """R = 1 and an overdamped mode: the bounces die away to speeds of 1e-17, where no certain step leads ahead."""
+    cell = {
+        "omega": 0.0016895232399086104, "mu_m": 0.0035662347271146633, "mu_k": 0.29801670113833517, "R": 1.0,
+        "zeta": 4.137306294914946, "f2": 1.6806160435465856, "tau": 1.4203278275940434, "b": 0.2711590971746347,
+    }  # fmt: skip
+    solution = solve_cells("two-mass", cell, Settings(max_periods=400))
+    assert solution.arrays["regime"] == UNDETERMINED
+    assert list(solution.reasons) == ["one period takes more than a million evaluations"]
 
 
 def test_a_tile_has_the_bits_of_its_cells_alone() -> None:

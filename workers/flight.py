@@ -18,6 +18,9 @@ ROUNDING = 4e-16
 MAX_EVALUATIONS = 1_000_000
 """Evaluations of one flight after which it is given up; the certified march needs about five between impacts."""
 
+LEAST_STEP = 4e-16
+"""Least step of a flight, as a share of the time it may take: rounding of time, which nothing can tell apart."""
+
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
 
@@ -372,7 +375,7 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
                 step = min(step, safe_retreat(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count
-        s = s + step if s + step > s else np.nextafter(s, np.inf)
+        s = max(s + step, s + LEAST_STEP * H)  # at rest but for rounding a flight would need any number of steps
         if count % REFRESH == 0:
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]

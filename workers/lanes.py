@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.flight import (
+    LEAST_STEP,
     REFRESH,
     ROUNDING,
     TINY,
@@ -394,7 +395,7 @@ def step_pass(a, n):
         ends = excluded or (later >= H and not met)
         count = a[COUNT + i]
         count = count if excluded else count + 1.0
-        stuck = not later > s or count >= LONGEST_MARCH
+        stuck = not later > s + LEAST_STEP * H or count >= LONGEST_MARCH
         mode = LEFT if stuck else FLYING
         mode = ahead if met else mode
         mode = AT_SECTION if ends else mode
