@@ -90,6 +90,16 @@ class Plan:
     scipy_periods: int
     long: float
 
+    @property
+    def tolerance(self) -> float:
+        """At which the figures of merit are taken."""
+        return 0.01 if 0.01 in self.tolerances else self.tolerances[-1]
+
+    @property
+    def paper(self) -> int:
+        """Periods of the schedule that they are compared with."""
+        return PAPER if PAPER in self.lengths else self.lengths[-1]
+
 
 FULL = Plan(400, 200, (0.1, 0.03, 0.01), (500, 2000, 8000), (500, 2000, 8000), 40, 20.0)
 LIGHT = Plan(8, 3, (0.1, 0.03), (200, 800), (200, 800), 4, 3.0)
@@ -162,13 +172,17 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     return time.process_time() - start, result
 
 
+def fixed(length: int) -> Settings:
+    """The schedule of Li & Tan (2011) at this length, a quarter of it a transient."""
+    return Settings(method="fixed", transient_periods=length // 4, periods=length - length // 4)
+
+
 def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
     """This solver on every cell at one tolerance or one length."""
     if method == "adaptive":
         settings = Settings(tolerance=value, max_periods=20000 if value >= 0.01 else 400000)
     else:
-        length = int(value)
-        settings = Settings(method="fixed", transient_periods=length // 4, periods=length - length // 4)
+        settings = fixed(int(value))
     points = []
     for k, cell in enumerate(cells):
         seconds, found = timed(lambda cell=cell: solve(cell.params, settings))  # type: ignore[misc]
@@ -176,14 +190,11 @@ def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
     return points
 
 
-def measure_together(cells: list[Cell], tolerance: float, paper: int) -> dict[str, float]:
+def measure_together(cells: list[Cell], plan: Plan) -> dict[str, float]:
     """Seconds for all cells of the window side by side, as a tile is solved: adaptive, and the paper's schedule."""
     window = [cell.params for cell in cells if cell.group == "window"]
     params = {name: np.array([one[name] for one in window]) for name in window[0]}
-    schedules = {
-        "adaptive": Settings(tolerance=tolerance),
-        "fixed": Settings(method="fixed", transient_periods=paper // 4, periods=paper - paper // 4),
-    }
+    schedules = {"adaptive": Settings(tolerance=plan.tolerance), "fixed": fixed(plan.paper)}
     return {
         name: timed(lambda settings=settings: solve_tile("two-mass", params, settings))[0]  # type: ignore[misc]
         for name, settings in schedules.items()
@@ -286,8 +297,7 @@ def summary(
     points: list[Point], errors: Array, cells: list[Cell], plan: Plan, together: dict[str, float]
 ) -> dict[str, Any]:
     """The figures of merit."""
-    reference = 0.01 if 0.01 in plan.tolerances else plan.tolerances[-1]
-    paper = PAPER if PAPER in plan.lengths else plan.lengths[-1]
+    reference, paper = plan.tolerance, plan.paper
 
     def chosen(method: str, setting: float, keep: Callable[[Cell], bool]) -> Array:
         return np.array(
@@ -434,8 +444,7 @@ def main() -> None:
         points += measure_solver(cells, "fixed", length)
     points += measure_heyoka(cells, plan.heyoka_lengths)
     points += measure_scipy(cells, plan.scipy_periods)
-    paper = PAPER if PAPER in plan.lengths else int(plan.lengths[-1])
-    together = measure_together(cells, 0.01, paper)
+    together = measure_together(cells, plan)
     errors = true_errors(points, cells)
     result = summary(points, errors, cells, plan, together)
     if options.picture:

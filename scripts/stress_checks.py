@@ -178,7 +178,7 @@ def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator
         _, jacobian = map_with_jacobian(osc, motion.h, int(motion.contact[0]), 1, False)
         scale = float(np.linalg.norm(motion.h * weights)) + forced
         advance(osc, motion)
-        if motion.tally[STATUS] != RUNNING:
+        if motion.tally[STATUS] != RUNNING or not np.all(np.isfinite(jacobian)):
             break
         hops = 25.0 / max(-math.log(osc.R), 1e-6) if motion.tally[STUCK] > 0.0 and osc.R > 0.0 else 0.0
         if motion.tally[UPPER] + motion.tally[LOWER] + hops > ORBIT_IMPACTS:

@@ -19,10 +19,10 @@ from workers.section import (
     UPPER,
     advance,
     blocks_to_physical,
-    half_advance,
     motion_from,
     reset_frame,
     run,
+    step,
     travel,
 )
 
@@ -47,7 +47,8 @@ def physical(osc: Oscillator) -> np.ndarray:
 def jacobian(osc: Oscillator, state: np.ndarray, periods: int, half: bool = False) -> np.ndarray:
     """d(physical state after so many steps) / d(physical state)."""
     start = motion_from(osc, state)
-    _, J = map_with_jacobian(osc, start.h, int(start.contact[0]), periods, half)
+    motion, J = map_with_jacobian(osc, start.h, int(start.contact[0]), periods, half)
+    assert motion.tally[STATUS] == RUNNING
     P = physical(osc)
     return P @ J @ np.linalg.inv(P)
 
@@ -274,8 +275,8 @@ def test_the_half_period_map_twice_is_the_period_map(kind: str) -> None:
     state = on_attractor(osc, start, 17)
     whole, twice = motion_from(osc, state), motion_from(osc, state)
     advance(osc, whole)
-    half_advance(osc, twice)
-    half_advance(osc, twice)
+    step(osc, twice, True)
+    step(osc, twice, True)
     assert twice.h == pytest.approx(whole.h, abs=1e-13)
     assert twice.contact[0] == whole.contact[0]
     assert (twice.tally[UPPER] + twice.tally[LOWER]) == (whole.tally[UPPER] + whole.tally[LOWER])
@@ -286,7 +287,7 @@ def test_the_half_period_jacobians_multiply_to_the_period_jacobian(figure: int) 
     osc, start = naive.two_mass(**naive.FIGURES[figure])
     state = on_attractor(osc, start, 17)
     middle = motion_from(osc, state)
-    half_advance(osc, middle)
+    step(osc, middle, True)
     product = jacobian(osc, blocks_to_physical(osc, middle), 1, half=True) @ jacobian(osc, state, 1, half=True)
     J = jacobian(osc, state, 1)
     assert product == pytest.approx(J, abs=1e-11 * np.abs(J).max())

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.jit import kernel, piece
-from workers.section import RUNNING, STATUS, axes, mirror, motion_with, travel
+from workers.section import RUNNING, STATUS, axes, motion_with, step
 
 Array = NDArray[np.float64]
 
@@ -33,9 +33,7 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
     """
     motion = motion_with(h, contact, V, growth, triangle)
     for _ in range(steps):
-        travel(osc, motion, 0.5 * osc.period if half else osc.period)
-        if half:
-            mirror(motion)
+        step(osc, motion, half)
         if motion.tally[STATUS] != RUNNING:
             break
     return motion

@@ -91,8 +91,12 @@ def corrected(h, image, J):
 
 
 @piece
-def newton_steps(osc, start, contact, steps, half, scale, most):
-    """See newton."""
+def newton(osc, start, contact, steps, half, scale, most):
+    """The fixed point of the map near block state ``start``, to rounding, and the steps of Newton's method it took.
+
+    h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10
+    of ``scale``; the residual is infinite where none is found.
+    """
     h = start.copy()
     lam = osc.gap.lam
     size = h.size
@@ -112,16 +116,6 @@ def newton_steps(osc, start, contact, steps, half, scale, most):
     if best.residual >= 1e-10 * scale:
         best = Fixed(h, h, contact, np.zeros((size, size)), np.inf)
     return best, spent
-
-
-@kernel
-def newton(osc, start, contact, steps, half, scale, most):
-    """The fixed point of the map near block state ``start``, to rounding, and the steps of Newton's method it took.
-
-    h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10
-    of ``scale``; the residual is infinite where none is found.
-    """
-    return newton_steps(osc, start, contact, steps, half, scale, most)
 
 
 @piece
@@ -146,7 +140,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(found, Orbit with its exponents in any order, steps spent): see settle."""
     lam = osc.gap.lam
     turns_left = budget // steps - RESERVED_TURNS
-    point, tried = newton_steps(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
+    point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
     spent = tried * steps
     orbit = Orbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
     if point.residual == np.inf:

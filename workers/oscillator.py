@@ -150,13 +150,13 @@ def mass_spring(
     structure = _structure(_tuples(mass), _tuples(damping), _tuples(stiffness), _tuples(gap_row))
     free, held = structure.unforced, structure.unforced.held
     loads = tuple(float(f) for f in force)
-    modal = _projected(structure.modes, loads)
+    modal = _projected(free.to_physical, loads)
     forced = _response(free.gap.block, modal, omega)
     held_forced = _response(held.release.block, _projected(structure.held_modes, loads), omega)
     period = 2.0 * math.pi / omega
     if max((block.w for block in free.gap.block if block.d > 0.0), default=0.0) * period > LARGEST_ANGLE:
         raise ValueError(f"a forcing period spans more than {LARGEST_ANGLE:g} radians of a free oscillation")
-    acceleration = math.fsum(a * f for a, f in zip(structure.receptance, loads, strict=True))
+    acceleration = math.fsum(a * f for a, f in zip(structure.accelerance, loads, strict=True))
     return free._replace(
         gap=_with_force(free.gap, forced, 0.0, omega),
         forced=forced,
@@ -172,14 +172,13 @@ def mass_spring(
 class _Structure(NamedTuple):
     """What masses, dampers and springs make of an oscillator, whatever forces it and wherever its stops are.
 
-    modes (n, n) and held_modes (n, n - 1) are mass-normalised; receptance = M^-1 gap_row is the acceleration of the
-    gap coordinate per unit force.
+    held_modes (n, n - 1) are mass-normalised; accelerance = M^-1 gap_row is the acceleration of the gap coordinate per
+    unit force.
     """
 
     unforced: Oscillator
-    modes: Rows
     held_modes: Rows
-    receptance: Row
+    accelerance: Row
 
 
 @lru_cache(maxsize=1024)
@@ -190,11 +189,11 @@ def _structure(mass_rows: Rows, damping_rows: Rows, stiffness_rows: Rows, gap: R
     n = len(gap)
     lam, modes = _modes(mass, stiffness)
     eta = _modal_damping(modes, damping)
-    receptance = np.linalg.solve(mass, gap_row)
+    accelerance = np.linalg.solve(mass, gap_row)
     participation = gap_row @ modes
     signal = _signal(lam, eta, np.column_stack([participation, np.zeros(n)]), 0.0)
-    kick = np.column_stack([np.zeros(n), participation / float(gap_row @ receptance)])
-    held, held_modes = _held(mass, damping, stiffness, gap_row, modes)
+    kick = np.column_stack([np.zeros(n), participation / float(gap_row @ accelerance)])
+    held, held_modes = _held(mass, damping, stiffness, gap_row, accelerance, modes)
     unforced = Oscillator(
         gap=signal,
         kick=_tuples(kick),
@@ -212,20 +211,21 @@ def _structure(mass_rows: Rows, damping_rows: Rows, stiffness_rows: Rows, gap: R
         trace=float(2.0 * np.sum(eta)),
         held=held,
     )
-    return _Structure(unforced, _tuples(modes), _tuples(held_modes), _tuples(receptance))
+    return _Structure(unforced, _tuples(held_modes), _tuples(accelerance))
 
 
-def _held(mass: Array, damping: Array, stiffness: Array, gap_row: Array, modes: Array) -> tuple[Held, Array]:
+def _held(
+    mass: Array, damping: Array, stiffness: Array, gap_row: Array, accelerance: Array, modes: Array
+) -> tuple[Held, Array]:
     """The oscillator with y fixed and its modes: x = N q + d y_s, with N spanning the null space of the gap row."""
-    mass_inv_gap = np.linalg.solve(mass, gap_row)
-    d = mass_inv_gap / (gap_row @ mass_inv_gap)
+    d = accelerance / (gap_row @ accelerance)
     null = _null_space(gap_row)
     lam, psi = _modes(null.T @ mass @ null, null.T @ stiffness @ null)
     shapes = null @ psi
     eta = _modal_damping(psi, null.T @ damping @ null)
     static = -(shapes.T @ stiffness @ d) / lam
-    row = np.column_stack([-(mass_inv_gap @ stiffness @ shapes), -(mass_inv_gap @ damping @ shapes)])
-    offset = -float(mass_inv_gap @ stiffness @ (d + shapes @ static))
+    row = np.column_stack([-(accelerance @ stiffness @ shapes), -(accelerance @ damping @ shapes)])
+    offset = -float(accelerance @ stiffness @ (d + shapes @ static))
     held = Held(
         down=_tuples(shapes.T @ mass @ modes),
         static=_tuples(static),

@@ -324,10 +324,11 @@ def advance(osc, motion):
 
 
 @piece
-def half_advance(osc, motion):
-    """The half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G is the stroboscopic map."""
-    travel(osc, motion, 0.5 * osc.period)
-    mirror(motion)
+def step(osc, motion, half):
+    """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
+    travel(osc, motion, 0.5 * osc.period if half else osc.period)
+    if half:
+        mirror(motion)
 
 
 @kernel
