@@ -1,9 +1,11 @@
 """The tangent frame: Gram-Schmidt in the energy product, with logarithms."""
 
+import math
+
 import numpy as np
 import pytest
 
-from workers.frame import inner, orthonormalise
+from workers.frame import inner, orthonormalise, orthonormalise_pass
 
 LAM = (0.7, 3.1)
 
@@ -40,6 +42,23 @@ def test_a_frame_is_orthonormal_with_the_growth_of_a_qr_factorisation() -> None:
         orthonormalise(LAM, V, growth, np.zeros((0, 0)), 4)
         assert weighted(V) @ weighted(V).T == pytest.approx(np.eye(m), abs=1e-14)
         assert growth == pytest.approx(expected, rel=1e-13)
+
+
+def test_frames_side_by_side_are_made_orthonormal_to_the_same_bits() -> None:
+    """Of full rank, and of the ranks that sticking (2n - 2) and R = 0 (2n - 1) leave, whose last vectors are zero."""
+    rng = np.random.default_rng(5)
+    N, m = 11, 4
+    lam = rng.uniform(0.5, 4.0, size=(2, N))
+    rank = np.array([m, m - 1, m - 2] * N, dtype=float)[:N]
+    V = rng.normal(size=(N, m, 2, 2)) * (np.arange(m) < rank[:, None])[..., None, None]
+    together, norms = np.moveaxis(V, 0, -1).copy(), np.empty((m, N))
+    with np.errstate(all="ignore"):
+        orthonormalise_pass(lam, rank, together, norms, np.empty((2, N)), N)
+    for i in range(N):
+        growth = np.zeros(m)
+        orthonormalise(lam[:, i], V[i], growth, np.zeros((0, 0)), int(rank[i]))
+        assert np.array_equal(together[..., i], V[i])
+        assert growth.tolist() == [math.log(norm) if norm else -math.inf for norm in norms[:, i]]
 
 
 def test_triangle_and_growth_keep_the_product_of_all_steps() -> None:

@@ -9,6 +9,7 @@ from scipy.linalg import eigvals
 from tests import naive
 from workers.lyapunov import (
     FEWEST_BLOCKS,
+    MEAN,
     add_to_blocks,
     average,
     free_exponents,
@@ -18,7 +19,7 @@ from workers.lyapunov import (
     sum_law_holds,
     sum_of_exponents,
 )
-from workers.section import motion_from, run
+from workers.section import SPREAD, motion_from, reset_frame, run
 from workers.solve import restart_counts
 
 
@@ -92,6 +93,24 @@ def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None
     assert abs(plain - exact) < 1e-3
 
 
+@pytest.mark.parametrize("figure", [3, 4, 5])
+@pytest.mark.parametrize("vectors", [1, 4])
+def test_averages_do_not_depend_on_when_the_frame_is_made_orthonormal(figure: int, vectors: int) -> None:
+    """Against every period, as Li & Tan (2011) do."""
+    osc, start = naive.two_mass(**naive.FIGURES[figure])
+    one, other = motion_from(osc, start, vectors=vectors), motion_from(osc, start, vectors=vectors)
+    none = np.empty((0, 2, 2))
+    averages, expected = no_averages(), no_averages()
+    average(osc, one, 0, 300, averages, none)
+    for _ in range(300):
+        average(osc, other, 0, 1, expected, none)
+        reset_frame(osc, other)
+    assert one.tally[SPREAD] > 0.0
+    assert averages.levels[:, MEAN] == pytest.approx(expected.levels[:, MEAN], abs=1e-12)
+    reset_frame(osc, one)
+    assert one.growth == pytest.approx(other.growth, abs=1e-9)
+
+
 def test_a_stretch_ends_with_its_last_sections() -> None:
     osc, start = naive.two_mass(**naive.FIGURES[4])
     one, other = motion_from(osc, start, vectors=1), motion_from(osc, start)
@@ -115,6 +134,7 @@ def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
     average(osc, motion, 0, 200, no_averages(), none)
     restart_counts(osc, motion)
     average(osc, motion, 0, 2000, no_averages(), none)
+    reset_frame(osc, motion)
     trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
     exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impacts(motion) / 2000
     assert sum_law_holds(osc, motion)

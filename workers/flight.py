@@ -298,7 +298,7 @@ def safe_step(g, v, a, j3, M2, M3, M4, H):
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
     """As safe_step for a gap that is opening, v <= 0, and seldom what ends a step: found with less effort."""
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
-    return close_in(L, H, g, v, a, j3, M2, M3, M4)
+    return close_in(L, H, g, v, a, j3, M2, M3, M4) if L < H else H
 
 
 @inlined

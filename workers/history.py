@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lyapunov import average, no_averages
-from workers.section import BEYOND, RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from
+from workers.section import BEYOND, RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from, reset_frame
 from workers.settings import Settings
 from workers.solve import REASONS, vectors_for, with_frame
 from workers.system import find_system
@@ -58,6 +58,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         average(osc, motion, 0, 1, no_averages(), none)
         if motion.tally[STATUS] != RUNNING:
             raise ValueError(f"period {k}: {REASONS[int(motion.tally[STATUS])]}")
+        reset_frame(osc, motion)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period
         motion.tally[RECORDED] = 0.0

@@ -19,18 +19,19 @@ from workers.flight import (
     ROUNDING,
     TINY,
     amplitude_bounds,
+    arrival,
     block_bounds,
     block_output,
     bracket,
     close_in,
+    curvature,
     flow_entries,
     forced,
     forced_bounds,
     meets,
     oscillating_flow,
-    safe_retreat,
 )
-from workers.frame import graded_flow, orthonormalise
+from workers.frame import graded_flow, log_length, orthonormalise, orthonormalise_pass
 from workers.impact import is_rebound, load_at_rest
 from workers.jit import inlined, kernel
 from workers.lyapunov import add_growth
@@ -45,6 +46,8 @@ from workers.section import (
     UPPER,
     WORK,
     impact_spread,
+    loss_spread,
+    needs_reset,
     spread_rate,
 )
 
@@ -71,24 +74,24 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 """What a lane has reached, +-1 being an impact at that stop; LEFT: what ``section`` has to take over."""
 
 # Fields of a lane. The offsets are constants, STRIDE apart, so that the compiler sees that no two overlap.
-#   OMEGA...UNIT     constants of signal, stops, impact law and section; forced part there; for the spread of the frame
+#   OMEGA...LOSS     constants of signal, stops, impact law and section; forced part there; for the spread of the frame
 #   T, PHASE, S      time since the section and phase at the flight's start, time in flight; FLOWN: of the last flight
 #   MODE, OWN        what is reached at S; the stop that the flight starts on until its first step is taken
 #   COUNT            evaluations of this flight
 #   FRESH, RENEW     1 where a flight starts, 1 where the bounds are to be computed anew
 #   FORCED...M4      the forced part, the signal with its derivatives and scale of rounding, bounds of its derivatives
-#   DV, DY, RATIO    change of velocity and position at an impact, and its a / v
+#   DV, DY           change of velocity and position at an impact; RATIO its a / v, JUMP how far it spreads the frame
 #   HITS_UP...COST   impacts per stop, slowest one, evaluations; evaluations of this period
-#   AHEAD...STEP     the stop ahead, the gap to it, the time to it and to the section, bounds of a safe time, that time
-#   WIDTH, WIDE      log-spread of the frame; 1 where this flight takes it too far for a plain flow
-_HEAD = 52
-(OMEGA, SIN_PART, COS_PART, AMPLITUDE, UP, DOWN, R, CA2K, PERIOD, TAU, Y_TAU, V_TAU, RATE, UNIT,
+#   SIDE...SEEK      the stop looked at, the gap to it, the time to meet it, bounds of a safe time, 1 where it is sought
+#   WIDTH, LENGTH    spread of the frame; log of the length of its first vector at the last section
+_HEAD = 53
+(OMEGA, SIN_PART, COS_PART, AMPLITUDE, UP, DOWN, R, CA2K, PERIOD, TAU, Y_TAU, V_TAU, RATE, UNIT, LOSS,
  T, PHASE, S, FLOWN, MODE, OWN, COUNT, FRESH, RENEW,
- FORCED, DFORCED, Y, V, A, J, SCALE, M0, M2, M3, M4, DV, DY, RATIO,
- HITS_UP, HITS_DOWN, SLOWEST, EVALS, COST, REQUEST, WIDTH, WIDE,
- AHEAD, GAP, REST, ROOM, LOW, HIGH, STEP,
+ FORCED, DFORCED, Y, V, A, J, SCALE, M0, M2, M3, M4, DV, DY, RATIO, JUMP,
+ HITS_UP, HITS_DOWN, SLOWEST, EVALS, COST, REQUEST, WIDTH, LENGTH,
+ SIDE, GAP, REST, LOW, STEP, SEEK,
  ) = (k * STRIDE for k in range(_HEAD))  # fmt: skip
-CONSTANTS = 14
+CONSTANTS = 15
 """Fields that the oscillator sets, the first ones."""
 
 # Fields of a block of a lane: those of Block, c and cA (C, D), k and A k (K, L); its state at the flight's start (H)
@@ -97,6 +100,10 @@ _BLOCK = 28
 (ETA, LAM, D, W, INV_W, SLOW, FAST, TILT, WEIGHT, GROW2, GROW3, GROW4, C0, C1, D0, D1, K0, K1, L0, L1,
  H0, H1, G0, G1, F11, F12, F21, F22) = (k * STRIDE for k in range(_BLOCK))  # fmt: skip
 BLOCK_CONSTANTS = 20
+
+# Fields of what is gathered of some lanes: the gap, how it closes, the bounds, and between which times to look.
+_GATHERED = 9
+C_GAP, C_V, C_A, C_J, C_M2, C_M3, C_M4, C_LOW, C_HIGH = (k * STRIDE for k in range(_GATHERED))
 
 
 class Batch(NamedTuple):
@@ -131,7 +138,7 @@ def constants(osc: Oscillator) -> tuple[Array, Array]:
     y, v = forced(osc.tau, gap.omega, gap.sin_part, gap.cos_part)
     head = np.array([
         gap.omega, gap.sin_part, gap.cos_part, gap.amplitude, osc.b_upper, -osc.b_lower, osc.R, osc.cA2k,
-        osc.period, osc.tau, y, v, spread_rate(gap.block), 1.0 / math.sqrt(gap.lam[0]),
+        osc.period, osc.tau, y, v, spread_rate(gap.block), 1.0 / math.sqrt(gap.lam[0]), loss_spread(osc.R),
     ])  # fmt: skip
     rows = zip(gap.block, gap.row, gap.row1, osc.kick, osc.kick1, strict=True)
     return head, np.array([[x for part in row for x in part] for row in rows])
@@ -210,8 +217,6 @@ def arrival_pass(a, n):
         stop = up if side > 0.0 else down
         a[DV + i] = -(1.0 + r) * v if hit else 0.0
         a[DY + i] = stop - y if hit else 0.0
-        ratio = acceleration / v
-        a[RATIO + i] = ratio
         a[HITS_UP + i] += 1.0 if side == 1.0 else 0.0
         a[HITS_DOWN + i] += 1.0 if side == -1.0 else 0.0
         slowest = a[SLOWEST + i]
@@ -236,12 +241,6 @@ def arrival_pass(a, n):
         y_force, v_force, y_tau, v_tau = a[FORCED + i], a[DFORCED + i], a[Y_TAU + i], a[V_TAU + i]
         a[FORCED + i] = y_tau if at_section else y_force
         a[DFORCED + i] = v_tau if at_section else v_force
-        before_flight = a[WIDTH + i]
-        width = before_flight + s * a[RATE + i]
-        jump = impact_spread(ratio, a[UNIT + i])
-        a[WIDE + i] = 1.0 if event and width > MAX_SPREAD else 0.0
-        width = width + jump if hit else width
-        a[WIDTH + i] = width if event else before_flight
         a[MODE + i] = LEFT if hit and (not rebound or spent > LONGEST_PERIOD) else side
 
 
@@ -322,8 +321,8 @@ def bounds_pass(a, q, n):
         add_bounds(a, i, block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4))
 
 
-# The next time of each lane, certified or an arrival: one turn of the loop of flight.next_crossing, in five passes.
-# One would be a chain of operations too long for the processor to work on the next lanes meanwhile.
+# The next time of each lane, certified or an arrival: one turn of the loop of flight.next_crossing. What most lanes can
+# do without is done for those that need it, gathered side by side.
 
 
 @kernel
@@ -339,54 +338,101 @@ def approach_pass(a, n):
         g = 0.0 if a[OWN + i] == ahead else g
         v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
         rest = meets(g, v, push, jerk, a[M3 + i], a[M4 + i], ROUNDING * (a[SCALE + i] + abs(stop)), room)
-        a[AHEAD + i] = ahead
+        rest = rest if reach - ahead * stop >= 0.0 else np.inf
+        a[SIDE + i] = ahead
         a[GAP + i] = max(g, 0.0)
-        a[REST + i] = rest if reach - ahead * stop >= 0.0 else np.inf
-        a[ROOM + i] = room
-
-
-@kernel
-def bracket_pass(a, n):
-    """Bounds of the time that is safe from the stop ahead."""
-    for i in range(n):
-        ahead = a[AHEAD + i]
-        v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
-        L, U = bracket(a[GAP + i], v, push, jerk, a[M2 + i], a[M3 + i], a[M4 + i], a[ROOM + i])
-        a[LOW + i] = L
-        a[HIGH + i] = U
-
-
-@kernel
-def close_in_pass(a, n):
-    """The time that is safe from the stop ahead."""
-    for i in range(n):
-        ahead, room, upper, lower = a[AHEAD + i], a[ROOM + i], a[UP + i], a[DOWN + i]
-        stop = upper if ahead > 0.0 else lower
-        reach = a[M0 + i] * (1.0 + 1e-12)
-        v, push, jerk = ahead * a[V + i], ahead * a[A + i], ahead * a[J + i]
-        free = close_in(a[LOW + i], a[HIGH + i], a[GAP + i], v, push, jerk, a[M2 + i], a[M3 + i], a[M4 + i])
-        a[STEP + i] = free if reach - ahead * stop >= 0.0 else room
+        a[REST + i] = rest
+        a[STEP + i] = room
+        a[LOW + i] = 0.0
+        a[SEEK + i] = 1.0 if reach - ahead * stop >= 0.0 and rest == np.inf else 0.0
 
 
 @kernel
 def retreat_pass(a, n):
-    """The time that is safe from the stop behind too."""
+    """The stop that each mass moves away from: the gap, and a time that is safe from it."""
     for i in range(n):
-        step, ahead, upper, lower = a[STEP + i], a[AHEAD + i], a[UP + i], a[DOWN + i]
+        step, ahead, upper, lower = a[STEP + i], a[SIDE + i], a[UP + i], a[DOWN + i]
         reach = a[M0 + i] * (1.0 + 1e-12)
         behind = lower if ahead > 0.0 else upper
         g = ahead * (a[Y + i] - behind)
-        g = 0.0 if a[OWN + i] == -ahead else g
+        g = max(0.0 if a[OWN + i] == -ahead else g, 0.0)
         v, push, jerk = -ahead * a[V + i], -ahead * a[A + i], -ahead * a[J + i]
-        free = safe_retreat(max(g, 0.0), v, push, jerk, a[M2 + i], a[M3 + i], a[M4 + i], step)
-        a[STEP + i] = free if reach + ahead * behind >= 0.0 else step
+        L = min(step, arrival(g, v, curvature(push, jerk, a[M2 + i], a[M3 + i], a[M4 + i], step)))
+        a[SIDE + i] = -ahead
+        a[GAP + i] = g
+        a[LOW + i] = L
+        a[SEEK + i] = 1.0 if reach + ahead * behind >= 0.0 and step > L and a[REST + i] == np.inf else 0.0
+
+
+@kernel
+def list_lanes(a, field, n, chosen):
+    """How many lanes have this field set, and which: without a branch, which the processor would often mispredict."""
+    count = 0
+    for i in range(n):
+        chosen[count] = i
+        count += int(a[field + i] != 0.0)
+    return count
+
+
+@kernel
+def gather(a, chosen, count, c):
+    """What lanes chosen[:count] know of the stop on their SIDE, side by side in c; how far passes have to run."""
+    for e in range(count):
+        i = chosen[e]
+        side = a[SIDE + i]
+        c[C_GAP + e] = a[GAP + i]
+        c[C_V + e], c[C_A + e], c[C_J + e] = side * a[V + i], side * a[A + i], side * a[J + i]
+        c[C_M2 + e], c[C_M3 + e], c[C_M4 + e] = a[M2 + i], a[M3 + i], a[M4 + i]
+        c[C_LOW + e], c[C_HIGH + e] = a[LOW + i], a[STEP + i]
+    return -(-count // WIDTH_OF_VECTORS) * WIDTH_OF_VECTORS
+
+
+@kernel
+def bracket_pass(c, n):
+    """Bounds of the time for which the gap stays open."""
+    for e in range(n):
+        g, v, push, jerk = c[C_GAP + e], c[C_V + e], c[C_A + e], c[C_J + e]
+        L, U = bracket(g, v, push, jerk, c[C_M2 + e], c[C_M3 + e], c[C_M4 + e], c[C_HIGH + e])
+        c[C_LOW + e] = L
+        c[C_HIGH + e] = U
+
+
+@kernel
+def close_in_pass(c, n):
+    """The time for which the gap stays open, from bounds of it."""
+    for e in range(n):
+        g, v, push, jerk = c[C_GAP + e], c[C_V + e], c[C_A + e], c[C_J + e]
+        M2_, M3_, M4_ = c[C_M2 + e], c[C_M3 + e], c[C_M4 + e]
+        c[C_LOW + e] = close_in(c[C_LOW + e], c[C_HIGH + e], g, v, push, jerk, M2_, M3_, M4_)
+
+
+@kernel
+def scatter(a, chosen, count, c):
+    """Take the times found as the lanes' steps."""
+    for e in range(count):
+        a[STEP + chosen[e]] = c[C_LOW + e]
+
+
+@kernel
+def safe_steps(a, n, chosen, c):
+    """A time that is safe from both stops, for every lane that is not certain to meet one."""
+    approach_pass(a, n)
+    count = list_lanes(a, SEEK, n, chosen)
+    padded = gather(a, chosen, count, c)
+    bracket_pass(c, padded)
+    close_in_pass(c, padded)
+    scatter(a, chosen, count, c)
+    retreat_pass(a, n)
+    count = list_lanes(a, SEEK, n, chosen)
+    close_in_pass(c, gather(a, chosen, count, c))
+    scatter(a, chosen, count, c)
 
 
 @kernel
 def step_pass(a, n):
     """What each lane does next."""
     for i in range(n):
-        s, step, rest, ahead = a[S + i], a[STEP + i], a[REST + i], a[AHEAD + i]
+        s, step, rest, ahead = a[S + i], a[STEP + i], a[REST + i], -a[SIDE + i]
         reach = a[M0 + i] * (1.0 + 1e-12)
         H = a[PERIOD + i] - a[T + i]
         met = rest < np.inf
@@ -406,7 +452,7 @@ def step_pass(a, n):
 
 
 @kernel
-def take_round(a, blocks, oscillates, n):
+def take_round(a, blocks, oscillates, n, chosen, c):
     """One round of the first n lanes, a multiple of WIDTH_OF_VECTORS; which blocks are underdamped in all of them."""
     restart_pass(a, n)
     for j in range(blocks):
@@ -414,10 +460,7 @@ def take_round(a, blocks, oscillates, n):
             oscillating_bounds_pass(a, fields_of(a, j), n)
         else:
             bounds_pass(a, fields_of(a, j), n)
-    approach_pass(a, n)
-    bracket_pass(a, n)
-    close_in_pass(a, n)
-    retreat_pass(a, n)
+    safe_steps(a, n, chosen, c)
     step_pass(a, n)
     forced_pass(a, n)
     for j in range(blocks):
@@ -458,15 +501,80 @@ def saltate_frame(blocks, r, restitution, ratio, frames, i):
             frames[i, k, j, 1] += along_k * blocks[r, j, K1 // STRIDE] + along_Ak * blocks[r, j, L1 // STRIDE]
 
 
-@kernel
-def fly_frame_far(a, i, block, V, growth, no_triangle, rank):
-    """As flow_frame, for a flight that spreads the frame V (m, n, 2) far."""
-    graded_flow(block, a[FLOWN + i], V, growth, no_triangle, rank)
-    orthonormalise(block[:, 1], V, growth, no_triangle, rank)
-    a[WIDTH + i] = impact_spread(a[RATIO + i], a[UNIT + i]) if a[OWN + i] != 0.0 else 0.0
+class Bench(NamedTuple):
+    """Where the frames of some lanes are made orthonormal: see frame.orthonormalise_pass; which lanes they are."""
+
+    lam: Array
+    rank: Array
+    frames: Array
+    norms: Array
+    work: Array
+    lanes: NDArray[np.int64]
 
 
 @kernel
+def reset_together(a, count, blocks, tally, frames, growths, bench):
+    """Make the frames of the ``count`` lanes orthonormal that bench.lanes begins with."""
+    lam, rank, U, norms, work, lanes = bench
+    m, n = frames.shape[1], frames.shape[2]
+    for e in range(count):
+        i = lanes[e]
+        r = int(a[REQUEST + i])
+        rank[e] = 2 * n - tally[r, LOST]
+        for j in range(n):
+            lam[j, e] = blocks[r, j, LAM // STRIDE]
+            for k in range(m):
+                U[k, j, 0, e], U[k, j, 1, e] = frames[i, k, j, 0], frames[i, k, j, 1]
+    orthonormalise_pass(lam, rank, U, norms, work, -(-count // WIDTH_OF_VECTORS) * WIDTH_OF_VECTORS)
+    for e in range(count):
+        i = lanes[e]
+        for k in range(m):
+            growths[i, k] += math.log(norms[k, e])
+            for j in range(n):
+                frames[i, k, j, 0], frames[i, k, j, 1] = U[k, j, 0, e], U[k, j, 1, e]
+
+
+@kernel
+def fly_frame_far(a, i, blocks, tally, frames, growths):
+    """As flow_frame, for a flight that spreads the frame far."""
+    r = int(a[REQUEST + i])
+    rank = 2 * frames.shape[2] - int(tally[r, LOST])
+    no_triangle = np.zeros((0, 0))
+    graded_flow(blocks[r], a[FLOWN + i], frames[i], growths[i], no_triangle, rank)
+    orthonormalise(blocks[r, :, LAM // STRIDE], frames[i], growths[i], no_triangle, rank)
+    a[WIDTH + i] = 0.0
+
+
+@kernel
+def move_frames(a, events, blocks, tally, frames, growths, bench):
+    """Take the tangent vectors of these lanes through the flights and impacts that they end, as section.travel does."""
+    lanes, count = bench.lanes, 0
+    for i in events:
+        side = a[MODE + i]
+        ratio = a[A + i] / (side * max(side * a[V + i], TINY))
+        jump = impact_spread(ratio, a[UNIT + i], a[LOSS + i]) if abs(side) == 1.0 else 0.0
+        a[RATIO + i], a[JUMP + i] = ratio, jump
+        due = side != LEFT and needs_reset(a[WIDTH + i], a[FLOWN + i] * a[RATE + i] + jump)
+        lanes[count] = i
+        count += int(due)
+        a[WIDTH + i] = 0.0 if due else a[WIDTH + i]
+    reset_together(a, count, blocks, tally, frames, growths, bench)
+    for i in events:
+        spread = a[FLOWN + i] * a[RATE + i]
+        if a[MODE + i] == LEFT:
+            continue
+        if a[WIDTH + i] + spread > MAX_SPREAD:
+            fly_frame_far(a, i, blocks, tally, frames, growths)
+        else:
+            flow_frame(a, i, frames)
+            a[WIDTH + i] += spread
+        if a[MODE + i] == AT_SECTION:
+            continue
+        saltate_frame(blocks, int(a[REQUEST + i]), a[R + i], a[RATIO + i], frames, i)
+        a[WIDTH + i] += a[JUMP + i]
+
+
+@inlined
 def copy_frame(V, growth, source, W, increase, target):
     """W[target] = V[source], with its growth (m,)."""
     for k in range(V.shape[1]):
@@ -490,11 +598,11 @@ def load(a, i, r, head, blocks, h, tally):
     a[MODE + i], a[FRESH + i], a[RENEW + i] = FLYING, 1.0, 1.0
     a[FORCED + i], a[DFORCED + i] = a[Y_TAU + i], a[V_TAU + i]
     a[HITS_UP + i], a[HITS_DOWN + i], a[SLOWEST + i] = tally[r, UPPER], tally[r, LOWER], tally[r, MIN_SPEED]
-    a[EVALS + i], a[COST + i], a[WIDTH + i], a[WIDE + i] = tally[r, EVALUATIONS], 0.0, tally[r, SPREAD], 0.0
+    a[EVALS + i], a[COST + i], a[WIDTH + i] = tally[r, EVALUATIONS], 0.0, tally[r, SPREAD]
     a[REQUEST + i] = r
 
 
-@kernel
+@inlined
 def save(a, i, r, h, tally):
     """Write the section state of lane i back to its request."""
     for j in range(h.shape[1]):
@@ -506,7 +614,7 @@ def save(a, i, r, h, tally):
     a[COST + i] = 0.0
 
 
-@kernel
+@inlined
 def keep_section(h, r, k, periods, sections):
     """Keep the state after period k if it is one of the last that are asked for."""
     row = k - (periods - sections.shape[1])
@@ -540,7 +648,16 @@ def run_lanes(batch, enough):
     head, blocks, periods, done, left, h, V, growth, tally, levels, weighted, sections = batch
     N, n, m = h.shape[0], h.shape[1], V.shape[1]
     a = np.zeros((_HEAD + n * _BLOCK) * STRIDE)
-    frames, growths, no_triangle = np.zeros((LANES, m, n, 2)), np.zeros((LANES, m)), np.zeros((0, 0))
+    gathered, chosen = np.zeros(_GATHERED * STRIDE), np.zeros(LANES, dtype=np.int64)
+    frames, growths = np.zeros((LANES, m, n, 2)), np.zeros((LANES, m))
+    bench = Bench(
+        lam=np.zeros((n, STRIDE)),
+        rank=np.zeros(STRIDE),
+        frames=np.zeros((m, n, 2, STRIDE)),
+        norms=np.zeros((m, STRIDE)),
+        work=np.zeros((2, STRIDE)),
+        lanes=np.zeros(LANES, dtype=np.int64),
+    )
     oscillates = np.ones(n, dtype=np.bool_)
     for r in range(N):
         for j in range(n):
@@ -552,8 +669,8 @@ def run_lanes(batch, enough):
         while active < LANES and queued < N:
             load(a, active, queued, head, blocks, h, tally)
             copy_frame(V, growth, queued, frames, growths, active)
-            if m < 2:  # one vector cannot spread
-                a[RATE + active] = a[UNIT + active] = 0.0
+            if m > 0:
+                a[LENGTH + active] = log_length(blocks[queued, :, LAM // STRIDE], V[queued], growth[queued])
             if done[queued] == 0:
                 weighted[queued, 0] = weighted[queued, 1] = 0.0
             active, queued = active + 1, queued + 1
@@ -561,28 +678,22 @@ def run_lanes(batch, enough):
             return
         ending = active < enough
         padded = -(-active // WIDTH_OF_VECTORS) * WIDTH_OF_VECTORS
-        take_round(a, n, oscillates, padded)
-        for i in range(active - 1, -1, -1):  # from the last one: what moves into a place that falls free is done with
+        take_round(a, n, oscillates, padded, chosen, gathered)
+        count = list_lanes(a, MODE, active, chosen)
+        if m > 0:
+            move_frames(a, chosen[:count], blocks, tally, frames, growths, bench)
+        for e in range(count - 1, -1, -1):  # from the last one: what moves into a place that falls free is done with
+            i = chosen[e]
             ended = a[MODE + i] == LEFT
-            at_section = a[MODE + i] == AT_SECTION
             r = int(a[REQUEST + i])
             if ended:
                 left[r] = True
-            elif m > 0 and a[FRESH + i] > 0.0:
-                rank = 2 * n - int(tally[r, LOST])
-                if a[WIDE + i] > 0.0:
-                    fly_frame_far(a, i, blocks[r], frames[i], growths[i], no_triangle, rank)
-                else:
-                    flow_frame(a, i, frames)
-                if not at_section:
-                    saltate_frame(blocks, r, a[R + i], a[RATIO + i], frames, i)
-                if at_section or a[WIDTH + i] > MAX_SPREAD:
-                    orthonormalise(blocks[r, :, 1], frames[i], growths[i], no_triangle, rank)
-                    a[WIDTH + i] = 0.0
-            if at_section:
+            elif a[MODE + i] == AT_SECTION:
                 k = done[r]
                 if m > 0:
-                    add_growth(levels[r], weighted[r], growths[i, 0] - growth[r, 0], k, periods[r])
+                    length = log_length(blocks[r, :, LAM // STRIDE], frames[i], growths[i])
+                    add_growth(levels[r], weighted[r], length - a[LENGTH + i], k, periods[r])
+                    a[LENGTH + i] = length
                     copy_frame(frames, growths, i, V, growth, r)
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)

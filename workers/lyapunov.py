@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.jit import kernel
+from workers.frame import log_length
+from workers.jit import inlined, kernel
 from workers.oscillator import Oscillator
-from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, copy_state, reset_frame
+from workers.section import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, copy_state
 
 LEVELS = 40
 COUNT, MEAN, SQUARES, PENDING = range(4)
@@ -33,7 +34,7 @@ def no_averages() -> Averages:
     return Averages(np.zeros((LEVELS, 4)), np.zeros(2))
 
 
-@kernel
+@inlined
 def add_to_blocks(levels, x):
     """Add one value to the blocking analysis (Flyvbjerg & Petersen 1989): pairs move up as their mean."""
     for k in range(LEVELS):
@@ -69,7 +70,7 @@ def standard_error(levels):
     return error
 
 
-@kernel
+@inlined
 def add_growth(levels, weighted, growth, k, periods):
     """Count the growth of the first vector in period k of a stretch of so many."""
     u = (k + 0.5) / periods
@@ -85,21 +86,24 @@ def average(osc, motion, done, periods, averages, sections):
 
     Returns the periods completed.
 
-    Every period ends with an orthonormal frame (Li & Tan 2011). Besides the plain mean, averages.weighted
-    takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))), which converges faster
-    than any power of their number on a torus (Das et al. 2017). sections (K, n, 2) takes the last K states.
+    The frame is made orthonormal where its spread asks for it, not every period. Besides the plain mean,
+    averages.weighted takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))), which
+    converges faster than any power of their number on a torus (Das et al. 2017). sections (K, n, 2) takes the
+    last K states.
     """
     first = periods - sections.shape[0]
+    vectors = motion.growth.shape[0] > 0
     if done == 0:
         averages.weighted[:] = 0.0
+    before = log_length(osc.gap.lam, motion.V, motion.growth) if vectors else 0.0
     for k in range(done, periods):
-        before = motion.growth[0] if motion.growth.shape[0] > 0 else 0.0
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             return k
-        reset_frame(osc, motion)
-        if motion.growth.shape[0] > 0:
-            add_growth(averages.levels, averages.weighted, motion.growth[0] - before, k, periods)
+        if vectors:
+            length = log_length(osc.gap.lam, motion.V, motion.growth)
+            add_growth(averages.levels, averages.weighted, length - before, k, periods)
+            before = length
         if k >= first:
             copy_state(motion.h, sections, k - first)
         if motion.tally[WORK] < 0.0:

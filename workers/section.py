@@ -43,7 +43,7 @@ FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 
 UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(11)
 """What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, evaluations still
-allowed, directions lost, log-spread of the frame since it was last orthonormal, impacts recorded, status."""
+allowed, directions lost, spread of the frame since it was last orthonormal, impacts recorded, status."""
 
 RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE = range(4)
 """Status: fine, or why a cell cannot go on."""
@@ -54,11 +54,12 @@ WORK_OF_A_TRIAL = 1_000_000
 OVERDRAFT = 1_000_000
 """Evaluations by which a period may exceed what is left, so that motions can end at a section."""
 
-NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
-"""In place of an evaluation where a flight ends at no stop."""
+NOWHERE = (0.0, 0.0, 0.0, 0.0)
+"""In place of an arrival where a flight ends at no stop."""
 
-MAX_SPREAD = 5.0
-"""Log-spread at which the frame is made orthonormal again: keeps 12 digits of the most contracted direction."""
+MAX_SPREAD = 8.0
+"""|log| of how far flights and impacts may stretch or contract the frame before it is made orthonormal again: keeps 12
+digits of the most contracted direction. One flight with its impact may go further."""
 
 
 class Motion(NamedTuple):
@@ -173,11 +174,11 @@ def _contact(osc: Oscillator, h: NDArray[np.float64], y: float, v: float) -> int
 
 @kernel
 def spread_rate(block):
-    """How fast a flight spreads the frame, per time: largest minus smallest contraction rate of the blocks."""
-    low, high = np.inf, 0.0
+    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks."""
+    rate = 0.0
     for j in range(len(block)):
-        low, high = min(low, block[j].slow), max(high, block[j].fast)
-    return high - low
+        rate = max(rate, block[j].fast)
+    return rate
 
 
 @piece
@@ -199,6 +200,12 @@ def reset_frame(osc, motion):
     motion.tally[SPREAD] = 0.0
 
 
+@inlined
+def needs_reset(spread, more):
+    """Whether the frame has to be made orthonormal before the next flight and impact spread it that much further."""
+    return spread > 0.0 and spread + more > MAX_SPREAD
+
+
 @piece
 def record_impact(tally, impacts, t, side, speed):
     """Count an impact and, while there is room in impacts (K, 3), write it down."""
@@ -213,34 +220,47 @@ def record_impact(tally, impacts, t, side, speed):
 
 
 @piece
-def meet_stop(osc, h, V, tally, impacts, t, side, remaining, arrived):
-    """The impact at time t, evaluated there as ``arrived``: changes state and frame; returns what follows."""
-    y, v, a, _, scale = arrived
-    v = side * max(side * v, TINY)  # the march saw it approach; evaluated anew, the last digit may differ
+def arrive(osc, h, s, phase, side):
+    """(y, v, a, scale of rounding) at the stop that a flight of s reaches."""
+    y, v, a, _, scale = evaluate(osc.gap, h, s, phase, 0.0)
+    return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
+
+
+@piece
+def meet_stop(osc, motion, t, side, remaining, arrived, spread):
+    """The impact at time t, arrived there as told: changes state and frame; returns what follows."""
+    h, V, tally = motion.h, motion.V, motion.tally
+    y, v, a, scale = arrived
     following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
     if following == REST:
         kick(osc, h, -v)
         rest_projection(osc, V)
         return REST
-    record_impact(tally, impacts, t, side, abs(v))
+    record_impact(tally, motion.impacts, t, side, abs(v))
     kick(osc, h, -(1.0 + osc.R) * v)
     shift(osc, h, stop_position(osc, side) - y)  # or rounding would add up over many impacts
     saltation(osc.gap.row, osc.gap.row1, osc.kick, osc.kick1, osc.R, V, a / v)
+    tally[SPREAD] += spread
     if following == LEAVE:
         tally[LOST] = max(tally[LOST], 1.0)
-    if V.shape[0] > 1:
-        tally[SPREAD] += impact_spread(a / v, 1.0 / math.sqrt(osc.gap.lam[0]))
+        reset_frame(osc, motion)
     return following
 
 
 @inlined
-def impact_spread(ratio, unit):
+def impact_spread(ratio, unit, loss):
     """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
 
-    2 ln(1 + u) < 2 u / sqrt(1 + u) with u = |ratio| unit, where unit = 1 / sqrt(lam_1).
+    2 ln(1 + u) - ln R, u = |ratio| unit, where unit = 1 / sqrt(lam_1); ln x < (x - 1) / sqrt(x) spares the logarithms.
     """
     u = abs(ratio) * unit
-    return 2.0 * u / math.sqrt(1.0 + u)
+    return 2.0 * u / math.sqrt(1.0 + u) + loss
+
+
+@inlined
+def loss_spread(R):
+    """The part of impact_spread that the restitution makes: at least -ln R."""
+    return (1.0 - R) / math.sqrt(max(R, TINY))
 
 
 @piece
@@ -276,10 +296,12 @@ def travel(osc, motion, duration):
     Stops early with tally[STATUS] set if it cannot be completed.
     """
     # Taken out once: a field of a record costs a reference count at every use.
-    h, V, tally, impacts, scratch = motion.h, motion.V, motion.tally, motion.impacts, motion.scratch
+    h, V, tally, scratch = motion.h, motion.V, motion.tally, motion.scratch
     contact = motion.contact[0]
     motion.contact[0] = FREE
-    rate = spread_rate(osc.gap.block) if V.shape[0] > 1 else 0.0
+    vectors = V.shape[0] > 0
+    rate = spread_rate(osc.gap.block) if vectors else 0.0
+    unit, loss = 1.0 / math.sqrt(osc.gap.lam[0]), loss_spread(osc.R)
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
@@ -296,7 +318,11 @@ def travel(osc, motion, duration):
             osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
         spend(tally, evaluations)
-        arrived = evaluate(osc.gap, h, s, phase, 0.0) if abs(side) == 1 else NOWHERE
+        hit = abs(side) == 1
+        arrived = arrive(osc, h, s, phase, side) if hit else NOWHERE
+        spread = impact_spread(arrived[2] / arrived[1], unit, loss) if vectors and hit else 0.0
+        if needs_reset(tally[SPREAD], s * rate + spread):
+            reset_frame(osc, motion)
         if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
@@ -310,9 +336,7 @@ def travel(osc, motion, duration):
             return
         t += s
         phase += osc.gap.omega * s
-        following = meet_stop(osc, h, V, tally, impacts, t, side, duration - t, arrived)
-        if following == LEAVE or tally[SPREAD] > MAX_SPREAD:
-            reset_frame(osc, motion)
+        following = meet_stop(osc, motion, t, side, duration - t, arrived, spread)
         own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
         contact = side if following == REST else FREE
 

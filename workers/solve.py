@@ -342,6 +342,7 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
     count = 0
     if averages is not None and motion.growth.size:
         cell.largest, cell.error, count = _mean(averages)
+        reset_frame(osc, motion)
         cell.spectrum = np.sort(motion.growth / count)[::-1]
     elif settings.method == "fixed" and used > settings.transient_periods:
         count = used - settings.transient_periods
