@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from workers import Settings, solve_tile
-from workers.section import EVALUATIONS, motion_from, run
+from workers.lyapunov import run
+from workers.section import EVALUATIONS, motion_from
 from workers.system import find_system
 
 Array = NDArray[np.float64]
@@ -240,10 +241,9 @@ def counts(params: dict[str, float], periods: int = 1000) -> tuple[float, float]
     system = find_system("two-mass")
     osc = system.build({parameter.name: parameter.default for parameter in system.parameters} | params)
     motion = motion_from(osc, np.zeros(len(system.states)))
-    none = np.empty((0, *motion.h.shape))
-    run(osc, motion, 0, periods, none)
+    run(osc, motion, periods)
     before = float(motion.tally[EVALUATIONS])
-    run(osc, motion, 0, periods, none)
+    run(osc, motion, periods)
     count = (float(motion.tally[EVALUATIONS]) - before) / periods
     return count, count * (2 + sum(3 if block.d > 0.0 else 5 for block in osc.gap.block))
 

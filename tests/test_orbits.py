@@ -13,9 +13,10 @@ from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
 from workers.floquet import spectral_radius
 from workers.history import trace
+from workers.lyapunov import run
 from workers.orbits import corrected, recurrence
 from workers.results import PERIODIC
-from workers.section import motion_at, motion_from, reset_frame, run, travel
+from workers.section import motion_at, motion_from, reset_frame, travel
 from workers.settings import Settings
 from workers.tile import solve_tile
 
@@ -195,7 +196,7 @@ def sliced_exponents(params: dict[str, float], slices: int) -> np.ndarray:
     """Exponents of a settled period-1 motion from a frame made orthonormal after each slice of the period."""
     osc, start = naive.two_mass(**params)
     motion = motion_from(osc, start)
-    run(osc, motion, 0, 50, np.empty((0, 2, 2)))
+    run(osc, motion, 50)
     motion = motion_at(motion.h, int(motion.contact[0]), vectors=4)
     for _ in range(3):
         motion.growth[np.isfinite(motion.growth)] = 0.0

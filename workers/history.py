@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lyapunov import average, no_averages
+from workers.lyapunov import run
 from workers.section import BEYOND, RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from, reset_frame
 from workers.settings import Settings
 from workers.solve import REASONS, vectors_for, with_frame
@@ -53,9 +53,8 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         raise ValueError("the initial state lies beyond a stop")
     motion = with_frame(motion, vectors_for(settings, osc))
     states, impacts, exponents = [start], [np.empty((0, 3))], []
-    none = np.empty((0, *motion.h.shape))
     for k in range(periods):
-        average(osc, motion, 0, 1, no_averages(), none)
+        run(osc, motion, 1)
         if motion.tally[STATUS] != RUNNING:
             raise ValueError(f"period {k}: {REASONS[int(motion.tally[STATUS])]}")
         reset_frame(osc, motion)

@@ -548,7 +548,7 @@ def fly_frame_far(a, i, blocks, tally, frames, growths):
 @kernel
 def move_frames(a, events, blocks, tally, frames, growths, bench):
     """Take the tangent vectors of these lanes through the flights and impacts that they end, as section.travel does."""
-    lanes, count = bench.lanes, 0
+    lanes, count = bench.lanes, np.int64(0)  # no literal, or Numba compiles for it what is called with it
     for i in events:
         side = a[MODE + i]
         ratio = a[A + i] / (side * max(side * a[V + i], TINY))

@@ -82,14 +82,13 @@ def add_growth(levels, weighted, growth, k, periods):
 
 @kernel
 def average(osc, motion, done, periods, averages, sections):
-    """Go on from period ``done`` of a stretch to its end while work is left, averaging the growth of the frame.
+    """Go on from period ``done`` of a stretch to its end, or until a period cannot be completed or no work is left.
 
-    Returns the periods completed.
+    Returns the periods completed; sections (K, n, 2) takes the last K block states, newest last; K = 0 for none.
 
-    The frame is made orthonormal where its spread asks for it, not every period. Besides the plain mean,
-    averages.weighted takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))), which
-    converges faster than any power of their number on a torus (Das et al. 2017). sections (K, n, 2) takes the
-    last K states.
+    Where there are tangent vectors the growth of the first is averaged; the frame is made orthonormal where its
+    spread asks for it. Besides the plain mean, averages.weighted takes the weighted Birkhoff sum over these periods,
+    w = exp(-1 / (u (1 - u))), which converges faster than any power of their number on a torus (Das et al. 2017).
     """
     first = periods - sections.shape[0]
     vectors = motion.growth.shape[0] > 0
@@ -109,6 +108,11 @@ def average(osc, motion, done, periods, averages, sections):
         if motion.tally[WORK] < 0.0:
             return k + 1
     return periods
+
+
+def run(osc: Oscillator, motion: Motion, periods: int) -> int:
+    """Take a motion so many periods along, in place; the periods completed."""
+    return int(average(osc, motion, 0, periods, no_averages(), np.empty((0, *motion.h.shape))))
 
 
 def sum_of_exponents(osc: Oscillator, impacts_per_period: float) -> float:

@@ -371,21 +371,3 @@ def copy_state(h, sections, row):
     """sections[row] = h."""
     for j in range(h.shape[0]):
         sections[row, j, 0], sections[row, j, 1] = h[j, 0], h[j, 1]
-
-
-@kernel
-def run(osc, motion, done, periods, sections):
-    """Go on from period ``done`` of a stretch to its end, or until a period cannot be completed or no work is left.
-
-    Returns the periods completed. sections (K, n, 2) takes the last K block states, newest last; K = 0 for none.
-    """
-    first = periods - sections.shape[0]
-    for k in range(done, periods):
-        advance(osc, motion)
-        if motion.tally[STATUS] != RUNNING:
-            return k
-        if k >= first:
-            copy_state(motion.h, sections, k - first)
-        if motion.tally[WORK] < 0.0:
-            return k + 1
-    return periods

@@ -13,6 +13,7 @@ from workers.lyapunov import (
     free_exponents,
     impacts,
     no_averages,
+    run,
     standard_error,
     sum_law_holds,
     sum_of_exponents,
@@ -41,7 +42,6 @@ from workers.section import (
     motion_at,
     motion_from,
     reset_frame,
-    run,
 )
 from workers.settings import Settings
 from workers.stretch import Stretch, follow
@@ -308,7 +308,7 @@ def _no_impact(osc: Oscillator, motion: Motion, settings: Settings, used: int) -
 def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> Cell:
     """A proved orbit: one turn of it counts impacts and rest; its exponents are the Floquet exponents."""
     turn = motion_at(orbit.h, orbit.contact)
-    run(osc, turn, 0, orbit.period, np.empty((0, *turn.h.shape)))
+    run(osc, turn, orbit.period)
     sticks = bool(turn.tally[STUCK] > 0.0)
     hits = impacts(turn) / orbit.period
     if not hits and not sticks:
@@ -404,5 +404,5 @@ def _sections(osc: Oscillator, motion: Motion, settings: Settings, period: int) 
         reached = ahead.tally[STATUS] == RUNNING
         states.append(blocks_to_physical(osc, ahead) if reached else np.full(ahead.h.size, math.nan))
         if reached:
-            run(osc, ahead, 0, 1, np.empty((0, *ahead.h.shape)))
+            run(osc, ahead, 1)
     return np.array([states[k % len(states)] for k in range(K)])

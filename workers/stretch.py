@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from workers.lanes import LANES, Batch, constants, run_lanes
 from workers.lyapunov import Averages, average, no_averages
 from workers.oscillator import Oscillator
-from workers.section import FREE, RUNNING, STATUS, WORK, Motion, run
+from workers.section import FREE, RUNNING, STATUS, WORK, Motion
 
 FEWEST = 4
 """Stretches that are worth a batch."""
@@ -17,7 +17,7 @@ FEWEST = 4
 class Stretch(NamedTuple):
     """Periods that a motion is to be taken along, in place.
 
-    averages   takes the averages of the frame's growth, every period ending with an orthonormal frame; None for none
+    averages   takes the averages of the frame's growth; None for none
     sections   (K, n, 2) takes the last K block states
     """
 
@@ -31,9 +31,7 @@ class Stretch(NamedTuple):
 def follow(stretch: Stretch, done: int = 0) -> int:
     """Go on from period ``done`` of a stretch; the periods completed, fewer where the motion ends or its work does."""
     osc, motion, periods, averages, sections = stretch
-    if averages is None:
-        return int(run(osc, motion, done, periods, sections))
-    return int(average(osc, motion, done, periods, averages, sections))
+    return int(average(osc, motion, done, periods, averages or no_averages(), sections))
 
 
 def ended(stretch: Stretch, done: int) -> bool:
