@@ -245,18 +245,6 @@ def arrival_pass(a, n):
 
 
 @kernel
-def kick_pass(a, q, n):
-    """The state of one block after what its lane has reached."""
-    for i in range(n):
-        event = a[FRESH + i] > 0.0
-        dv, dy, h0, h1 = a[DV + i], a[DY + i], q[H0 + i], q[H1 + i]
-        kicked0 = q[G0 + i] + dv * q[K0 + i] + dy * q[L0 + i]
-        kicked1 = q[G1 + i] + dv * q[K1 + i] + dy * q[L1 + i]
-        q[H0 + i] = kicked0 if event else h0
-        q[H1 + i] = kicked1 if event else h1
-
-
-@kernel
 def restart_pass(a, n):
     """Begin the sums of signal and bounds anew: the signal where a flight starts, the bounds there and now and then."""
     for i in range(n):
@@ -278,10 +266,14 @@ def restart_pass(a, n):
 
 @inlined
 def share_at_start(a, q, i):
-    """A block's share of the signal where bounds are wanted, taken into the signal where a flight starts there."""
+    """A block's share of the signal where bounds are wanted; where a flight starts there, after the impact's kick."""
     fresh = a[FRESH + i] > 0.0
-    eta, lam, h0, h1, g0, g1 = q[ETA + i], q[LAM + i], q[H0 + i], q[H1 + i], q[G0 + i], q[G1 + i]
-    h0, h1 = h0 if fresh else g0, h1 if fresh else g1
+    eta, lam, g0, g1, start0, start1 = q[ETA + i], q[LAM + i], q[G0 + i], q[G1 + i], q[H0 + i], q[H1 + i]
+    dv, dy = a[DV + i], a[DY + i]
+    kicked0, kicked1 = g0 + dv * q[K0 + i] + dy * q[L0 + i], g1 + dv * q[K1 + i] + dy * q[L1 + i]
+    h0, h1 = kicked0 if fresh else g0, kicked1 if fresh else g1
+    q[H0 + i] = h0 if fresh else start0
+    q[H1 + i] = h1 if fresh else start1
     q0, q1, q2, q3 = block_output(h0, h1, eta, lam, q[C0 + i], q[C1 + i], q[D0 + i], q[D1 + i])
     a[Y + i] += q0 if fresh else 0.0
     a[V + i] += q1 if fresh else 0.0
@@ -469,8 +461,6 @@ def take_round(a, blocks, oscillates, n, chosen, c):
         else:
             block_pass(a, fields_of(a, j), n)
     arrival_pass(a, n)
-    for j in range(blocks):
-        kick_pass(a, fields_of(a, j), n)
 
 
 @inlined
@@ -509,7 +499,7 @@ class Bench(NamedTuple):
     frames: Array
     norms: Array
     work: Array
-    lanes: NDArray[np.int64]
+    lanes: NDArray[np.uint32]
 
 
 @kernel
@@ -592,11 +582,10 @@ def load(a, i, r, head, blocks, h, tally):
         b = (_HEAD + j * _BLOCK) * STRIDE + i
         for f in range(BLOCK_CONSTANTS):
             a[b + f * STRIDE] = blocks[r, j, f]
-        a[b + H0], a[b + H1] = h[r, j, 0], h[r, j, 1]
         a[b + G0], a[b + G1] = h[r, j, 0], h[r, j, 1]
     a[T + i], a[PHASE + i], a[S + i], a[OWN + i], a[COUNT + i] = 0.0, a[TAU + i], 0.0, 0.0, 0.0
     a[MODE + i], a[FRESH + i], a[RENEW + i] = FLYING, 1.0, 1.0
-    a[FORCED + i], a[DFORCED + i] = a[Y_TAU + i], a[V_TAU + i]
+    a[FORCED + i], a[DFORCED + i], a[DV + i], a[DY + i] = a[Y_TAU + i], a[V_TAU + i], 0.0, 0.0
     a[HITS_UP + i], a[HITS_DOWN + i], a[SLOWEST + i] = tally[r, UPPER], tally[r, LOWER], tally[r, MIN_SPEED]
     a[EVALS + i], a[COST + i], a[WIDTH + i] = tally[r, EVALUATIONS], 0.0, tally[r, SPREAD]
     a[REQUEST + i] = r
@@ -607,7 +596,7 @@ def save(a, i, r, h, tally):
     """Write the section state of lane i back to its request."""
     for j in range(h.shape[1]):
         b = (_HEAD + j * _BLOCK) * STRIDE + i
-        h[r, j, 0], h[r, j, 1] = a[b + H0], a[b + H1]
+        h[r, j, 0], h[r, j, 1] = a[b + G0], a[b + G1]
     tally[r, UPPER], tally[r, LOWER], tally[r, MIN_SPEED] = a[HITS_UP + i], a[HITS_DOWN + i], a[SLOWEST + i]
     tally[r, EVALUATIONS], tally[r, SPREAD] = a[EVALS + i], a[WIDTH + i]
     tally[r, WORK] -= a[COST + i]
@@ -648,7 +637,7 @@ def run_lanes(batch, enough):
     head, blocks, periods, done, left, h, V, growth, tally, levels, weighted, sections = batch
     N, n, m = h.shape[0], h.shape[1], V.shape[1]
     a = np.zeros((_HEAD + n * _BLOCK) * STRIDE)
-    gathered, chosen = np.zeros(_GATHERED * STRIDE), np.zeros(LANES, dtype=np.int64)
+    gathered, chosen = np.zeros(_GATHERED * STRIDE), np.zeros(LANES, dtype=np.uint32)
     frames, growths = np.zeros((LANES, m, n, 2)), np.zeros((LANES, m))
     bench = Bench(
         lam=np.zeros((n, STRIDE)),
@@ -656,7 +645,7 @@ def run_lanes(batch, enough):
         frames=np.zeros((m, n, 2, STRIDE)),
         norms=np.zeros((m, STRIDE)),
         work=np.zeros((2, STRIDE)),
-        lanes=np.zeros(LANES, dtype=np.int64),
+        lanes=np.zeros(LANES, dtype=np.uint32),
     )
     oscillates = np.ones(n, dtype=np.bool_)
     for r in range(N):
