@@ -19,6 +19,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -196,20 +197,17 @@ CELLS = 256
 """Cells side by side, with slightly different b, so that nothing can be shared between them."""
 
 
-def solver_cost(params: dict[str, Any], exponents: int, short: int, long: int, repeats: int) -> tuple[float, Array]:
-    """The solver's microseconds per period and cell, and the exponents of the first cell."""
+def in_turn(repeats: int, *works: Callable[[], float]) -> list[float]:
+    """The least that each of these gives, taken in turn so many times: a busy spell of the machine hits all alike."""
+    return [min(given) for given in zip(*([work() for work in works] for _ in range(repeats)), strict=True)]
 
-    def solve(periods: int) -> dict[str, NDArray[Any]]:
-        name = SETTINGS_NAME[exponents]
-        settings = Settings(method="fixed", exponents=name, transient_periods=TRANSIENT, periods=periods)
-        return solve_tile("two-mass", params, settings)
 
-    found = solve(long)  # compiles, or loads what an earlier run compiled
-    slow = min(processor_seconds(lambda: solve(long)) for _ in range(repeats))
-    fast = min(processor_seconds(lambda: solve(short)) for _ in range(repeats))
-    cells = max(1, found["regime"].size)
-    averages = found[SETTINGS_NAME[exponents]] if exponents else np.zeros(0)
-    return 1e6 * (slow - fast) / (long - short) / cells, np.ravel(averages)[:exponents]
+def solver(params: dict[str, Any], exponents: int, periods: int) -> Callable[[], dict[str, NDArray[Any]]]:
+    """The solver on these cells, side by side if there are several, for so many periods."""
+    settings = Settings(
+        method="fixed", exponents=SETTINGS_NAME[exponents], transient_periods=TRANSIENT, periods=periods
+    )
+    return lambda: solve_tile("two-mass", params, settings)
 
 
 def reference_cost(integrator: GeneralIntegrator, schedule: Schedule) -> tuple[float, list[float]]:
@@ -220,16 +218,19 @@ def reference_cost(integrator: GeneralIntegrator, schedule: Schedule) -> tuple[f
     return 1e6 * seconds / schedule.periods, integrator.exponents.tolist()
 
 
-def taylor_cost(params: dict[str, float], exponents: int, schedule: Schedule) -> float:
-    """heyoka's microseconds per period; NaN where it is not installed."""
+def taylor(params: dict[str, float], exponents: int, schedule: Schedule) -> Callable[[], float]:
+    """Seconds of heyoka for schedule.taylor / 2 periods; NaN where it is not installed."""
     from scripts.heyoka_reference import INSTALLED, Taylor
 
     if not INSTALLED:
-        return math.nan
+        return lambda: math.nan
     integrator = Taylor(exponents)
-    lengths = (schedule.taylor // 2, schedule.taylor)
-    runs = [integrator.run(params, lengths) for _ in range(schedule.repeats)]
-    return 1e6 * min(run[1][1] - run[0][1] for run in runs) / (lengths[1] - lengths[0])
+
+    def seconds() -> float:
+        first, second = integrator.run(params, (schedule.taylor // 2, schedule.taylor))
+        return second[1] - first[1]
+
+    return seconds
 
 
 def counts(params: dict[str, float], periods: int = 1000) -> tuple[float, float]:
@@ -255,17 +256,23 @@ def measure(schedule: Schedule) -> list[dict[str, Any]]:
         beside = params | {"b": params["b"] * (1.0 + 1e-5 * np.arange(CELLS))}
         count, calls = counts(params)
         for exponents in (0, 1, 4):
-            together, found = solver_cost(beside, exponents, schedule.short, schedule.long, schedule.repeats)
-            alone, _ = solver_cost(params, exponents, schedule.alone // 20, schedule.alone, schedule.repeats)
-            row = {
+            lengths = (schedule.long, schedule.short)
+            works = [solver(beside, exponents, length) for length in lengths]
+            works += [solver(params, exponents, length) for length in (schedule.alone, schedule.alone // 20)]
+            found = works[0]()  # compiles, or loads what an earlier run compiled
+            averages = np.ravel(found[SETTINGS_NAME[exponents]])[:exponents] if exponents else np.zeros(0)
+            timed = [partial(processor_seconds, work) for work in works]
+            slow, fast, alone, brief, reference = in_turn(schedule.repeats, *timed, taylor(params, exponents, schedule))
+            together = 1e6 * (slow - fast) / (schedule.long - schedule.short) / CELLS
+            row: dict[str, Any] = {
                 "figure": figure,
                 "exponents": exponents,
                 "solver_us_per_period": together,
-                "solver_alone_us_per_period": alone,
-                "heyoka_us_per_period": taylor_cost(params, exponents, schedule),
+                "solver_alone_us_per_period": 1e6 * (alone - brief) / (schedule.alone - schedule.alone // 20),
+                "heyoka_us_per_period": 1e6 * reference / (schedule.taylor - schedule.taylor // 2),
                 "evaluations_per_period": count,
                 "transcendentals_per_period": calls,
-                "solver_exponents": found.tolist(),
+                "solver_exponents": averages.tolist(),
             }
             row["heyoka_ratio"] = row["heyoka_us_per_period"] / together
             if exponents:
