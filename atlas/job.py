@@ -1,12 +1,14 @@
 """One tile's work, as it runs on a worker: solve it, write it, give a receipt."""
 
 import errno
+import re
 import resource
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -186,5 +188,19 @@ def _receipt(
         solve_seconds=0.0,
         write_seconds=0.0,
         periods=int(arrays["periods_used"][solved].sum(dtype="int64")),
-        peak_bytes=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+        peak_bytes=peak_memory(),
     )
+
+
+def peak_memory() -> int:
+    """Most bytes of memory that this process ever had.
+
+    Linux tells it in /proc; its getrusage would count what the parent had when it started this process.
+    """
+    try:
+        told = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(encoding="ascii"), re.MULTILINE)
+    except OSError:
+        told = None
+    if told:
+        return 1024 * int(told[1])
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
