@@ -154,6 +154,13 @@ def probe(spec: Spec, cells: int = PROBE_CELLS, seconds: float = 1.5) -> Probe:
     return Probe(solved, (time.perf_counter() - begin) / solved)
 
 
+def warming() -> str:
+    """What warm_up is about to do, for the user who waits for it."""
+    from workers.jit import compiled_before
+
+    return "loading the kernels" if compiled_before() else "compiling the kernels (kept for the next run)"
+
+
 def warm_up(spec: Spec) -> None:
     """Compile the kernels, into the cache on disk that other processes read, by solving the system's default cell.
 

@@ -79,7 +79,7 @@ def run(
         plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
         work = _work(header, plan, retry, tell)
         if work.due.any() and (client is None or probe):
-            tell(Progress("compiling the kernels (kept for the next run)"))
+            tell(Progress(planning.warming()))
             planning.warm_up(spec)
         if work.due.any() and probe:
             tell(Progress("probing a few cells"))

@@ -127,3 +127,13 @@ def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
     count, *more = said.split(maxsplit=1)
     assert int(count) >= 10
     assert not more
+
+
+def test_the_user_is_told_of_a_compilation_where_there_is_one(tmp_path: Path) -> None:
+    code = (
+        "import numpy as np; from atlas.plan import warming; print(warming());"
+        "from workers.lyapunov import standard_error; standard_error(np.zeros((40, 4))); print(warming())"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.splitlines() == ["compiling the kernels (kept for the next run)", "loading the kernels"]

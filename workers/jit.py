@@ -13,7 +13,7 @@ from pathlib import Path
 
 from numba import config, njit
 
-__all__ = ["inlined", "kernel", "piece"]
+__all__ = ["compiled_before", "inlined", "kernel", "piece"]
 
 
 def _source_hash() -> str:
@@ -47,7 +47,15 @@ def _prepare_cache() -> bool:
     return True
 
 
-kernel = njit(nogil=True, error_model="numpy", cache=_prepare_cache())
+_CACHED = _prepare_cache()
+
+
+def compiled_before() -> bool:
+    """Whether an earlier run has left compiled kernels of these sources."""
+    return _CACHED and any(Path(config.CACHE_DIR).rglob("*.nbi"))  # type: ignore[attr-defined]
+
+
+kernel = njit(nogil=True, error_model="numpy", cache=_CACHED)
 """Decorator of every kernel."""
 
 inlined = njit(nogil=True, error_model="numpy", forceinline=True)
