@@ -90,6 +90,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     from atlas import plan as planning
     from atlas.output import to_json
     from atlas.place import place_of
+    from atlas.warm import compile_once, warming
 
     read = Spec.from_toml(spec)
     made = planning.make_plan(read, workers)
@@ -97,8 +98,8 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     if place.local is not None:
         planning.check_disk(made, place.local)
     if probe:
-        _say(f"{planning.warming()}, probing a few cells")
-        planning.warm_up(read)
+        _say(f"{warming(read.settings.exponents)}, probing a few cells")
+        compile_once(read.system, read.settings)
         made = replace(made, probe=planning.probe(read))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
@@ -404,13 +405,13 @@ _system_option = click.option("--system", default=next(iter(SYSTEMS)), show_defa
 def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> None:
     """Solve one cell and print all its results."""
     from atlas.output import print_table, text, to_json
-    from atlas.plan import warming
     from atlas.point import point as solve_point
+    from atlas.warm import warming
 
     pairs, settings = _pairs("--set", given, _number), checked_settings(solve)
     checked_parameters(checked_system(system), pairs)
     if not as_json:
-        _say(f"{warming()}, solving")
+        _say(f"{warming(settings.exponents)}, solving")
     found = solve_point(system, pairs, settings)
     if as_json:
         click.echo(to_json(found))
@@ -427,12 +428,12 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
 @_settings_options("exponents", "section_samples")
 def portrait(given: tuple[str, ...], system: str, out: Path, **solve: Any) -> None:
     """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
-    from atlas.plan import warming
     from atlas.point import portrait as draw_portrait
+    from atlas.warm import warming
 
     pairs, settings = _pairs("--set", given, _number), checked_settings(solve)
     checked_parameters(checked_system(system), pairs)
-    _say(f"{warming()}, solving, drawing")
+    _say(f"{warming(settings.exponents)}, solving, drawing")
     with _input_errors():
         draw_portrait(pairs, system=system, settings=settings, path=out)
     click.echo(str(out))

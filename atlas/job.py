@@ -20,6 +20,7 @@ from atlas.plan import make_plan
 from atlas.retry import Retry, solve_again
 from atlas.store import Header, is_done, read_header, write_tile
 from atlas.takeover import fill_tile, known_cells
+from atlas.warm import compile_once
 from workers import SOLVER_VERSION
 from workers.results import FAILED, REGIME, REGIMES, result_variables
 
@@ -102,6 +103,7 @@ def solve_and_write(job: Job) -> Receipt:
         spec = header.spec
         tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
         params = spec.cell_params(tile.slices)
+        compile_once(spec.system, spec.settings)
         begin = time.perf_counter()
         if job.retry is None:
             arrays, solved, reasons = fill_tile(header, tile.slices)

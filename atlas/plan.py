@@ -15,7 +15,6 @@ import numpy as np
 from atlas.coarsen import overview_bytes
 from atlas.errors import InputError
 from atlas.spec import Slices, Spec
-from workers import Settings
 from workers.results import result_variables
 
 DEFAULT_TILE = 64
@@ -152,29 +151,6 @@ def probe(spec: Spec, cells: int = PROBE_CELLS, seconds: float = 1.5) -> Probe:
         solve_cells(spec.system, _some_cells(spec, solved, further), spec.settings)
         solved += further
     return Probe(solved, (time.perf_counter() - begin) / solved)
-
-
-def warming() -> str:
-    """What warm_up is about to do, for the user who waits for it."""
-    from workers.jit import compiled_before
-
-    return "loading the kernels" if compiled_before() else "compiling the kernels (kept for the next run)"
-
-
-def warm_up(spec: Spec) -> None:
-    """Compile the kernels, into the cache on disk that other processes read, by solving the system's default cell.
-
-    Adaptive and on a fixed schedule, one alone and many side by side: they do not take the same kernels.
-    """
-    from workers.tile import solve_cells
-
-    first = spec.record.parameters[0]
-    many = {first.name: np.full(PROBED_TOGETHER, first.default)}
-    s = spec.settings
-    brief: Settings = replace(s, max_periods=1000, transient_periods=0, periods=1)
-    for method in ("adaptive", "fixed"):
-        for cells in ({}, many):
-            solve_cells(spec.system, cells, replace(brief, method=method))
 
 
 def _some_cells(spec: Spec, first: int, count: int) -> dict[str, np.ndarray]:

@@ -26,6 +26,7 @@ from atlas.retry import NEEDED, Retry
 from atlas.spec import Spec
 from atlas.store import Header, add_budget, create, done_tiles, find
 from atlas.summary import Summary, Tally
+from atlas.warm import compile_once, warming
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -79,8 +80,8 @@ def run(
         plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
         work = _work(header, plan, retry, tell)
         if work.due.any() and (client is None or probe):
-            tell(Progress(planning.warming()))
-            planning.warm_up(spec)
+            tell(Progress(warming(spec.settings.exponents)))
+            compile_once(spec.system, spec.settings)
         if work.due.any() and probe:
             tell(Progress("probing a few cells"))
             work = replace(work, plan=replace(plan, probe=planning.probe(spec)))

@@ -32,7 +32,7 @@ from unittest import mock
 import numpy as np
 
 import atlas
-from atlas import fanout
+from atlas import fanout, overview
 from atlas.job import Job, Receipt
 from atlas.order import Order
 from atlas.summary import Summary
@@ -61,8 +61,12 @@ class Scale:
 
 
 def nothing(job: Job) -> Receipt:
-    """A worker's work without the work."""
+    """A worker's work without the work; it stores nothing, so that there is nothing to make overviews of."""
     return Receipt(job.index, 1, {"periodic": 1}, {}, 0.0, 0.0, 1, 0)
+
+
+def no_overview(*_: object) -> None:
+    """In place of making an overview."""
 
 
 def measure(tiles: int, work: Callable[[Job], object] = fanout.work) -> Scale:
@@ -78,6 +82,7 @@ def measure(tiles: int, work: Callable[[Job], object] = fanout.work) -> Scale:
         tempfile.TemporaryDirectory(prefix="bench-scale-") as folder,
         _cluster(Path(folder)) as (address, scheduler),
         mock.patch.object(fanout, "work", work),
+        mock.patch.object(overview, "make", no_overview if work is nothing else overview.make),
         _growth(os.getpid()) as ours,
         _growth(scheduler) as theirs,
     ):

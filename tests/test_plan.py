@@ -90,7 +90,8 @@ def test_a_plan_prints_itself() -> None:
 WARM = """
 import sys
 import numpy as np
-from atlas import Spec, plan
+from atlas import Spec
+from atlas.warm import warm_up
 from workers.tile import solve_cells
 
 def compiled():
@@ -103,7 +104,7 @@ def compiled():
     }
 
 spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})
-plan.warm_up(spec)
+warm_up(spec.system, spec.settings)
 before = compiled()
 rng = np.random.default_rng(1)
 cells = {
@@ -127,13 +128,3 @@ def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
     count, *more = said.split(maxsplit=1)
     assert int(count) >= 10
     assert not more
-
-
-def test_the_user_is_told_of_a_compilation_where_there_is_one(tmp_path: Path) -> None:
-    code = (
-        "import numpy as np; from atlas.plan import warming; print(warming());"
-        "from workers.lyapunov import standard_error; standard_error(np.zeros((40, 4))); print(warming())"
-    )
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
-    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert ended.stdout.splitlines() == ["compiling the kernels (kept for the next run)", "loading the kernels"]

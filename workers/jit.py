@@ -13,7 +13,7 @@ from pathlib import Path
 
 from numba import config, njit
 
-__all__ = ["compiled_before", "inlined", "kernel", "piece"]
+__all__ = ["CACHE", "inlined", "kernel", "piece"]
 
 
 def _source_hash() -> str:
@@ -31,8 +31,8 @@ def _cache_root() -> Path:
     return Path(base) / "impact-atlas" / "numba"
 
 
-def _prepare_cache() -> bool:
-    """Point numba at a folder of these sources alone; False, said in one line, where it cannot be written."""
+def _prepare_cache() -> Path | None:
+    """Point numba at a folder of these sources alone; None, said in one line, where it cannot be written."""
     folder = _cache_root() / f"workers-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -42,20 +42,15 @@ def _prepare_cache() -> bool:
         if multiprocessing.parent_process() is None:  # once, not by every worker of a cluster
             reason = f"{folder} cannot be written ({error.strerror})"
             print(f"impact-atlas: kernels are compiled anew each time, {reason}", file=sys.stderr)
-        return False
+        return None
     config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    return True
+    return folder
 
 
-_CACHED = _prepare_cache()
+CACHE = _prepare_cache()
+"""The folder of the compiled kernels of these sources; None where there is none."""
 
-
-def compiled_before() -> bool:
-    """Whether an earlier run has left compiled kernels of these sources."""
-    return _CACHED and any(Path(config.CACHE_DIR).rglob("*.nbi"))  # type: ignore[attr-defined]
-
-
-kernel = njit(nogil=True, error_model="numpy", cache=_CACHED)
+kernel = njit(nogil=True, error_model="numpy", cache=CACHE is not None)
 """Decorator of every kernel."""
 
 inlined = njit(nogil=True, error_model="numpy", forceinline=True)

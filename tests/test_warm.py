@@ -1,0 +1,70 @@
+"""The kernels' compilation, by one process of a machine."""
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from atlas import warm
+from workers import Settings, jit
+
+COMPILING, LOADING = "compiling the kernels (kept for the next run)", "loading the kernels"
+
+
+@pytest.fixture
+def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What has been compiled, into a folder that holds nothing at first."""
+    done: list[str] = []
+
+    def slowly(system: str, settings: Settings) -> None:
+        time.sleep(0.2)
+        done.append(settings.exponents)
+
+    monkeypatch.setattr(jit, "CACHE", tmp_path)
+    monkeypatch.setattr(warm, "warm_up", slowly)
+    return done
+
+
+def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) -> None:
+    asking = [threading.Thread(target=warm.compile_once, args=("two-mass", Settings())) for _ in range(8)]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join()
+    assert compiled == ["largest"]
+
+
+def test_other_exponents_take_other_kernels(compiled: list[str]) -> None:
+    for exponents in ("largest", "spectrum", "largest"):
+        warm.compile_once("two-mass", Settings(exponents=exponents))
+    assert compiled == ["largest", "spectrum"]
+
+
+def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(system: str, settings: Settings) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(warm, "warm_up", stopped)
+        warm.compile_once("two-mass", Settings())
+    assert warm.warming("largest") == COMPILING
+    warm.compile_once("two-mass", Settings())
+    assert compiled == ["largest"]
+
+
+def test_the_user_is_told_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
+    assert warm.warming("largest") == COMPILING
+    warm.compile_once("two-mass", Settings())
+    assert warm.warming("largest") == LOADING
+    assert warm.warming("spectrum") == COMPILING
+
+
+def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jit, "CACHE", None)
+    warm.compile_once("two-mass", Settings())
+    assert compiled == []
