@@ -11,7 +11,6 @@ So a kill at any moment leaves a chunk current or missing, and what is missing i
 it is asked for (``atlas.part``).
 """
 
-import itertools
 import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
@@ -105,10 +104,13 @@ class Overviews(AbstractContextManager["Overviews"]):
         if not self._levels.count:
             return
         _ensure(header)
-        grid = (range(-(-n // t)) for n, t in zip(self._levels.shape, self._levels.tile, strict=True))
-        waiting = {*itertools.product(*grid)} - done_tiles(header) | {*pending}
-        drop(header, waiting)
-        for tile in waiting:
+        waiting = np.ones([-(-n // t) for n, t in zip(self._levels.shape, self._levels.tile, strict=True)], dtype=bool)
+        for tile in done_tiles(header):
+            waiting[tile] = False
+        for tile in pending:
+            waiting[tile] = True
+        drop(header, filter(waiting.__getitem__, np.ndindex(waiting.shape)))
+        for tile in filter(waiting.__getitem__, np.ndindex(waiting.shape)):
             over = self._levels.over(tile)
             self._missing[over] = self._missing.get(over, 0) + 1
         root = _root(header, "r")
