@@ -147,8 +147,9 @@ def _signed(sign: float) -> Callable[[float], str]:
 def _long_parts(ax: Axes, path: Path) -> Path:
     """The parts of a line that are long enough to be followed by eye."""
     # Not path.to_polygons, which leaves out points that stand out by less than a ninth of a unit, of data here.
-    codes = np.full(len(path.vertices), Path.LINETO) if path.codes is None else path.codes
-    parts = np.split(np.asarray(path.vertices), np.flatnonzero(codes == Path.MOVETO)[1:])
+    vertices = np.asarray(path.vertices)
+    codes = np.full(len(vertices), Path.LINETO) if path.codes is None else path.codes
+    parts = np.split(vertices, np.flatnonzero(codes == Path.MOVETO)[1:])
     long = [
         each
         for each in parts
