@@ -1,12 +1,11 @@
 """A tile in a process of its own, for one that is suspected to kill the process that solves it."""
 
 import json
-import os
 import signal
-import subprocess
 import sys
 from dataclasses import asdict
 
+from atlas.child import python
 from atlas.errors import RunError
 from atlas.job import Job, Receipt, RefusedError, StoreFullError, solve_and_write
 from atlas.retry import Retry
@@ -23,18 +22,8 @@ def run_apart(job: Job) -> Receipt | str:
 
     Raises RunError with the child's own words where it failed without dying.
     """
-    # The child finds the same modules, and no Ctrl-C of this process's terminal.
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     for _ in range(ATTEMPTS):
-        ended = subprocess.run(
-            [sys.executable, "-c", "from atlas.apart import main; main()", json.dumps(asdict(job))],
-            env=env,
-            start_new_session=True,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        ended = python("from atlas.apart import main; main()", json.dumps(asdict(job)), apart=True)
         if ended.returncode == 0:
             told = json.loads(ended.stdout.splitlines()[-1])
             if "error" in told:

@@ -1,12 +1,15 @@
 """The kernels' compilation: once on a machine, by whichever process is first."""
 
 import fcntl
+import json
+import sys
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
+from atlas.child import python
 from atlas.plan import PROBED_TOGETHER
 from workers.settings import Settings
 
@@ -20,7 +23,8 @@ def warming(exponents: str) -> str:
 def compile_once(system: str, settings: Settings) -> None:
     """See to it that all kernels that such cells may need are in the cache on disk, which other processes read.
 
-    Processes of one machine, or with one cache folder, wait for the first of them. Nothing is done without a folder.
+    Processes of one machine, or with one cache folder, wait for the first of them. It leaves that to a child, since
+    compiling takes twice the memory that solving does. Nothing is done without a folder.
     """
     marker = _marker(settings.exponents)
     if marker is None or marker.exists():
@@ -28,9 +32,20 @@ def compile_once(system: str, settings: Settings) -> None:
     with marker.with_name("compiling.lock").open("w") as lock:
         with suppress(OSError):  # a file system without locks: each for itself
             fcntl.flock(lock, fcntl.LOCK_EX)
-        if not marker.exists():
-            warm_up(system, settings)
+        if not marker.exists() and warm_up_apart(system, settings):
             marker.touch()
+
+
+def warm_up_apart(system: str, settings: Settings) -> bool:
+    """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it."""
+    given = json.dumps({"system": system, "settings": asdict(settings)})
+    return python("from atlas.warm import main; main()", given).returncode == 0
+
+
+def main() -> None:
+    """warm_up for what is given as JSON."""
+    given = json.loads(sys.argv[1])
+    warm_up(given["system"], Settings(**given["settings"]))
 
 
 def warm_up(system: str, settings: Settings) -> None:

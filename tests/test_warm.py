@@ -17,12 +17,13 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What has been compiled, into a folder that holds nothing at first."""
     done: list[str] = []
 
-    def slowly(system: str, settings: Settings) -> None:
+    def slowly(system: str, settings: Settings) -> bool:
         time.sleep(0.2)
         done.append(settings.exponents)
+        return True
 
     monkeypatch.setattr(jit, "CACHE", tmp_path)
-    monkeypatch.setattr(warm, "warm_up", slowly)
+    monkeypatch.setattr(warm, "warm_up_apart", slowly)
     return done
 
 
@@ -44,11 +45,11 @@ def test_other_exponents_take_other_kernels(compiled: list[str]) -> None:
 def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(system: str, settings: Settings) -> None:
+    def stopped(system: str, settings: Settings) -> bool:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(warm, "warm_up", stopped)
+        patch.setattr(warm, "warm_up_apart", stopped)
         warm.compile_once("two-mass", Settings())
     assert warm.warming("largest") == COMPILING
     warm.compile_once("two-mass", Settings())
@@ -68,3 +69,9 @@ def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     monkeypatch.setattr(jit, "CACHE", None)
     warm.compile_once("two-mass", Settings())
     assert compiled == []
+
+
+def test_the_child_that_compiles_is_told_what() -> None:
+    """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
+    assert warm.warm_up_apart("two-mass", Settings(max_period=8))
+    assert not warm.warm_up_apart("three-mass", Settings())
