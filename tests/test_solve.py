@@ -321,6 +321,19 @@ def test_no_section_lies_beyond_a_stop() -> None:
     assert np.all(np.abs(found["section"][..., 0]) <= PLANE["b"][..., None])
 
 
+def test_a_cell_whose_work_is_spent_before_its_first_average_has_none() -> None:
+    """Hundreds of impacts a period, R = 1: the work allowed ends while the tangent frame is still turning."""
+    slow = {
+        "omega": 0.004918953065571135, "mu_m": 117.30934236447666, "mu_k": 3.5639738775729684, "R": 1.0,
+        "zeta": 0.001674529202922787, "f2": 0.4554438739540293, "tau": 2.77759314200008, "b": 0.696687572463249,
+    }  # fmt: skip
+    found = solve_tile("two-mass", slow, Settings(exponents="spectrum", max_periods=400))
+    assert found["regime"] == 4
+    assert 256 < found["periods_used"] < 400
+    assert np.isnan(found["largest"])
+    assert np.all(np.isnan(found["spectrum"]))
+
+
 # The kernels are plain Python
 
 LIGHT = """

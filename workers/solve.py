@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from workers.flight import derivative_bounds
 from workers.lyapunov import (
+    COUNT,
     Averages,
     free_exponents,
     impacts,
@@ -340,7 +341,7 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
     """What averages tell of a motion, its class left open. Counts and growth must span the same periods."""
     cell = Cell(periods_used=used, state=blocks_to_physical(osc, motion))
     count = 0
-    if averages is not None and motion.growth.size:
+    if averages is not None and motion.growth.size and averages.levels[0, COUNT] > 0.0:
         cell.largest, cell.error, count = _mean(averages)
         reset_frame(osc, motion)
         cell.spectrum = np.sort(motion.growth / count)[::-1]
