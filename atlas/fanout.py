@@ -103,7 +103,9 @@ class _Window:
             len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > WORKER_SECONDS
         ):
             worker, reason = next(iter(self.refused.items()))
-            raise RunError(f"no worker can do this run: {worker}: {reason}; finished tiles are kept: then run again")
+            raise RunError(
+                f"no worker can do this run: {worker}: {reason}; finished tiles are kept, and the same line goes on"
+            )
         else:
             return  # one that did tiles is gone, and may come back
         if self.client.status != "running":

@@ -252,17 +252,6 @@ def test_a_url_that_leads_nowhere_is_told_in_one_line(bucket: str, url: str, mes
     assert "\n" not in str(told.value)
 
 
-def test_a_server_that_does_not_answer_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(placing._RETRIES, "max_retries", 0)
-    for name, value in {"AWS_ENDPOINT_URL": "http://127.0.0.1:9", "AWS_ACCESS_KEY_ID": "a"}.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "b")
-    result = CliRunner().invoke(cli, ["status", "s3://atlas/plane.zarr"])
-    assert result.exit_code == 2
-    assert result.stderr.startswith("Error: s3://atlas/plane.zarr: cannot be read: ")
-    assert result.stderr.count("\n") == 1
-
-
 def test_a_url_without_obstore_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obstore.store", None)
     with pytest.raises(InputError, match=r"s3://x/y: .*; needs pip install 'impact-atlas\[cloud\]'"):
