@@ -15,7 +15,7 @@ BRIEF = 15.0
 LONG = 180.0
 """Seconds that a run waits for its store, which it has already reached."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
-_PASSING = re.compile(r"HTTP error|status code: (?:408|429|5(?!01)\d\d)")
+_PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)")
 """What obstore says of failures that may pass: no connection, a cut one, an overloaded or broken server."""
 _T = TypeVar("_T")
 

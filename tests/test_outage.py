@@ -100,7 +100,7 @@ def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on
     server: ObjectStore, tmp_path: Path, client: Client
 ) -> None:
     server.trouble = Away(4, np.inf)
-    words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept, and"
+    words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of(), ObjectPlace(URL, patience=0.1), client=client, patience=0.3)
     server.trouble = lambda _: None
