@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict
 
 from atlas.child import python
-from atlas.errors import RunError
+from atlas.errors import NetworkError, RunError
 from atlas.job import Job, Receipt, RefusedError, StoreFullError, solve_and_write
 from atlas.retry import Retry
 
@@ -14,7 +14,7 @@ ATTEMPTS = 2
 _ORDERLY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals by which somebody ends a process; the tile has no part in that."""
 
-_KINDS = {kind.__name__: kind for kind in (RefusedError, StoreFullError)}
+_KINDS = {kind.__name__: kind for kind in (RefusedError, StoreFullError, NetworkError)}
 
 
 def run_apart(job: Job) -> Receipt | str:

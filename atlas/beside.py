@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from atlas.notes import notes_beside
-from atlas.place import Place, place_of
+from atlas.place import ObjectPlace, Place, place_of
 
 
 class Notes(Protocol):
@@ -35,8 +35,9 @@ class Notes(Protocol):
 def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
     """The notes of a store: beside it and not in it, since a claim comes before the store, and Zarr owns its inside."""
     place = place_of(store)
-    if place.local is None:
+    if isinstance(place, ObjectPlace):
         return notes_beside(place)
+    assert place.local is not None
     return Folder(place.local.parent / f".{place.local.name}.run")
 
 

@@ -57,8 +57,7 @@ def read_tile(
 def _read(header: Header, array: Any, index: tuple[int, ...]) -> np.ndarray | str:
     """A tile's part of an array, or what is wrong with its chunk."""
     try:
-        with header.place.told():
-            return np.asarray(array[block(array, index)])
+        return np.asarray(array[block(array, index)])
     except OSError as error:
         if error.errno != errno.EIO:  # a bad sector is the chunk's fault, a lost network is not
             raise

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from atlas.beside import Notes
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError, NetworkError, RunError
 
 BEAT_SECONDS = 2.0
 """How often a holder moves its counter."""
@@ -123,6 +123,8 @@ def claimed(notes: Notes, name: str, say: Callable[[str], None] = lambda _: None
             abandoned = found is not None and _is_abandoned(notes, name, found, say)
             if abandoned and notes.put(CLAIM, mine.pack(), expected=found):
                 break
+    except NetworkError:
+        raise
     except OSError as error:
         raise InputError(f"{name}: cannot be written: {error.strerror or error}") from None
     claim = Claim(notes, mine)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError, NetworkError, RunError
 from atlas.render import FORMATS, KINDS, OVERLAYS
 from atlas.spec import Spec, checked_parameters, checked_settings, checked_system, example_names
 from workers import Settings
@@ -283,7 +283,6 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     from atlas.export import check_path, export
     from atlas.output import print_table, text, to_json
     from atlas.part import counted
-    from atlas.place import place_of
     from atlas.store import open_atlas
 
     if point and window:
@@ -293,7 +292,7 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     if out is not None and point:
         raise InputError("--at prints one cell, --out writes a window; give one of the two")
     found: dict[str, Any]
-    with _input_errors(), place_of(store).told(), counted() as reads:
+    with _input_errors(), counted() as reads:
         if out is not None:
             check_path(out)
         dataset = open_atlas(store)
@@ -336,11 +335,10 @@ def render(
 ) -> None:
     """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
     from atlas.part import counted
-    from atlas.place import place_of
     from atlas.store import open_atlas
 
     bounds = _pairs("--window", window, _bounds)
-    with _input_errors(), place_of(store).told(), counted() as reads:
+    with _input_errors(), counted() as reads:
         dataset = open_atlas(store)
         other = None if against is None else open_atlas(against)
         _say("drawing")
@@ -513,6 +511,8 @@ def _input_errors() -> Iterator[None]:
     """What a query or a picture cannot answer is the question's fault: one line, exit code 2."""
     try:
         yield
+    except NetworkError:
+        raise
     except OSError as error:
         raise InputError(f"{error.filename or ''}: {error.strerror or error}".lstrip(": ")) from None
     except ValueError as error:

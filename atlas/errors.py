@@ -16,6 +16,10 @@ class RunError(RuntimeError):
     """A run that had to stop although its input was good. The command answers it with exit code 1."""
 
 
+class NetworkError(OSError):
+    """A store at a URL that did not answer for as long as it was waited for, in one line."""
+
+
 def check_names(kind: str, found: Iterable[object], known: Iterable[str]) -> None:
     """Raise InputError, naming the nearest known name, at the first that is not known."""
     names = list(known)

@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from atlas.cluster import LOST, WORKER_SECONDS, worker_threads
-from atlas.errors import RunError
+from atlas.errors import NetworkError, RunError
 from atlas.job import Job, Receipt, RefusedError, StoreFullError, run_job
 from atlas.summary import TileFailure
 
@@ -26,10 +26,11 @@ TICK_SECONDS = 1.0
 
 @dataclass(frozen=True)
 class Refusal:
-    """A worker that will not do this run's tiles, and why."""
+    """A worker that will not do this run's tiles, and why. ``passing``: the store may answer it later."""
 
     worker: str
     reason: str
+    passing: bool = False
 
 
 def outcomes(
@@ -52,6 +53,8 @@ def work(job: Job) -> Receipt | Refusal:
         return run_job(job)
     except RefusedError as error:
         return Refusal(get_worker().address, str(error))
+    except NetworkError as error:
+        return Refusal(get_worker().address, str(error), passing=True)
 
 
 class _Window:
@@ -62,6 +65,7 @@ class _Window:
         self.again: deque[tuple[Job, int]] = deque()
         self.ended: SimpleQueue[Future[Receipt | Refusal]] = SimpleQueue()
         self.refused: dict[str, str] = {}
+        self.away: set[str] = set()
         self.threads: dict[str, int] = {}
         self.submitted = self.most_workers = 0
         self.last_good = time.monotonic()
@@ -99,7 +103,9 @@ class _Window:
             len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > WORKER_SECONDS
         ):
             worker, reason = next(iter(self.refused.items()))
-            raise RunError(f"no worker can do this run: {worker}: {reason}")
+            raise RunError(
+                f"no worker can do this run: {worker}: {reason}; finished tiles are kept, and the same line goes on"
+            )
         else:
             return  # one that did tiles is gone, and may come back
         if self.client.status != "running":
@@ -129,8 +135,13 @@ class _Window:
             result = future.result()
             future.release()
             if isinstance(result, Receipt):
+                for worker in self.away:  # the store answers, so perhaps these too
+                    self.refused.pop(worker, None)
+                self.away.clear()
                 return result
             self.refused[result.worker] = result.reason
+            if result.passing:
+                self.away.add(result.worker)
             self.again.append((job, attempt))
             return None
         if future.status != "error":

@@ -14,8 +14,10 @@ import numpy as np
 
 from atlas.beside import notes_of
 from atlas.chunks import read_tile
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError, NetworkError, RunError
 from atlas.layout import BUDGET
+from atlas.outage import LONG
+from atlas.place import place_of
 from atlas.plan import make_plan
 from atlas.retry import Retry, solve_again
 from atlas.store import Header, is_done, read_header, write_tile
@@ -40,7 +42,8 @@ class StoreFullError(RunError):
 class Job:
     """Which tile of which store. All that crosses the scheduler; ``run_job`` redoes it by hand.
 
-    ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one.
+    ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one; ``patience`` is for how
+    many seconds a store at a URL that does not answer is waited for.
     """
 
     index: tuple[int, ...]
@@ -48,6 +51,7 @@ class Job:
     run_id: str
     solver_version: int
     retry: Retry | None = None
+    patience: float = LONG
 
 
 @dataclass(frozen=True)
@@ -75,13 +79,15 @@ class Receipt:
 def run_job(job: Job) -> Receipt:
     """Solve a tile and write it; RefusedError where this worker must not: another solver, or another store at the path.
 
+    NetworkError where the store does not answer for as long as the job's patience lasts.
+
     While it runs, a note beside the store says so. A job that finds that note is the second attempt at a tile whose
     first did not live to remove it, and runs in a process of its own: a tile that kills its process takes no second
     worker with it, and where it kills that process too, its cells are marked failed.
     """
     with _told_apart(job):
         header = _checked_header(job)
-        notes, name = notes_of(job.store), "started-" + "-".join(map(str, job.index))
+        notes, name = notes_of(header.place), "started-" + "-".join(map(str, job.index))
         if job.retry is None and is_done(header, job.index):
             return _receipt_of_stored(header, job.index)
         first = notes.put(name, b"1", expected=None)
@@ -93,7 +99,8 @@ def run_job(job: Job) -> Receipt:
             died = run_apart(job)
             return _mark_failed(header, job, died) if isinstance(died, str) else died
         finally:
-            notes.remove(name, b"1")
+            if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
+                notes.remove(name, b"1")
 
 
 def solve_and_write(job: Job) -> Receipt:
@@ -126,8 +133,10 @@ def _checked_header(job: Job) -> Header:
     if job.solver_version != SOLVER_VERSION:
         raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
     try:
-        header = read_header(job.store)
+        header = read_header(place_of(job.store, job.patience))
     except InputError as error:
+        if isinstance(error.__cause__, OSError):  # the store's disk or server has a say, not its path
+            raise error.__cause__ from None
         raise RefusedError(f"{error}; is the path the same on all hosts?") from None
     if header.run_id != job.run_id:
         raise RefusedError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
@@ -138,7 +147,7 @@ def _checked_header(job: Job) -> Header:
 def _told_apart(job: Job) -> Iterator[None]:
     """Errors of the file system by what they mean for the run: no room for anybody, or none of this worker's business.
 
-    Others, such as those of a network that blinks, go through as they are: the tile may be tried again.
+    Others go through as they are: the tile may be tried again.
     """
     try:
         yield

@@ -4,11 +4,11 @@ A run claims a store by one of them. An object store makes each write one act (I
 removal under a condition, so that a removed note is an empty one, which reads and counts as none.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import urlsplit
 
 from atlas.errors import InputError
-from atlas.place import FsspecPlace, ObjectPlace, Place, place_of
+from atlas.place import ObjectPlace
 
 _REMOVED = b""
 
@@ -17,7 +17,7 @@ _REMOVED = b""
 class UrlNotes:
     """Notes as small objects under one prefix."""
 
-    place: ObjectPlace | FsspecPlace
+    place: ObjectPlace
 
     def read(self, name: str) -> bytes | None:
         """A note's bytes, None where there is none."""
@@ -41,11 +41,9 @@ class UrlNotes:
                 self.place.remove(name)
 
 
-def notes_beside(store: Place) -> UrlNotes:
+def notes_beside(store: ObjectPlace) -> UrlNotes:
     """The notes of a store at a URL, beside it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
     above, _, name = str(store).rpartition("/")
     if not urlsplit(str(store)).path.strip("/"):
         raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")
-    place = place_of(f"{above}/.{name}.run")
-    assert isinstance(place, ObjectPlace | FsspecPlace)
-    return UrlNotes(place)
+    return UrlNotes(replace(store, url=f"{above}/.{name}.run"))

@@ -18,8 +18,9 @@ from atlas.fanout import outcomes
 from atlas.job import Job, Receipt
 from atlas.layout import Origin
 from atlas.order import Order
+from atlas.outage import LONG
 from atlas.overview import Overviews
-from atlas.place import Place, place_of
+from atlas.place import Place, place_of, waiting
 from atlas.plan import Plan
 from atlas.progress import Progress
 from atlas.retry import NEEDED, Retry
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 def run(
     spec: Spec,
-    store: str | os.PathLike[str],
+    store: str | os.PathLike[str] | Place,
     client: "Client | None" = None,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -43,15 +44,18 @@ def run(
     retry: Retry | None = None,
     tls: Tls | None = None,
     origin: Origin | None = None,
+    patience: float = LONG,
 ) -> Summary:
     """Compute an atlas into a store, going on where an earlier run of the same spec stopped.
 
     The tiles run on ``client`` (used, not closed), on the cluster at address ``scheduler`` (by ``tls`` where it wants
     it), or on a local cluster of ``workers`` processes. ``on_progress`` is called with each Progress; ``probe`` has the
     plan measure a few cells. With ``retry`` the chosen cells of finished tiles are solved again, and nothing else.
-    A new store takes over the cells that ``origin`` has, see ``extend``.
+    A new store takes over the cells that ``origin`` has, see ``extend``. A store at a URL that stops answering is
+    waited for ``patience`` seconds.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
-    the store; RunError where the cluster is lost, the store has no room, or the run is cancelled.
+    the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where
+    a server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call goes on.
     """
     if workers is not None and (workers < 1 or client is not None or scheduler is not None):
@@ -75,7 +79,8 @@ def run(
         if place.local is not None:
             planning.check_disk(plan, place.local, plan.tile_count - (len(done_tiles(header)) if header else 0))
 
-        claim = stack.enter_context(_claimed(place, tell))
+        claim = stack.enter_context(_claimed(place, patience, tell))
+        place = waiting(place, patience)  # it answers, and there is something to lose from now on
         header = find(place, spec)  # once more: before the claim another may have made or extended it
         plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
         work = _work(header, plan, retry, tell)
@@ -97,16 +102,20 @@ def run(
         again = _indices(work.due) if retry is not None else ()
         overviews = stack.enter_context(Overviews(header, pending=again))
         if work.due.any() and client is not None:
-            _solve(client, header, work.due, retry, claim, tally, overviews, tell)
+            _solve(client, header, work.due, retry, patience, claim, tally, overviews, tell)
         overviews.finish(lambda done, parts: tell(tally.progress(f"writing overviews: {done} of {parts} parts")))
         return replace(tally.summary(str(header.place)), retried=retry is not None)
 
 
 @contextmanager
-def _claimed(place: Place, tell: Callable[[Progress], None]) -> Iterator[Claim]:
-    """The claim of a store, with what dead runs left beside it cleared away."""
-    notes = notes_of(place)
-    with claimed(notes, str(place), lambda text: tell(Progress(text))) as claim:
+def _claimed(place: Place, patience: float, tell: Callable[[Progress], None]) -> Iterator[Claim]:
+    """The claim of a store, with what dead runs left next to it cleared away.
+
+    Its beats have the place's own patience: one that fails is followed by another, and none is to hold up for long
+    the end of a run whose store is away. Only the clearing at the end waits for ``patience`` seconds.
+    """
+    notes = notes_of(waiting(place, patience))
+    with claimed(notes_of(place), str(place), lambda text: tell(Progress(text))) as claim:
         if place.local is not None:
             remove_half_made(place.local)
         try:
@@ -124,6 +133,7 @@ def _solve(
     header: Header,
     due: np.ndarray,
     retry: Retry | None,
+    patience: float,
     claim: Claim,
     tally: Tally,
     overviews: Overviews,
@@ -138,7 +148,8 @@ def _solve(
         tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
 
     order = Order(due)
-    jobs = (Job(index, str(header.place), header.run_id, header.solver_version, retry) for index in order)
+    store = str(header.place)
+    jobs = (Job(index, store, header.run_id, header.solver_version, retry, patience) for index in order)
     tally.start()
     try:
         for outcome in outcomes(client, jobs, tick):

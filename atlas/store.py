@@ -1,14 +1,15 @@
 """The store: an atlas as Zarr, on disk or at a URL, one tile one chunk of every array. The only file that writes it."""
 
+import errno
 import json
 import os
 import shutil
 import tempfile
 import uuid
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError, NetworkError, RunError
 from atlas.layout import (
     BUDGET,
     DIMENSIONS,
@@ -81,26 +82,33 @@ def create(
     them meanwhile. ``origin`` is the store that it is to take cells over from.
     """
     place = place_of(store)
-    try:
+    with _refused(place, "written"):
         if place.local is None:
             _create_remotely(place, spec, tile, origin)
         else:
             _create_locally(place.local, spec, tile, origin)
-    except OSError as error:
-        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
     return read_header(place)
 
 
 def read_header(store: str | os.PathLike[str] | Place) -> Header:
-    """The header of a store; InputError where there is none, or it is not ours, or of a format yet unknown."""
+    """The header of a store; InputError where there is none, or it is not ours, or of a format yet unknown.
+
+    Where the disk or the server refused, its OSError is that InputError's cause. NetworkError where the server does
+    not answer.
+    """
     place = place_of(store)
+    with _refused(place, "read"):
+        return _read_header(place)
+
+
+def _read_header(place: Place) -> Header:
     foreign = InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
-    _check_exists(place)
+    if not (place.exists(ROOT) if place.local is None else place.local.exists()):
+        raise InputError(f"{place}: no such store")
     attrs: dict[str, Any] = {}
     try:
-        with place.told():
-            group = open_group(place, "r")
-            attrs = dict(group.attrs)
+        group = open_group(place, "r")
+        attrs = dict(group.attrs)
         if attrs.get("format") != FORMAT:
             raise foreign
         found = attrs["format_version"]
@@ -117,9 +125,7 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
         )
     except InputError:
         raise
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, OSError) and place.local is None:
-            raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
+    except (FileNotFoundError, NotADirectoryError, KeyError, TypeError, ValueError) as error:
         if attrs.get("format") == FORMAT:
             raise InputError(f"{place}: its metadata are damaged: {error}") from None
         raise foreign from None
@@ -128,12 +134,10 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
 def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
     """The header of a store that this spec may go on with, None where nothing is yet; InputError where it may not."""
     place = place_of(store)
-    try:
+    with _refused(place, "written"):
         if _is_free(place, spec):
             _check_writable(place)
             return None
-    except OSError as error:
-        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
     header = read_header(place)
     if header.solver_version != SOLVER_VERSION:
         raise InputError(
@@ -142,14 +146,23 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
         )
     if header.spec.digest != spec.digest:
         raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
-    try:
+    with _refused(place, "written"):
         if place.local is None:
             _check_replaceable(place)
         elif not os.access(place.local, os.W_OK):
-            raise InputError(f"{place}: cannot be written: Permission denied")
-    except OSError as error:
-        raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     return header
+
+
+@contextmanager
+def _refused(place: Place, what: str) -> Iterator[None]:
+    """An OSError within it as an InputError, whose cause it is; a server that does not answer stays a NetworkError."""
+    try:
+        yield
+    except NetworkError:
+        raise
+    except OSError as error:
+        raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error
 
 
 def done_tiles(header: Header) -> set[tuple[int, ...]]:
@@ -180,20 +193,19 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
 
     A finished tile that is written again is unfinished meanwhile, so that a kill leaves no mixture of two solutions.
     """
-    with header.place.told():
-        group = open_group(header.place, "r+")
-        if group.attrs.get("run_id") != header.run_id:
-            raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
-        record_machine(header, this_machine())
-        if is_done(header, index):
-            drop_tile(header, index)
-        if BUDGET.name in group:
-            array = _array(group, BUDGET.name)
-            array[block(array, index)] = arrays.get(BUDGET.name, array.fill_value)
-        for variable in result_variables(header.spec.settings):
-            array = _array(group, variable.name)
-            # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
-            array.with_config({"write_empty_chunks": True})[block(array, index)] = arrays[variable.name]
+    group = open_group(header.place, "r+")
+    if group.attrs.get("run_id") != header.run_id:
+        raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
+    record_machine(header, this_machine())
+    if is_done(header, index):
+        drop_tile(header, index)
+    if BUDGET.name in group:
+        array = _array(group, BUDGET.name)
+        array[block(array, index)] = arrays.get(BUDGET.name, array.fill_value)
+    for variable in result_variables(header.spec.settings):
+        array = _array(group, variable.name)
+        # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
+        array.with_config({"write_empty_chunks": True})[block(array, index)] = arrays[variable.name]
 
 
 def record_machine(header: Header, machine: Machine) -> None:
@@ -215,11 +227,10 @@ def _recorded(place: Place, run_id: str, machine: Machine) -> None:
 
 def machines(header: Header) -> tuple[Machine, ...]:
     """The machines that solved tiles of this store, in no order; empty where no tile is written yet."""
-    with header.place.told():
-        group: Any = open_group(header.place, "r")
-        if MACHINES not in group:
-            return ()
-        return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
+    group: Any = open_group(header.place, "r")
+    if MACHINES not in group:
+        return ()
+    return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
 
 
 def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
@@ -229,18 +240,16 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     """
     import zarr
 
-    with header.place.told():
-        group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
-        names = [variable.name for variable in (*result_variables(header.spec.settings), BUDGET)]
-        return {name: group[name] for name in (*names, *coordinates(header.spec)) if name in group}
+    group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
+    names = [variable.name for variable in (*result_variables(header.spec.settings), BUDGET)]
+    return {name: group[name] for name in (*names, *coordinates(header.spec)) if name in group}
 
 
 def restore_coordinates(header: Header) -> None:
     """Write the coordinates again, from the spec."""
-    with header.place.told():
-        group = open_group(header.place, "r+")
-        for name, coordinate in coordinates(header.spec).items():
-            _array(group, name)[...] = coordinate.values
+    group = open_group(header.place, "r+")
+    for name, coordinate in coordinates(header.spec).items():
+        _array(group, name)[...] = coordinate.values
 
 
 def add_budget(header: Header) -> None:
@@ -274,7 +283,7 @@ def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str,
             raise RunError(f"{header.place}: {fault}: atlas verify --repair {header.place}") from None
         return codes.tolist(), counts.tolist()
 
-    with header.place.told(), ThreadPoolExecutor(READERS) as readers:
+    with ThreadPoolExecutor(READERS) as readers:
         array = _array(open_group(header.place, "r"), REGIME.name)
         for codes, counts in readers.map(count_one, tiles):
             for code, count in zip(codes, counts, strict=True):
@@ -287,19 +296,18 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     import xarray
 
     place = read_header(store).place
-    with place.told():
-        opened = xarray.open_dataset(_zarr_store(place, "r"), engine="zarr", chunks=None, consolidated=True)
+    opened = xarray.open_dataset(_zarr_store(place, "r"), engine="zarr", chunks=None, consolidated=True)
     opened.encoding["source"] = str(place)  # by which a view finds the overviews
     return opened
 
 
 def _zarr_store(place: Place, mode: str) -> Any:
     """Zarr's own store of a place."""
-    from zarr.storage import FsspecStore, ObjectStore
-
     if isinstance(place, ObjectPlace):
-        return ObjectStore(place.client, read_only=mode == "r")
-    return FsspecStore.from_url(str(place), read_only=mode == "r") if place.local is None else place.local
+        from atlas.remote import RemoteStore
+
+        return RemoteStore(place, read_only=mode == "r")
+    return place.local
 
 
 def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
@@ -307,15 +315,6 @@ def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
     import zarr
 
     return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=False)
-
-
-def _check_exists(place: Place) -> None:
-    try:
-        found = place.exists(ROOT) if place.local is None else place.local.exists()
-    except OSError as error:
-        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
-    if not found:
-        raise InputError(f"{place}: no such store")
 
 
 def _is_free(place: Place, spec: Spec) -> bool:

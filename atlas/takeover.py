@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from atlas.chunks import read_tile
 from atlas.errors import InputError, RunError
 from atlas.layout import BUDGET, extra_sizes
+from atlas.outage import LONG
+from atlas.place import place_of
 from atlas.plan import make_plan
 from atlas.solving import solve_block
 from atlas.spec import Slices, Spec
@@ -109,7 +111,7 @@ def _meetings(
 def _origin_of(header: Header) -> Header:
     assert header.origin is not None
     try:
-        origin = read_header(header.origin.store)
+        origin = read_header(place_of(header.origin.store, LONG))
     except InputError as error:
         found = str(error)
     else:

@@ -17,7 +17,7 @@ from atlas import job as jobs
 from atlas import store as storing
 from atlas.beside import notes_of
 from atlas.chunks import read_tile
-from atlas.errors import RunError
+from atlas.errors import NetworkError, RunError
 from atlas.job import Job, RefusedError, StoreFullError, run_job
 from atlas.store import create, done_tiles, read_header
 from tests.faults import ATLAS, attempts, environment
@@ -159,6 +159,17 @@ def test_a_worker_that_sees_no_store_there_refuses(made: Job) -> None:
         run_job(replace(made, store="/nowhere/out.zarr"))
 
 
+def test_a_disk_that_fails_while_the_header_is_read_leaves_the_tile_to_be_tried_again(
+    made: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(storing, "open_group", fail)
+    with pytest.raises(OSError, match=os.strerror(errno.EIO)):
+        run_job(made)
+
+
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
 def test_a_worker_that_cannot_write_refuses_and_says_why(
     made: Job, monkeypatch: pytest.MonkeyPatch, number: int
@@ -254,6 +265,25 @@ def test_a_worker_that_refuses_is_left_out_and_named(
     assert (summary.tiles_done, summary.failures) == (9, ())
     assert summary.refused == {unfit: "sees no store"}
     assert done_by.count(unfit) <= 2 * fanout.IN_FLIGHT  # no more than were under way when it refused first
+
+
+def test_a_worker_that_gave_up_on_the_network_is_asked_again_once_another_has_written(
+    tmp_path: Path, plane: atlas.Spec, two_workers: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut_off = min(two_workers.nthreads())
+    tries = []
+
+    def cut(job: Job) -> jobs.Receipt:
+        if get_worker().address == cut_off:
+            tries.append(job.index)
+            if len(tries) == 1:
+                raise NetworkError("no answer")
+        return run_job(job)
+
+    monkeypatch.setattr(fanout, "run_job", cut)
+    summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
+    assert (summary.tiles_done, summary.failures, summary.refused) == (9, (), {})
+    assert tries
 
 
 def test_a_run_that_every_worker_refuses_ends_with_the_reason(

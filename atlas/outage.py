@@ -1,0 +1,81 @@
+"""Waiting for a store at a URL that does not answer: a server or a network that is away comes back, as a rule."""
+
+import asyncio
+import errno
+import random
+import re
+import time
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+from atlas.errors import NetworkError
+
+BRIEF = 15.0
+"""Seconds that a store is waited for while somebody waits for the answer: the URL may be wrong."""
+LONG = 180.0
+"""Seconds that a run waits for its store, which it has already reached."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
+_PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)")
+"""What obstore says of failures that may pass: no connection, a cut one, an overloaded or broken server."""
+_T = TypeVar("_T")
+
+
+def persist(call: Callable[[], _T], url: str, patience: float) -> _T:
+    """The result of a call to obstore, made again with growing pauses while the store does not answer.
+
+    Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that waiting
+    does not mend. A call may have had its effect although it failed.
+    """
+    from obstore.exceptions import BaseError
+
+    outage = _Outage(url, patience)
+    while True:
+        try:
+            return call()
+        except BaseError as error:
+            pause = outage.pause_after(error)
+        time.sleep(pause)
+
+
+async def persist_async(call: Callable[[], Awaitable[_T]], url: str, patience: float) -> _T:
+    """As ``persist``, for a coroutine function."""
+    from obstore.exceptions import BaseError
+
+    outage = _Outage(url, patience)
+    while True:
+        try:
+            return await call()
+        except BaseError as error:
+            pause = outage.pause_after(error)
+        await asyncio.sleep(pause)
+
+
+def first_line(error: Exception) -> str:
+    """The first line of an error, without the server's XML and the library's own account of it."""
+    lines = str(error).splitlines()
+    text = lines[0].partition("<?xml")[0].rstrip(": ") if lines else ""
+    return text or type(error).__name__
+
+
+class _Outage:
+    """The failed attempts at one call."""
+
+    def __init__(self, url: str, patience: float) -> None:
+        self.url, self.patience = url, patience
+        self.begin, self.next = time.monotonic(), _FIRST_PAUSE
+
+    def pause_after(self, error: Exception) -> float:
+        """Seconds until the next attempt; raises where there is to be none."""
+        from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
+
+        line = first_line(error)
+        if isinstance(error, PermissionDeniedError | UnauthenticatedError):
+            raise PermissionError(errno.EACCES, line) from None
+        if not _PASSING.search(line):
+            raise OSError(line) from None
+        tried = time.monotonic() - self.begin
+        if tried >= self.patience:
+            raise NetworkError(f"{self.url}: no answer for {tried:.0f} s ({line})") from None
+        pause = min(self.next * random.uniform(0.5, 1.0), self.patience - tried)  # not all workers at once
+        self.next = min(2.0 * self.next, _LONGEST_PAUSE)
+        return pause

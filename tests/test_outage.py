@@ -1,0 +1,201 @@
+"""An object store that is away for a while, or for good; and what is asked of each kind of store."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+
+import atlas
+from atlas.beside import notes_of
+from atlas.cli import cli
+from atlas.errors import InputError, NetworkError, RunError
+from atlas.job import Job, RefusedError, run_job
+from atlas.notes import notes_beside
+from atlas.place import ObjectPlace
+from atlas.store import create, done_tiles, find, open_arrays, read_header
+from tests.loopback import ObjectStore, Request, object_store
+from tests.planes import plane_of
+from workers.results import REGIME
+
+URL = "s3://bucket/plane.zarr"
+REGIMES = "bucket/plane.zarr/regime/c/"
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ObjectStore]:
+    with object_store() as served:
+        for name, value in served.environment.items():
+            monkeypatch.setenv(name, value)
+        yield served
+
+
+class Away:
+    """The trouble of a server that is away for some requests, once it has been asked for ``after`` puts of a regime."""
+
+    def __init__(self, after: int, requests: float, how: int | str = 503) -> None:
+        self.after, self.left, self.how = after, requests, how
+
+    def __call__(self, request: Request) -> int | str | None:
+        self.after -= request.method == "PUT" and request.key.startswith(REGIMES)
+        if self.after > 0 or self.left <= 0:
+            return None
+        self.left -= 1
+        return self.how
+
+
+def arrays_of(where: object) -> dict[str, bytes]:
+    ds = atlas.open(where)  # type: ignore[arg-type]
+    return {str(name): ds[name].values.tobytes() for name in ds.variables}
+
+
+@pytest.mark.parametrize("how", [503, 429, "drop", "lost"])
+def test_every_operation_of_a_place_outlives_an_outage(server: ObjectStore, how: int | str) -> None:
+    place = ObjectPlace(URL)
+
+    def after_outage(operation: object, *args: object) -> object:
+        server.trouble = Away(0, 1, how)
+        done = operation(*args)  # type: ignore[operator]
+        assert server.trouble.left == 0
+        return done
+
+    after_outage(place.put, "a/b", b"1")
+    assert after_outage(place.get, "a/b") == b"1"
+    assert after_outage(place.exists, "a/b")
+    assert after_outage(lambda: list(place.list_keys("a/"))) == ["a/b"]
+    assert after_outage(place.put_new, "a/c", b"2")
+    assert not after_outage(place.put_new, "a/c", b"3")
+    found = place.get_tagged("a/c")
+    assert found is not None
+    assert after_outage(place.put_if, "a/c", b"4", found[1])
+    assert not after_outage(place.put_if, "a/c", b"5", found[1])
+    after_outage(place.remove, "a/b")
+    assert list(place.list_keys()) == ["a/c"]
+    assert place.get("a/c") == b"4"
+
+
+def test_zarr_outlives_an_outage_too(server: ObjectStore) -> None:
+    header = create(ObjectPlace(URL), plane_of(), (2, 3))
+    server.trouble = Away(0, 7)
+    array = open_arrays(header)[REGIME.name]
+    assert (np.asarray(array[...]) == -1).all()
+    assert server.trouble.left == 0
+
+
+@pytest.mark.parametrize("how", [503, "drop"])
+def test_a_run_outlives_an_outage_and_has_the_bits_of_an_undisturbed_one(
+    server: ObjectStore, tmp_path: Path, client: Client, how: int | str
+) -> None:
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    server.trouble = Away(3, 8, how)
+    summary = atlas.run(plane_of(), URL, client=client)
+    assert server.trouble.left == 0
+    assert (summary.tiles_done, summary.failures, dict(summary.refused)) == (9, (), {})
+    assert arrays_of(URL) == arrays_of(tmp_path / "local.zarr")
+
+
+def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on(
+    server: ObjectStore, tmp_path: Path, client: Client
+) -> None:
+    server.trouble = Away(4, np.inf)
+    words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
+    with pytest.raises(RunError, match=words):
+        atlas.run(plane_of(), ObjectPlace(URL, patience=0.1), client=client, patience=0.3)
+    server.trouble = lambda _: None
+    kept = len(done_tiles(read_header(URL)))
+    assert kept == 3
+    notes_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    assert atlas.run(plane_of(), URL, client=client).tiles_solved == 9 - kept
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    assert arrays_of(URL) == arrays_of(tmp_path / "local.zarr")
+
+
+def test_a_header_that_cannot_be_reached_is_a_fault_of_the_network_and_not_of_the_path(server: ObjectStore) -> None:
+    header = create(ObjectPlace(URL), plane_of(), (2, 3))
+    job = Job((0, 0), URL, header.run_id, header.solver_version, patience=0.0)
+    server.trouble = Away(0, np.inf)
+    with pytest.raises(NetworkError, match=rf"^{URL}: no answer for 0 s \(.*503 Service Unavailable\)$"):
+        run_job(job)
+    with pytest.raises(NetworkError):
+        find(ObjectPlace(URL, patience=0.0), plane_of())
+
+
+def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(server: ObjectStore) -> None:
+    header = create(ObjectPlace(URL), plane_of(), (2, 3))
+    server.trouble, before = Away(0, np.inf, 403), len(server.requests)
+    with pytest.raises(RefusedError, match=r"403 Forbidden$"):
+        run_job(Job((0, 0), URL, header.run_id, header.solver_version))
+    assert len(server.requests) == before + 1  # waiting would not mend it
+    with pytest.raises(InputError, match=rf"{URL}: cannot be read: "):
+        read_header(URL)
+
+
+def test_nobody_listening_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    with object_store() as gone:
+        for name, value in gone.environment.items():
+            monkeypatch.setenv(name, value)
+    with pytest.raises(NetworkError, match=rf"{URL}: no answer for \d+ s \(.*error sending request\)"):
+        ObjectPlace(URL, patience=0.2).get("x")
+
+
+@pytest.mark.parametrize("command", ["status", "query", "verify"])
+def test_a_command_whose_server_does_not_answer_fails_in_one_line(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: object) -> None:
+        raise NetworkError(f"{URL}: no answer for 15 s (why)")
+
+    monkeypatch.setattr(ObjectPlace, "exists", away)
+    ended = CliRunner().invoke(cli, [command, URL])
+    assert (ended.exit_code, ended.stderr.splitlines()[-1]) == (1, f"Error: {URL}: no answer for 15 s (why)")
+
+
+@pytest.mark.parametrize(
+    ("url", "absent", "same"),
+    [
+        ("s3://bucket/plane.zarr", ("if-none-match", "*"), ("if-match", '"{}"')),
+        ("gs://bucket/plane.zarr", ("x-goog-if-generation-match", "0"), ("x-goog-if-generation-match", "{}")),
+        ("az://bucket/plane.zarr", ("if-none-match", "*"), ("if-match", '"{}"')),
+    ],
+)
+def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
+    server: ObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
+) -> None:
+    notes = notes_beside(ObjectPlace(url))
+    key = "bucket/.plane.zarr.run/claim"
+
+    def asked() -> dict[str, str]:
+        puts = [request for request in server.requests if request.method == "PUT"]
+        assert puts[-1].key == key
+        return puts[-1].headers
+
+    assert notes.put("claim", b"1", expected=None)
+    assert asked()[absent[0]] == absent[1]
+    generation = server.objects[key][1]
+    assert notes.put("claim", b"2", expected=b"1")
+    assert asked()[same[0]] == same[1].format(generation)
+    assert not notes.put("claim", b"3", expected=None)
+    assert not notes.put("claim", b"3", expected=b"1")
+    assert notes.read("claim") == b"2"
+    assert notes.remove("claim", b"2")
+    assert notes.read("claim") is None
+    assert notes.put("claim", b"4", expected=None)
+
+
+def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server: ObjectStore) -> None:
+    place = ObjectPlace("gs://bucket/conditions")
+    place.put("x", b"1")
+    found = place.get_tagged("x")
+    assert found is not None
+    assert [place.put_if("x", b"2", found[1]), place.put_if("x", b"3", found[1])] == [True, False]
+    assert place.get("x") == b"2"
+
+
+def test_a_run_on_googles_store_has_the_bits_of_a_local_one(
+    server: ObjectStore, tmp_path: Path, client: Client
+) -> None:
+    atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
+    assert atlas.run(plane_of(), "gs://bucket/plane.zarr", client=client).tiles_done == 9
+    assert arrays_of("gs://bucket/plane.zarr") == arrays_of(tmp_path / "local.zarr")
