@@ -98,7 +98,7 @@ def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:
         listed = listed.tolist()
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise InputError(f"{where}.values: found {shown(listed)}, must be a list of numbers")
-    _check_count(f"{where}.values", len(listed))
+    check_count(f"{where}.values", len(listed))
     values = tuple(number(f"{where}.values[{i}]", value) for i, value in enumerate(listed))
     _check_increasing(f"{where}.values", values)
     return values
@@ -111,7 +111,7 @@ def _spaced(where: str, given: Mapping[str, Any], scale: str) -> tuple[float, ..
     num = given["num"]
     if isinstance(num, bool) or not isinstance(num, int):
         raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
-    _check_count(f"{where}.num", num)
+    check_count(f"{where}.num", num)
     start, stop = number(f"{where}.start", given["start"]), number(f"{where}.stop", given["stop"])
     if scale == "log" and min(start, stop) <= 0:
         raise InputError(f"{where}: found {min(start, stop)!r} on a log scale, must be > 0")
@@ -127,7 +127,8 @@ def _spaced(where: str, given: Mapping[str, Any], scale: str) -> tuple[float, ..
     return values
 
 
-def _check_count(where: str, count: int) -> None:
+def check_count(where: str, count: int) -> None:
+    """Raise InputError unless an axis may have so many points; ``where`` names it in the message."""
     if not 1 <= count <= MAX_POINTS:
         raise InputError(f"{where}: found {shown(count)} points, must be 1 to {MAX_POINTS}")
 

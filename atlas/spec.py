@@ -86,16 +86,16 @@ class Spec:
     @classmethod
     def from_toml(cls, source: str | Path) -> "Spec":
         """The spec of a TOML file, or of the packaged example of that name where there is no such file."""
-        path = Path(source)
+        path, where = Path(source), str(source) or "''"
         try:
             text = _text_of(path) if path.exists() else _example(str(source))
             return cls.from_mapping(_parsed(text))
         except InputError as error:
-            raise InputError(f"{source}: {error}") from None
+            raise InputError(f"{where}: {error}") from None
         except RecursionError:
-            raise InputError(f"{source}: nested too deeply; a spec has no more than tables in tables") from None
+            raise InputError(f"{where}: nested too deeply; a spec has no more than tables in tables") from None
         except OSError as error:
-            raise InputError(f"{source}: cannot be read: {error.strerror}") from None
+            raise InputError(f"{where}: cannot be read: {error.strerror}") from None
 
     @property
     def dims(self) -> tuple[str, ...]:
