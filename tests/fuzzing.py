@@ -1,4 +1,4 @@
-"""How long the fuzz tests look: the same few examples in every run, or as many as IMPACT_ATLAS_FUZZ says, new each time.
+"""How long the fuzz tests look: at the same few examples in every run, or at as many new ones as the environment says.
 
 By hand: ``IMPACT_ATLAS_FUZZ=20000 pytest tests/test_fuzz.py``.
 """

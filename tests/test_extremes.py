@@ -7,13 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests import naive
 from tests.fuzzing import fuzz
 from workers import Settings, solve_tile, trace
-from workers.results import FAILED, INVALID
+from workers.results import CHAOTIC, FAILED, INVALID
 from workers.system import TWO_MASS
 from workers.tile import solve_cells
 
 QUICK = Settings(exponents="none", max_periods=20)
+WAYS = [
+    QUICK,
+    Settings(exponents="spectrum", max_periods=400, section_samples=3),
+    Settings(exponents="spectrum", method="fixed", transient_periods=0, periods=40),
+]
 SIZES = [0.0, 5e-324, 1e-310, 1e-300, 1e-160, 1e-20, 1.0, 1e20, 1e100, 1e154, 1e160, 1e300, 1.7976931348623157e308]
 
 OVERFLOWING = [
@@ -66,9 +72,16 @@ def _extreme(name: str) -> st.SearchStrategy[float]:
     return st.sampled_from([value for value in signed if TWO_MASS.parameter(name).admits(value)])
 
 
-@fuzz(examples=60)
-@given(st.fixed_dictionaries({}, optional={p.name: _extreme(p.name) for p in TWO_MASS.parameters}))
-def test_no_finite_parameters_make_a_cell_raise_warn_or_fail(params: dict[str, float]) -> None:
-    solved = solve_cells("two-mass", params, QUICK)
-    assert solved.arrays["regime"] < FAILED
-    assert solved.arrays["regime"] == INVALID or np.all(np.isfinite(solved.arrays["state"]) | np.isnan(solved.arrays["state"]))
+@fuzz(examples=40)
+@given(
+    st.fixed_dictionaries({}, optional={p.name: _extreme(p.name) for p in TWO_MASS.parameters}), st.sampled_from(WAYS)
+)
+def test_no_finite_parameters_make_a_cell_raise_warn_or_fail(params: dict[str, float], settings: Settings) -> None:
+    arrays = solve_tile("two-mass", params, settings)
+    assert arrays["regime"] < FAILED
+    assert np.all(np.isfinite(arrays["state"])) or np.all(np.isnan(arrays["state"]))
+
+
+def test_a_tolerance_out_of_reach_costs_a_chaotic_cell_its_budget_and_not_its_class() -> None:
+    settings = Settings(tolerance=1e-200, max_periods=3000)
+    assert solve_tile("two-mass", naive.FIGURES[5], settings)["regime"] == CHAOTIC

@@ -227,7 +227,8 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
         if _clearly_positive(mean, error, count):
             if error <= settings.tolerance:
                 return _chaotic(osc, motion, settings, used, averages)
-            missing = count * ((error / settings.tolerance) ** 2 - 1.0)
+            ratio = min(error / settings.tolerance, 1e100)  # of no larger one is the square a float
+            missing = count * (ratio**2 - 1.0)
             stretch = int(min(used, max(1.05 * missing, 256)))
         previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
         flat = max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous)
