@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.errors import InputError, check_names
+from atlas.errors import InputError, check_names, shown
 from workers.system import Parameter
 
 KEYS = ("start", "stop", "num", "values", "scale", "continuation")
@@ -44,11 +44,11 @@ class Axis:
 def number(where: str, value: object) -> float:
     """The value as a float; InputError where it is not a finite real number. ``where`` names it in the message."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
-        raise InputError(f"{where}: found {value!r}, must be a number")
+        raise InputError(f"{where}: found {shown(value)}, must be a number")
     try:
         result = float(value) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
     except OverflowError:
-        raise InputError(f"{where}: found {value!r}, must be a finite number") from None
+        raise InputError(f"{where}: found {shown(value)}, must be a finite number") from None
     if not math.isfinite(result):
         raise InputError(f"{where} = {result!r}: must be a finite number")
     return result
@@ -73,14 +73,14 @@ def read_axis(parameter: Parameter, given: object) -> Axis:
     if isinstance(given, np.ndarray) or (isinstance(given, Sequence) and not isinstance(given, str)):
         given = {"values": given}
     if not isinstance(given, Mapping):
-        raise InputError(f"{where}: found {given!r}, must be a table with start, stop and num, or with values")
+        raise InputError(f"{where}: found {shown(given)}, must be a table with start, stop and num, or with values")
     check_names(f"key in {where}", given, KEYS)
     scale = given.get("scale", "linear")
     if scale not in SCALES:
-        raise InputError(f"{where}.scale: found {scale!r}, must be one of {', '.join(SCALES)}")
+        raise InputError(f"{where}.scale: found {shown(scale)}, must be one of {', '.join(SCALES)}")
     continuation = given.get("continuation")
     if continuation is not None and continuation not in DIRECTIONS:
-        raise InputError(f"{where}.continuation: found {continuation!r}, must be one of {', '.join(DIRECTIONS)}")
+        raise InputError(f"{where}.continuation: found {shown(continuation)}, must be one of {', '.join(DIRECTIONS)}")
     values = _listed(where, given) if "values" in given else _spaced(where, given, scale)
     if scale == "log" and values[0] <= 0:
         raise InputError(f"{where}: found {values[0]!r} on a log scale, must be > 0")
@@ -97,8 +97,8 @@ def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:
     if isinstance(listed, np.ndarray) and listed.ndim == 1:
         listed = listed.tolist()
     if not isinstance(listed, Sequence) or isinstance(listed, str):
-        raise InputError(f"{where}.values: found {listed!r}, must be a list of numbers")
-    _check_count(f"{where}.values", len(listed))
+        raise InputError(f"{where}.values: found {shown(listed)}, must be a list of numbers")
+    check_count(f"{where}.values", len(listed))
     values = tuple(number(f"{where}.values[{i}]", value) for i, value in enumerate(listed))
     _check_increasing(f"{where}.values", values)
     return values
@@ -110,22 +110,27 @@ def _spaced(where: str, given: Mapping[str, Any], scale: str) -> tuple[float, ..
         raise InputError(f"{where}: {', '.join(missing)} missing; give start, stop and num, or values")
     num = given["num"]
     if isinstance(num, bool) or not isinstance(num, int):
-        raise InputError(f"{where}.num: found {num!r}, must be a whole number, 1 or more")
-    _check_count(f"{where}.num", num)
+        raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
+    check_count(f"{where}.num", num)
     start, stop = number(f"{where}.start", given["start"]), number(f"{where}.stop", given["stop"])
     if scale == "log" and min(start, stop) <= 0:
         raise InputError(f"{where}: found {min(start, stop)!r} on a log scale, must be > 0")
     if num > 1 and not start < stop:
         raise InputError(f"{where}: start {start!r} must be less than stop {stop!r}")
-    points = (np.geomspace if scale == "log" else np.linspace)(start, stop, num)
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            points = (np.geomspace if scale == "log" else np.linspace)(start, stop, num)
+    except FloatingPointError:
+        raise InputError(f"{where}: from start {start!r} to stop {stop!r} is farther than a float can hold") from None
     values = tuple(points.tolist())
     _check_increasing(where, values)  # too many points between two neighbouring floats
     return values
 
 
-def _check_count(where: str, count: int) -> None:
+def check_count(where: str, count: int) -> None:
+    """Raise InputError unless an axis may have so many points; ``where`` names it in the message."""
     if not 1 <= count <= MAX_POINTS:
-        raise InputError(f"{where}: found {count} points, must be 1 to {MAX_POINTS}")
+        raise InputError(f"{where}: found {shown(count)} points, must be 1 to {MAX_POINTS}")
 
 
 def _check_increasing(where: str, values: tuple[float, ...]) -> None:

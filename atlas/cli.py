@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from atlas.errors import InputError, NetworkError, RunError
+from atlas.errors import InputError, NetworkError, RunError, one_line, shown
 from atlas.render import FORMATS, KINDS, OVERLAYS
 from atlas.spec import Spec, checked_parameters, checked_settings, checked_system, example_names
 from workers import Settings
@@ -38,12 +38,28 @@ class _BadInput(click.ClickException):
     exit_code = 2
 
 
+def _bad_usage(error: click.UsageError) -> _BadInput:
+    """What click says of a wrong command line, without the usage before it."""
+    where = error.ctx.command_path if error.ctx else "atlas"
+    return _BadInput(one_line(f"{error.format_message().rstrip('.')} (see {where} --help)"))
+
+
 class _Group(click.Group):
-    """Commands whose errors end in one line: 1 failed, 2 bad input, 130 interrupted."""
+    """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args:  # click shows the help
+            return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            raise _bad_usage(error) from None
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
+        except click.UsageError as error:
+            raise _bad_usage(error) from None
         except InputError as error:
             raise _BadInput(str(error)) from None
         except RunError as error:
@@ -535,7 +551,7 @@ def _number(where: str, value: str) -> float:
     try:
         return float(value)
     except ValueError:
-        raise InputError(f"{where}: found {value!r}, must be a number") from None
+        raise InputError(f"{where}: found {shown(value)}, must be a number") from None
 
 
 def _factors(given: tuple[str, ...]) -> int | dict[str, int]:
@@ -549,14 +565,14 @@ def _whole(where: str, value: str) -> int:
     try:
         return int(value)
     except ValueError:
-        raise InputError(f"{where}: found {value!r}, must be a whole number") from None
+        raise InputError(f"{where}: found {shown(value)}, must be a whole number") from None
 
 
 def _bounds(where: str, value: str) -> tuple[float, float]:
     low, colon, high = value.partition(":")
     if not colon:
-        raise InputError(f"{where}: found {value!r}, must be LOW:HIGH")
+        raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH")
     bounds = _number(where, low), _number(where, high)
     if not bounds[0] <= bounds[1]:
-        raise InputError(f"{where}: found {value!r}, must be LOW:HIGH with LOW <= HIGH")
+        raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH with LOW <= HIGH")
     return bounds

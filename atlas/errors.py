@@ -1,15 +1,22 @@
 """What can go wrong for a reason that the user can remove."""
 
+import reprlib
 from collections.abc import Iterable
 
 from workers.system import unknown_name
+
+LONGEST_LINE = 500
+"""Characters of a message; of a longer one the middle is left out."""
+
+_short = reprlib.Repr()
+_short.maxstring = _short.maxlong = _short.maxother = 60
 
 
 class InputError(ValueError):
     """Bad input, told in one line: what was found and what would do. The command answers it with exit code 2."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(one_line(message))
 
 
 class RunError(RuntimeError):
@@ -18,6 +25,23 @@ class RunError(RuntimeError):
 
 class NetworkError(OSError):
     """A store at a URL that did not answer for as long as it was waited for, in one line."""
+
+
+def one_line(message: str) -> str:
+    """The message on one line of bounded length: white space as single blanks, the middle left out where too long."""
+    line = " ".join(message.split())
+    if len(line) <= LONGEST_LINE:
+        return line
+    half = (LONGEST_LINE - 5) // 2
+    return f"{line[:half]} ... {line[-half:]}"
+
+
+def shown(value: object) -> str:
+    """A value as Python writes it, shortened so that a message with it can be read."""
+    try:
+        return _short.repr(value)
+    except ValueError:  # a whole number of more digits than Python writes
+        return "a whole number of thousands of digits"
 
 
 def check_names(kind: str, found: Iterable[object], known: Iterable[str]) -> None:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atlas.axes import Axis
-from atlas.errors import InputError, check_names
+from atlas.axes import Axis, check_count
+from atlas.errors import InputError, check_names, shown
 from atlas.layout import Origin
 from atlas.place import place_of
 from atlas.plan import plural
@@ -114,8 +114,9 @@ def refined(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[in
         factors = {axis.name: refine if len(axis) > 1 else 1 for axis in stored.axes}  # type: ignore[misc]
     for name, factor in factors.items():
         if isinstance(factor, bool) or not isinstance(factor, int) or factor < 1:
-            raise InputError(f"refine {name}: found {factor!r}, must be a whole number, 1 or more")
+            raise InputError(f"refine {name}: found {shown(factor)}, must be a whole number, 1 or more")
     for axis in stored.axes:
+        check_count(f"refine {axis.name}", (len(axis) - 1) * factors[axis.name] + 1)
         if len(axis) == 1 and factors[axis.name] > 1:
             raise InputError(f"refine {axis.name}: an axis with one value has nothing in between; extend it by a spec")
     if all(factor == 1 for factor in factors.values()):

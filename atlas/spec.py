@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -12,11 +13,17 @@ from typing import Any
 import numpy as np
 
 from atlas.axes import Axis, admitted, read_axis
-from atlas.errors import InputError, check_names
+from atlas.errors import InputError, check_names, shown
 from workers import Settings
 from workers.system import System, find_system, unknown_name
 
 SECTIONS = ("system", "parameters", "axes", "solve", "store")
+MAX_FILE = 1_000_000
+"""Bytes of a spec file: far more than a spec needs, and nothing that could fill the memory."""
+
+_DEEP_KEY = re.compile(r"""^[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""", re.MULTILINE)
+"""A dotted key of a hundred parts: the time that tomllib takes for one grows as the square of their number."""
+
 Slices = tuple[slice, ...]
 
 
@@ -46,24 +53,25 @@ class Spec:
         store: Mapping[str, Any] | None = None,
     ) -> None:
         record = checked_system(system)
+        parameters, store = {} if parameters is None else parameters, {} if store is None else store
         _check_tables(parameters=parameters, axes=axes, store=store)
         known = [parameter.name for parameter in record.parameters]
-        check_names("parameter", parameters or {}, known)
+        check_names("parameter", parameters, known)
         check_names("parameter in axes", axes, known)
         if not 1 <= len(axes) <= 2:
             found = f"found {len(axes)} ({', '.join(axes)})" if axes else "found none"
             raise InputError(f"axes: {found}, must be one or two")
         for name in axes:
-            if name in (parameters or {}):
+            if name in parameters:
                 raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
         put = object.__setattr__
         put(self, "system", record.name)
         put(self, "axes", tuple(read_axis(record.parameter(name), given) for name, given in axes.items()))
         _check_continuation(self.axes, record)
-        fixed = checked_parameters(record, parameters or {})
+        fixed = checked_parameters(record, parameters)
         put(self, "parameters", {name: value for name, value in fixed.items() if name not in axes})
-        put(self, "settings", solve if isinstance(solve, Settings) else checked_settings(solve or {}))
-        put(self, "tile", _checked_tile(store or {}, len(axes)))
+        put(self, "settings", _settings_of(solve))
+        put(self, "tile", _checked_tile(store, len(axes)))
         _check_whole_lines(self)
 
     @classmethod
@@ -78,16 +86,16 @@ class Spec:
     @classmethod
     def from_toml(cls, source: str | Path) -> "Spec":
         """The spec of a TOML file, or of the packaged example of that name where there is no such file."""
-        path = Path(source)
+        path, where = Path(source), str(source) or "''"
         try:
-            text = path.read_text(encoding="utf-8") if path.exists() else _example(str(source))
-            return cls.from_mapping(tomllib.loads(text))
+            text = _text_of(path) if path.exists() else _example(str(source))
+            return cls.from_mapping(_parsed(text))
         except InputError as error:
-            raise InputError(f"{source}: {error}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{source}: not a TOML file: {error}") from None
+            raise InputError(f"{where}: {error}") from None
+        except RecursionError:
+            raise InputError(f"{where}: nested too deeply; a spec has no more than tables in tables") from None
         except OSError as error:
-            raise InputError(f"{source}: cannot be read: {error.strerror}") from None
+            raise InputError(f"{where}: cannot be read: {error.strerror}") from None
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -184,8 +192,10 @@ def differences(stored: Spec, given: Spec) -> list[str]:
 
 def checked_system(name: object) -> System:
     """The system of that name; InputError with the nearest known name otherwise."""
+    if not isinstance(name, str):
+        raise InputError(f"system: found {shown(name)}, must be the name of a system")
     try:
-        return find_system(str(name))
+        return find_system(name)
     except KeyError as error:
         raise InputError(error.args[0]) from None
 
@@ -199,8 +209,11 @@ def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, fl
 def checked_settings(given: Mapping[str, Any]) -> Settings:
     """Settings from the [solve] table; InputError that names the setting otherwise."""
     if not isinstance(given, Mapping):
-        raise InputError(f"solve: found {given!r}, must be a table")
+        raise InputError(f"solve: found {shown(given)}, must be a table")
     check_names("key in solve", given, [field.name for field in fields(Settings)])
+    for name, value in given.items():
+        if _is_whole(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
+            raise InputError(f"solve.{name}: found {shown(value)}, must be less than 2**63")
     # A whole tolerance is the same number, and has to have the same digest, as a float.
     whole: dict[str, Any] = {
         name: float(value) if name == "tolerance" and _is_whole(value) else value for name, value in given.items()
@@ -228,14 +241,46 @@ def _example(name: str) -> str:
     raise InputError(f"no such file, and {unknown_name('example', name, names)}")
 
 
+def _text_of(path: Path) -> str:
+    """The text of a spec file; anything but a regular file of bounded size could keep its reader for ever."""
+    if path.is_dir():
+        raise InputError("cannot be read: is a folder")
+    if not path.is_file():
+        raise InputError("cannot be read: not a regular file")
+    with path.open("rb") as file:
+        content = file.read(MAX_FILE + 1)
+    if len(content) > MAX_FILE:
+        raise InputError(f"too large for a spec: more than {MAX_FILE} bytes")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"not a TOML file: byte {error.start} is not UTF-8 text") from None
+    if text.startswith("\ufeff"):
+        raise InputError("not a TOML file: it begins with a byte order mark; save it as UTF-8 without one")
+    return text
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    if _DEEP_KEY.search(text):
+        raise RecursionError
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # besides its own, those of numbers with too many digits
+        raise InputError(f"not a TOML file: {error}") from None
+
+
+def _settings_of(solve: Mapping[str, Any] | Settings | None) -> Settings:
+    return solve if isinstance(solve, Settings) else checked_settings({} if solve is None else solve)
+
+
 def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _check_tables(**tables: object) -> None:
     for name, table in tables.items():
-        if table is not None and not isinstance(table, Mapping):
-            raise InputError(f"{name}: found {table!r}, must be a table")
+        if not isinstance(table, Mapping):
+            raise InputError(f"{name}: found {shown(table)}, must be a table")
 
 
 def _check_continuation(axes: tuple[Axis, ...], record: System) -> None:
@@ -252,7 +297,7 @@ def _check_whole_lines(spec: Spec) -> None:
     place, _ = spec.continuation
     if spec.tile[place] < spec.shape[place]:
         raise InputError(
-            f"store.tile: found {list(spec.tile)}, must hold whole lines of {spec.dims[place]}, "
+            f"store.tile: found {shown(list(spec.tile))}, must hold whole lines of {spec.dims[place]}, "
             f"which is continued over {spec.shape[place]} cells"
         )
 
@@ -265,5 +310,5 @@ def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None
     form = "two whole numbers (y, x)" if axes == 2 else "one whole number in brackets"
     right = isinstance(tile, list | tuple) and len(tile) == axes and all(_is_whole(n) and n >= 1 for n in tile)
     if not right:
-        raise InputError(f"store.tile: found {tile!r}, must be {form}, each 1 or more")
+        raise InputError(f"store.tile: found {shown(tile)}, must be {form}, each 1 or more")
     return tuple(int(n) for n in tile)

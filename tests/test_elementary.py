@@ -46,6 +46,10 @@ def test_the_exponential_ends_in_zero() -> None:
     assert exp_minus(1e300) == exp_minus(math.inf) < 1e-320
 
 
+def test_the_exponential_of_what_is_no_number_is_none() -> None:
+    assert math.isnan(exp_minus(math.nan))
+
+
 def test_the_series_are_cosine_and_sinc_of_either_sign() -> None:
     with mp.workdps(40):
         for x in np.linspace(-0.1, 0.1, 401).tolist():

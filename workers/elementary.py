@@ -45,7 +45,8 @@ def exp_minus(x):
     p = p * r + 1.0 / 24.0
     p = p * r + 1.0 / 6.0
     p = p * r + 0.5
-    return (1.0 + (r + r * r * p)) * _HALVES[int(k)]
+    place = k if k > 0.0 else 0.0  # of NaN too, which has no place of its own; the result is NaN by r
+    return (1.0 + (r + r * r * p)) * _HALVES[int(place)]
 
 
 @inlined

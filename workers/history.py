@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lyapunov import run
-from workers.section import BEYOND, RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from, reset_frame
+from workers.section import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
 from workers.settings import Settings
-from workers.solve import REASONS, vectors_for, with_frame
+from workers.solve import REASONS, checked_start, vectors_for, with_frame
 from workers.system import find_system
 
 Array = NDArray[np.float64]
@@ -48,10 +48,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         values[name] = float(value)
     osc = record.build(values)
     start = np.array([values[name] for name in record.states])
-    motion = motion_from(osc, start, record=RECORD)
-    if motion.contact[0] == BEYOND:
-        raise ValueError("the initial state lies beyond a stop")
-    motion = with_frame(motion, vectors_for(settings, osc))
+    motion = with_frame(checked_start(osc, start, RECORD), vectors_for(settings, osc))
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
         run(osc, motion, 1)

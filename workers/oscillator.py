@@ -5,8 +5,9 @@ array inside a record costs a reference count at every use.
 """
 
 import math
-from functools import lru_cache
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from functools import lru_cache, wraps
+from typing import Any, NamedTuple, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]
+_P = ParamSpec("_P")
 
 LARGEST_ANGLE = 3e7
 """Radians of free oscillation in a forcing period up to which elementary.sin_cos reduces angles exactly."""
@@ -127,6 +129,24 @@ class Oscillator(NamedTuple):
     held: Held
 
 
+def in_double_precision(build: Callable[_P, Oscillator]) -> Callable[_P, Oscillator]:
+    """The same builder of an oscillator; ValueError, in one line, where a number of it leaves double precision."""
+
+    @wraps(build)
+    def checked(*args: _P.args, **kwargs: _P.kwargs) -> Oscillator:
+        try:
+            with np.errstate(over="raise", divide="raise", invalid="raise"):
+                osc = build(*args, **kwargs)
+            within = _is_finite(osc._replace(b_upper=0.0, b_lower=0.0))  # a stop may be infinitely far away
+        except (ArithmeticError, np.linalg.LinAlgError):
+            within = False
+        if not within:
+            raise ValueError("the parameters lead beyond the range of double precision")
+        return osc
+
+    return checked
+
+
 def mass_spring(
     *,
     mass: Array,
@@ -145,7 +165,7 @@ def mass_spring(
     The damping must be classical (diagonal in the undamped modes), as proportional damping is.
     Raises ValueError, in one line, for a free rigid mode, for damping that is not classical, for undamped
     resonance, where no periodic forced response exists, and for a forcing period of more free oscillations than
-    double precision keeps the phase of.
+    double precision keeps the phase of. What leaves the range of floats is left to ``in_double_precision``.
     """
     structure = _structure(_tuples(mass), _tuples(damping), _tuples(stiffness), _tuples(gap_row))
     free, held = structure.unforced, structure.unforced.held
@@ -156,7 +176,7 @@ def mass_spring(
     period = 2.0 * math.pi / omega
     if max((block.w for block in free.gap.block if block.d > 0.0), default=0.0) * period > LARGEST_ANGLE:
         raise ValueError(f"a forcing period spans more than {LARGEST_ANGLE:g} radians of a free oscillation")
-    acceleration = math.fsum(a * f for a, f in zip(structure.accelerance, loads, strict=True))
+    acceleration = _total(a * f for a, f in zip(structure.accelerance, loads, strict=True))
     return free._replace(
         gap=_with_force(free.gap, forced, 0.0, omega),
         forced=forced,
@@ -257,7 +277,7 @@ def _modal_damping(modes: Array, damping: Array) -> Array:
 
 def _projected(modes: Rows, force: Row) -> Row:
     """modes.T @ force."""
-    return tuple(math.fsum(m * f for m, f in zip(mode, force, strict=True)) for mode in zip(*modes, strict=True))
+    return tuple(_total(m * f for m, f in zip(mode, force, strict=True)) for mode in zip(*modes, strict=True))
 
 
 def _response(blocks: tuple[Block, ...], force: Row, omega: float) -> tuple[Rows, ...]:
@@ -275,8 +295,8 @@ def _response(blocks: tuple[Block, ...], force: Row, omega: float) -> tuple[Rows
 def _with_force(signal: Signal, response: tuple[Rows, ...], direct: float, omega: float) -> Signal:
     """The signal with its forced part, row . response + direct sin(phi)."""
     pairs = [pair for row, block in zip(signal.row, response, strict=True) for pair in zip(row, block, strict=True)]
-    sin_part = math.fsum([direct, *(weight * sin for weight, (sin, _) in pairs)])
-    cos_part = math.fsum(weight * cos for weight, (_, cos) in pairs)
+    sin_part = _total([direct, *(weight * sin for weight, (sin, _) in pairs)])
+    cos_part = _total(weight * cos for weight, (_, cos) in pairs)
     amplitude = math.hypot(sin_part, cos_part)
     return signal._replace(sin_part=sin_part, cos_part=cos_part, amplitude=amplitude, omega=omega)
 
@@ -302,6 +322,19 @@ def _signal(lam: Array, eta: Array, row: Array, offset: float) -> Signal:
 def _derivative(row: Array, lam: Array, eta: Array) -> Array:
     """row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
     return np.column_stack([-lam * row[:, 1], row[:, 0] - 2.0 * eta * row[:, 1]])
+
+
+def _total(terms: Iterable[float]) -> float:
+    """The sum, rounded once; OverflowError where a term is not finite, for which math.fsum has errors of its own."""
+    found = list(terms)
+    if not _is_finite(tuple(found)):
+        raise OverflowError
+    return math.fsum(found)
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether a float, or every one in nested tuples, is finite."""
+    return all(map(_is_finite, value)) if isinstance(value, tuple) else math.isfinite(value)
 
 
 def _null_space(row: Array) -> Array:

@@ -121,9 +121,10 @@ def solve_cell(osc: Oscillator, start: Array, settings: Settings) -> Cell:
 
 def solving(osc: Oscillator, start: Array, settings: Settings) -> Solving:
     """As solve_cell, one stretch at a time, so that many cells can be taken along side by side."""
-    motion = motion_from(osc, start)
-    if motion.contact[0] == BEYOND:
-        return Cell(regime=INVALID, reason="the initial state lies beyond a stop")
+    try:
+        motion = checked_start(osc, start)
+    except ValueError as error:
+        return Cell(regime=INVALID, reason=str(error))
     periods = settings.max_periods if settings.method == "adaptive" else settings.transient_periods + settings.periods
     motion.tally[WORK] = max(WORK_PER_PERIOD * periods, LEAST_WORK)
     method = _fixed if settings.method == "fixed" else _adaptive
@@ -133,6 +134,22 @@ def solving(osc: Oscillator, start: Array, settings: Settings) -> Solving:
     if settings.exponents == "none":
         cell.largest = cell.error = cell.sum_law_defect = math.nan
     return cell
+
+
+def checked_start(osc: Oscillator, start: Array, record: int = 0) -> Motion:
+    """The motion from physical section state ``start`` (2n,), with room to record so many impacts.
+
+    Raises ValueError, in one line, for a state beyond a stop and for a motion whose energy, which deviations are
+    measured by, no float can hold.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        motion = motion_from(osc, start, record=record)
+        scale = scale_of(osc, motion)
+    if motion.contact[0] == BEYOND:
+        raise ValueError("the initial state lies beyond a stop")
+    if not math.isfinite(scale):
+        raise ValueError("the energy of the motion is beyond the range of double precision")
+    return motion
 
 
 def vectors_for(settings: Settings, osc: Oscillator) -> int:
@@ -210,7 +227,8 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
         if _clearly_positive(mean, error, count):
             if error <= settings.tolerance:
                 return _chaotic(osc, motion, settings, used, averages)
-            missing = count * ((error / settings.tolerance) ** 2 - 1.0)
+            ratio = min(error / settings.tolerance, 1e100)  # of no larger one is the square a float
+            missing = count * (ratio**2 - 1.0)
             stretch = int(min(used, max(1.05 * missing, 256)))
         previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
         flat = max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from workers.oscillator import Oscillator, mass_spring
+from workers.oscillator import Oscillator, in_double_precision, mass_spring
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class System:
     """A vibro-impact system: its parameters, the names of its physical state and its factory.
 
     ``states`` names the components of the physical section state in order (displacements, then velocities);
-    each is also a parameter, the initial value at t = 0. ``build`` makes the Oscillator from all parameters.
+    each is also a parameter, the initial value at t = 0. ``build`` makes the Oscillator from all parameters, or raises
+    ValueError, in one line, for those that have none; ``in_double_precision`` sees to numbers out of range.
     """
 
     name: str
@@ -71,6 +72,7 @@ def unknown_name(kind: str, name: str, known: list[str]) -> str:
     return f"unknown {kind} {name!r}; {hint}"
 
 
+@in_double_precision
 def _two_mass(p: Mapping[str, float]) -> Oscillator:
     """Li & Tan (2011): M x'' + 2 zeta K x' + K x = (1 - f2, f2) sin(omega t + tau), |x1| < b."""
     mass = np.diag([1.0, p["mu_m"]])

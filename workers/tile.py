@@ -80,7 +80,8 @@ def _solve_together(record: System, cells: Iterable[dict[str, float]], settings:
     while ready or waiting:
         for k, count in ready.items():
             try:
-                waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
+                with np.errstate(over="raise", divide="raise", invalid="raise"):
+                    waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
             except StopIteration as end:
                 solved[k] = end.value
             except (ArithmeticError, np.linalg.LinAlgError) as error:
