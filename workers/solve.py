@@ -88,6 +88,7 @@ class Cell:
     largest: float = math.nan
     error: float = math.nan
     spectrum: Array | None = None
+    average: Array | float | None = None
     sum_law_defect: float = math.nan
     regime: int = UNDETERMINED
     period: int = 0
@@ -219,7 +220,11 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
 
 
 def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
-    """The paper's schedule: a transient, then plain averages over so many periods."""
+    """The paper's schedule: a transient, then plain averages over so many periods.
+
+    The averages of a cell whose orbit is proved may span chaos that came before it: they are kept as ``average``, and
+    its exponents are the exact ones.
+    """
     sections = np.empty((min(settings.periods, settings.max_period + 1), *motion.h.shape))
     motion = with_frame(motion, vectors_for(settings, osc))
     averages = no_averages()
@@ -243,9 +248,8 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
             cell.regime = CHAOTIC if _clearly_positive(mean, error, count) else UNDETERMINED
             return cell
         known = _periodic(osc, orbit, settings, cell.periods_used)
-    known.error += abs(cell.largest - known.largest)  # the exact exponent tells how far the average is off
-    known.largest, known.spectrum = cell.largest, cell.spectrum
-    known.sum_law_defect, known.state, known.section = cell.sum_law_defect, cell.state, cell.section
+    known.average, known.sum_law_defect = cell.average, cell.sum_law_defect
+    known.state, known.section = cell.state, cell.section
     return known
 
 
@@ -345,6 +349,7 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
         cell.largest, cell.error, count = _mean(averages)
         reset_frame(osc, motion)
         cell.spectrum = np.sort(motion.growth / count)[::-1]
+        cell.average = cell.spectrum.copy() if settings.exponents == "spectrum" else cell.largest
     elif settings.method == "fixed" and used > settings.transient_periods:
         count = used - settings.transient_periods
     if count:
