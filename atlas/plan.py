@@ -4,7 +4,6 @@ import itertools
 import math
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,8 +19,8 @@ from workers.results import result_variables
 DEFAULT_TILE = 64
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
-PROBE_CELLS = 16
-PROBED_TOGETHER = 8
+CLEAR_RANGE = 1.5
+"""From this ratio of its ends on an expected time is printed as a range."""
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
 
@@ -36,10 +35,17 @@ class Tile:
 
 @dataclass(frozen=True)
 class Probe:
-    """A few cells solved for their time: how many, and the mean seconds of one."""
+    """Cells solved for their cost: how many, and what one of the atlas costs on average.
+
+    periods_per_cell   forcing periods
+    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells tell
+    """
 
     cells: int
+    periods_per_cell: float
     seconds_per_cell: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -77,10 +83,16 @@ class Plan:
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole on these workers, or None where nothing was probed."""
-        if self.probe is None:
-            return None
-        return self.probe.seconds_per_cell * self.cells / min(self.workers, self.tile_count)
+        """Expected seconds of the whole on these workers, a processor each, or None where nothing was probed."""
+        return self.probe and self._seconds(self.probe.seconds_per_cell)
+
+    @property
+    def seconds_range(self) -> tuple[float, float] | None:
+        """Where these seconds lie, or None where nothing was probed."""
+        return self.probe and (self._seconds(self.probe.low), self._seconds(self.probe.high))
+
+    def _seconds(self, per_cell: float) -> float:
+        return per_cell * self.cells / min(self.workers, self.tile_count)
 
     def tiles(self) -> Iterator[Tile]:
         """All tiles, row by row."""
@@ -108,16 +120,21 @@ class Plan:
             "bytes": self.bytes,
             "workers": self.workers,
             "seconds": self.seconds,
+            "seconds_range": self.seconds_range,
             "seconds_per_cell": self.probe and self.probe.seconds_per_cell,
+            "processor_seconds": self.probe and self.probe.seconds_per_cell * self.cells,
+            "periods": self.probe and self.probe.periods_per_cell * self.cells,
             "cells_probed": self.probe.cells if self.probe else 0,
         }
 
     def __str__(self) -> str:
         shape, tile = " x ".join(map(str, self.shape)), " x ".join(map(str, self.tile))
         cost = f"at most {_bytes(self.bytes)}"
-        if self.probe and self.seconds is not None:
-            cost += f", about {duration(self.seconds)} on {plural(self.workers, 'worker')}"
-            cost += f" (probed on {plural(self.probe.cells, 'cell')})"
+        if self.probe and self.seconds is not None and self.seconds_range is not None:
+            low, high = self.seconds_range
+            wide = high > CLEAR_RANGE * low
+            cost += f", {duration(low)} to {duration(high)}" if wide else f", about {duration(self.seconds)}"
+            cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
         return (
             f"axes   {' x '.join(self.axes)}\n"
             f"cells  {self.cells} ({shape}; {', '.join(self.dims)}) in {plural(self.tile_count, 'tile')} of {tile}\n"
@@ -137,26 +154,6 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 def default_workers() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def probe(spec: Spec, cells: int = PROBE_CELLS, seconds: float = 1.5) -> Probe:
-    """Mean time of a cell, from some that lie spread over the plane; begins no more of them after ``seconds``."""
-    from workers.tile import solve_cells
-
-    count = min(cells, math.prod(spec.shape))
-    begin = time.perf_counter()
-    solved = 0
-    while solved < count and time.perf_counter() - begin < seconds:
-        further = min(PROBED_TOGETHER, count - solved)
-        solve_cells(spec.system, _some_cells(spec, solved, further), spec.settings)
-        solved += further
-    return Probe(solved, (time.perf_counter() - begin) / solved)
-
-
-def _some_cells(spec: Spec, first: int, count: int) -> dict[str, np.ndarray]:
-    """Parameters of so many cells spread over the plane, from the first-th on, as arrays (count,)."""
-    cells = [spec.cell_params(_spread(spec.shape, first + k + 1)) for k in range(count)]
-    return {name: np.array([np.ravel(cell[name])[0] for cell in cells]) for name in cells[0]}
 
 
 def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
@@ -196,21 +193,6 @@ def _bytes_needed(spec: Spec, plan: Plan) -> int:
         chunk = item * math.prod(plan.tile) * math.prod(sizes[dim] for dim in variable.extra)
         total += plan.tile_count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
     return total + overview_bytes(spec, plan.tile)
-
-
-def _spread(shape: tuple[int, ...], k: int) -> Slices:
-    """The k-th cell of a sequence that fills the plane evenly (Halton's, bases 2 and 3), as slices of length one."""
-    cell = [int(_halton(k, base) * n) for base, n in zip((2, 3), shape, strict=False)]
-    return tuple(slice(i, i + 1) for i in cell)
-
-
-def _halton(k: int, base: int) -> float:
-    value, share = 0.0, 1.0
-    while k:
-        k, digit = divmod(k, base)
-        share /= base
-        value += digit * share
-    return value
 
 
 def duration(seconds: float) -> str:
