@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from atlas.coarsen import overview_bytes
 from atlas.errors import InputError
 from atlas.spec import Slices, Spec
@@ -84,12 +82,12 @@ class Plan:
     @property
     def seconds(self) -> float | None:
         """Expected seconds of the whole on these workers, a processor each, or None where nothing was probed."""
-        return self.probe and self._seconds(self.probe.seconds_per_cell)
+        return self._seconds(self.probe.seconds_per_cell) if self.probe else None
 
     @property
     def seconds_range(self) -> tuple[float, float] | None:
         """Where these seconds lie, or None where nothing was probed."""
-        return self.probe and (self._seconds(self.probe.low), self._seconds(self.probe.high))
+        return (self._seconds(self.probe.low), self._seconds(self.probe.high)) if self.probe else None
 
     def _seconds(self, per_cell: float) -> float:
         return per_cell * self.cells / min(self.workers, self.tile_count)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from workers.tile import Solution
 
 CELLS = 256
-STEPS = (16, 64, CELLS)
+STEPS = (4, 16, 64, CELLS)
 """Cells solved in all after each step. A step is begun where it should keep the whole within BUDGET."""
 BUDGET = 2.0
 """Processor seconds."""
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 class _Measured(NamedTuple):
-    """One step: its processor seconds, periods simulated, and the least and the most periods of each (starts, cells)."""
+    """One step: processor seconds, periods simulated, the least and the most that cells (starts, cells) will take."""
 
     seconds: float
     simulated: float
@@ -59,13 +59,14 @@ def probe(spec: Spec, tile: tuple[int, ...]) -> Probe:
         chosen = starts[done : max(1, cells // length)]
         if not chosen or spent * (1 + len(chosen) / max(done, 1)) > BUDGET:
             break
-        steps.append(_measure(spec, settings, share, chosen, length, together))
+        few = math.ceil(together / _evenness(steps))
+        steps.append(_measure(spec, settings, share, chosen, length, few))
         done, spent = done + len(chosen), spent + steps[-1].seconds
     return _estimate(steps, done * length, math.prod(spec.shape))
 
 
 def _starts(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Distinct cells that fill the plane evenly, first the whole and then its parts, and the length of line from each."""
+    """Distinct cells that fill the plane more and more evenly, and the length of the part of a line that each begins."""
     from scipy.stats import qmc
 
     room, length = list(spec.shape), 1
@@ -86,9 +87,20 @@ def _brief(settings: Settings) -> tuple[Settings, float]:
     if settings.method == "adaptive":
         share = min(1.0, LONGEST / settings.max_periods)
         return replace(settings, max_periods=min(LONGEST, settings.max_periods)), share
-    share = min(1.0, LONGEST / (settings.transient_periods + settings.periods))
-    transient, periods = int(share * settings.transient_periods), max(1, int(share * settings.periods))
-    return replace(settings, transient_periods=transient, periods=periods), share
+    whole = settings.transient_periods + settings.periods
+    transient = settings.transient_periods * min(whole, LONGEST) // whole
+    periods = max(1, settings.periods * min(whole, LONGEST) // whole)
+    return replace(settings, transient_periods=transient, periods=periods), (transient + periods) / whole
+
+
+def _evenness(steps: list[_Measured]) -> float:
+    """Which share of the starts does all the work, if they do it in equal parts; 1 before the first step.
+
+    The cells of a tile cost alike, so that a costly one is solved together with as many as costly. Of starts spread
+    over the plane it takes more for that.
+    """
+    work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
+    return float(work.sum() ** 2 / (work.size * (work**2).sum()))
 
 
 def _measure(

@@ -12,7 +12,6 @@ import numpy as np
 from atlas.child import python
 from workers.settings import Settings
 
-
 SIDE_BY_SIDE = 8
 """Cells that are enough to be solved by the kernels for many."""
 
