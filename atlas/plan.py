@@ -19,6 +19,8 @@ TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
 CLEAR_RANGE = 1.5
 """From this ratio of its ends on an expected time is printed as a range."""
+LARGEST_CHUNK = 2**31 - 1
+"""Bytes that the codecs of a store take at once."""
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
 
@@ -141,10 +143,14 @@ class Plan:
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
-    """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins."""
+    """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins.
+
+    Raises InputError where a tile is too large for a store.
+    """
     count = default_workers() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
+    _check_chunks(spec, chosen)
     plan = Plan(spec.dims, tuple(str(axis) for axis in spec.axes), spec.shape, chosen, count, bytes=0)
     return replace(plan, bytes=_bytes_needed(spec, plan))
 
@@ -183,14 +189,30 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 def _bytes_needed(spec: Spec, plan: Plan) -> int:
     """Every chunk of every variable in whole file blocks, the coordinates, and the overviews."""
-    states = len(spec.record.states)
-    sizes = {"exponent": states, "state": states, "sample": spec.settings.section_samples}
     total = 8 * sum(spec.shape)
-    for variable in result_variables(spec.settings):
-        item = {"bool": 1, "int8": 1, "int32": 4, "float64": 8}[variable.dtype]
-        chunk = item * math.prod(plan.tile) * math.prod(sizes[dim] for dim in variable.extra)
+    for chunk in _chunks(spec, plan.tile).values():
         total += plan.tile_count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
     return total + overview_bytes(spec, plan.tile)
+
+
+def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
+    """Bytes of a chunk of each variable."""
+    states = len(spec.record.states)
+    sizes = {"exponent": states, "state": states, "sample": spec.settings.section_samples}
+    items = {"bool": 1, "int8": 1, "int32": 4, "float64": 8}
+    return {
+        variable.name: items[variable.dtype] * math.prod(tile) * math.prod(sizes[dim] for dim in variable.extra)
+        for variable in result_variables(spec.settings)
+    }
+
+
+def _check_chunks(spec: Spec, tile: tuple[int, ...]) -> None:
+    name, size = max(_chunks(spec, tile).items(), key=lambda item: item[1])
+    if size > LARGEST_CHUNK:
+        raise InputError(
+            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, tile))} take {_bytes(size)} a chunk, "
+            f"at most {_bytes(LARGEST_CHUNK)} is possible; choose smaller tiles or fewer solve.section_samples"
+        )
 
 
 def duration(seconds: float) -> str:

@@ -66,7 +66,7 @@ def probe(spec: Spec, tile: tuple[int, ...]) -> Probe:
 
 
 def _starts(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Distinct cells that fill the plane more and more evenly, and the length of the part of a line that each begins."""
+    """Distinct cells that fill the plane ever more evenly, and the length of the part of a line that each begins."""
     from scipy.stats import qmc
 
     room, length = list(spec.shape), 1
@@ -146,8 +146,9 @@ def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> t
         return used / share, used / share
     short = np.zeros(used.shape)
     if "error" in arrays:
-        wanted = (arrays["error"] / settings.tolerance) ** 2
-        short = np.where((arrays[REGIME.name] == CHAOTIC) & (wanted > 1.0), np.minimum(wanted, 1.0 / share), 0.0)
+        with np.errstate(over="ignore"):  # a tolerance of next to nothing
+            wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
+        short = np.where((arrays[REGIME.name] == CHAOTIC) & (wanted > 1.0), wanted, 0.0)
     least = used * np.maximum(1.0, short)
     return least, np.where(arrays[REGIME.name] == UNDETERMINED, used / share, least)
 

@@ -74,6 +74,9 @@ CLEAR = 4.0
 GROWN = 15.0
 """Total log-growth from which a positive exponent counts: a deviation of rounding has become visible."""
 
+FARTHEST = 1e9
+"""From so many times the tolerance on it does not matter how far off the error is: no budget has the periods."""
+
 TORUS_LIMIT = 1e-5
 """Largest modulus of the weighted averages of two stretches that counts as an exponent zero."""
 
@@ -211,7 +214,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
         if _clearly_positive(mean, error, count):
             if error <= settings.tolerance:
                 return _chaotic(osc, motion, settings, used, averages)
-            missing = count * ((error / settings.tolerance) ** 2 - 1.0)
+            missing = count * (min(error / settings.tolerance, FARTHEST) ** 2 - 1.0)
             stretch = int(min(used, max(1.05 * missing, 256)))
         previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
         flat = max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous)
