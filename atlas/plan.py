@@ -210,8 +210,8 @@ def _check_chunks(spec: Spec, tile: tuple[int, ...]) -> None:
     name, size = max(_chunks(spec, tile).items(), key=lambda item: item[1])
     if size > LARGEST_CHUNK:
         raise InputError(
-            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, tile))} take {_bytes(size)} a chunk, "
-            f"at most {_bytes(LARGEST_CHUNK)} is possible; choose smaller tiles or fewer solve.section_samples"
+            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, tile))} take {size} bytes a chunk, "
+            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
         )
 
 

@@ -78,9 +78,9 @@ class Summary:
             done,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
             f"{self.cells_per_second:.3g} cells/s, {self.periods_per_second:.3g} forcing periods/s, "
-            f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time, "
-            f"{duration(self.processor_seconds)} of their processors "
+            f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "
             f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
+            f"{duration(self.processor_seconds)} of processor time, "
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
             shares(self.counts),
         ]
