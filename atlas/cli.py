@@ -106,6 +106,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     from atlas import plan as planning
     from atlas.output import to_json
     from atlas.place import place_of
+    from atlas.probe import probe as measure
     from atlas.warm import compile_once, warming
 
     read = Spec.from_toml(spec)
@@ -116,7 +117,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     if probe:
         _say(f"{warming(read.settings.exponents)}, probing a few cells")
         compile_once(read.system, read.settings)
-        made = replace(made, probe=planning.probe(read))
+        made = replace(made, probe=measure(read, made.tile))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 

@@ -101,6 +101,13 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
         f"chaotic, but largest is not positive by {STANDARD_ERRORS:g} errors",
         (regime == CHAOTIC) & ~(clear & (largest > 0)),
     )
+    yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~(largest < 0)
+    yield "largest is above zero without impact", (regime == NO_IMPACT) & (largest > 0)
+    if "average" in arrays:
+        mean = arrays["average"].reshape(*regime.shape, -1)[..., 0]
+        yield "average is NaN", known & np.isnan(mean)
+        unlike = ~(np.abs(mean - largest) <= SAME + 5.0 * error)
+        yield "average is not the largest exponent of a chaotic cell", (regime == CHAOTIC) & unlike
     if "spectrum" not in arrays:
         return
     spectrum = arrays["spectrum"]
@@ -122,8 +129,7 @@ def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, 
     held = np.isfinite(defect)
     room = SUM_LAW * np.maximum(1.0, np.abs(law))
     yield "sum_law_defect is too large, or of no spectrum", held & ~(np.abs(defect) <= room)
-    if spec.settings.method == "fixed":  # exponents averaged on the way into an orbit, impacts counted on it
-        held &= (regime != NO_IMPACT) & (regime != PERIODIC)
+    held &= ~arrays["sticks"]  # a schedule's defect may be that of a transient, before the motion came to stick
     room = room + np.where(regime == QUASIPERIODIC, TORUS, 0.0)
     yield "spectrum breaks the sum law", held & ~(np.abs(total - law) <= room)
 

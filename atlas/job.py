@@ -61,6 +61,7 @@ class Receipt:
     cells, counts, reasons          solved, in all and of each regime; failures by reason
     taken                           cells taken over from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
+    processor_seconds               of the solver's thread
     periods                         forcing periods simulated
     peak_bytes                      most memory that the worker's process ever had
     """
@@ -74,6 +75,7 @@ class Receipt:
     periods: int
     peak_bytes: int
     taken: int = 0
+    processor_seconds: float = 0.0
 
 
 def run_job(job: Job) -> Receipt:
@@ -111,22 +113,28 @@ def solve_and_write(job: Job) -> Receipt:
         tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
         params = spec.cell_params(tile.slices)
         compile_once(spec.system, spec.settings)
-        begin = time.perf_counter()
+        begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:
             arrays, solved, reasons = fill_tile(header, tile.slices)
         else:
             stored = read_tile(header, job.index)
             shape = stored[REGIME.name].shape
             cells = {name: np.broadcast_to(value, shape) for name, value in params.items()}
-            begin = time.perf_counter()
+            begin, busy = time.perf_counter(), time.thread_time()
             arrays, solved, reasons = solve_again(spec, cells, stored, job.retry)
-        middle = time.perf_counter()
+        middle, processor = time.perf_counter(), time.thread_time() - busy
         # Another attempt may have finished meanwhile: what is stored is then the same, and stays.
         if solved.any() if job.retry is not None else not is_done(header, job.index):
             write_tile(header, job.index, arrays)
         receipt = _receipt(job.index, arrays, solved, reasons)
         taken = int((~solved).sum()) if job.retry is None else 0
-        return replace(receipt, taken=taken, solve_seconds=middle - begin, write_seconds=time.perf_counter() - middle)
+        return replace(
+            receipt,
+            taken=taken,
+            solve_seconds=middle - begin,
+            processor_seconds=processor,
+            write_seconds=time.perf_counter() - middle,
+        )
 
 
 def _checked_header(job: Job) -> Header:

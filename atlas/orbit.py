@@ -56,7 +56,7 @@ class Orbit:
     @property
     def exact(self) -> bool:
         """Whether the exponents are those of an orbit in closed form, and not averages."""
-        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC) and self.settings.method == "adaptive"
+        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC)
 
     @property
     def digest(self) -> str:

@@ -4,13 +4,10 @@ import itertools
 import math
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from atlas.coarsen import overview_bytes
 from atlas.errors import InputError
@@ -20,8 +17,10 @@ from workers.results import result_variables
 DEFAULT_TILE = 64
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
-PROBE_CELLS = 16
-PROBED_TOGETHER = 8
+CLEAR_RANGE = 1.5
+"""From this ratio of its ends on an expected time is printed as a range."""
+LARGEST_CHUNK = 2**31 - 1
+"""Bytes that the codecs of a store take at once."""
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
 
@@ -36,10 +35,17 @@ class Tile:
 
 @dataclass(frozen=True)
 class Probe:
-    """A few cells solved for their time: how many, and the mean seconds of one."""
+    """Cells solved for their cost: how many, and what one of the atlas costs on average.
+
+    periods_per_cell   forcing periods
+    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells tell
+    """
 
     cells: int
+    periods_per_cell: float
     seconds_per_cell: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -77,10 +83,16 @@ class Plan:
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole on these workers, or None where nothing was probed."""
-        if self.probe is None:
-            return None
-        return self.probe.seconds_per_cell * self.cells / min(self.workers, self.tile_count)
+        """Expected seconds of the whole on these workers, a processor each, or None where nothing was probed."""
+        return self._seconds(self.probe.seconds_per_cell) if self.probe else None
+
+    @property
+    def seconds_range(self) -> tuple[float, float] | None:
+        """Where these seconds lie, or None where nothing was probed."""
+        return (self._seconds(self.probe.low), self._seconds(self.probe.high)) if self.probe else None
+
+    def _seconds(self, per_cell: float) -> float:
+        return per_cell * self.cells / min(self.workers, self.tile_count)
 
     def tiles(self) -> Iterator[Tile]:
         """All tiles, row by row."""
@@ -108,16 +120,21 @@ class Plan:
             "bytes": self.bytes,
             "workers": self.workers,
             "seconds": self.seconds,
+            "seconds_range": self.seconds_range,
             "seconds_per_cell": self.probe and self.probe.seconds_per_cell,
+            "processor_seconds": self.probe and self.probe.seconds_per_cell * self.cells,
+            "periods": self.probe and self.probe.periods_per_cell * self.cells,
             "cells_probed": self.probe.cells if self.probe else 0,
         }
 
     def __str__(self) -> str:
         shape, tile = " x ".join(map(str, self.shape)), " x ".join(map(str, self.tile))
         cost = f"at most {_bytes(self.bytes)}"
-        if self.probe and self.seconds is not None:
-            cost += f", about {duration(self.seconds)} on {plural(self.workers, 'worker')}"
-            cost += f" (probed on {plural(self.probe.cells, 'cell')})"
+        if self.probe and self.seconds is not None and self.seconds_range is not None:
+            low, high = self.seconds_range
+            wide = high > CLEAR_RANGE * low
+            cost += f", {duration(low)} to {duration(high)}" if wide else f", about {duration(self.seconds)}"
+            cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
         return (
             f"axes   {' x '.join(self.axes)}\n"
             f"cells  {self.cells} ({shape}; {', '.join(self.dims)}) in {plural(self.tile_count, 'tile')} of {tile}\n"
@@ -126,10 +143,14 @@ class Plan:
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
-    """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins."""
+    """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins.
+
+    Raises InputError where a tile is too large for a store.
+    """
     count = default_workers() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
+    _check_chunks(spec, chosen)
     plan = Plan(spec.dims, tuple(str(axis) for axis in spec.axes), spec.shape, chosen, count, bytes=0)
     return replace(plan, bytes=_bytes_needed(spec, plan))
 
@@ -137,26 +158,6 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 def default_workers() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def probe(spec: Spec, cells: int = PROBE_CELLS, seconds: float = 1.5) -> Probe:
-    """Mean time of a cell, from some that lie spread over the plane; begins no more of them after ``seconds``."""
-    from workers.tile import solve_cells
-
-    count = min(cells, math.prod(spec.shape))
-    begin = time.perf_counter()
-    solved = 0
-    while solved < count and time.perf_counter() - begin < seconds:
-        further = min(PROBED_TOGETHER, count - solved)
-        solve_cells(spec.system, _some_cells(spec, solved, further), spec.settings)
-        solved += further
-    return Probe(solved, (time.perf_counter() - begin) / solved)
-
-
-def _some_cells(spec: Spec, first: int, count: int) -> dict[str, np.ndarray]:
-    """Parameters of so many cells spread over the plane, from the first-th on, as arrays (count,)."""
-    cells = [spec.cell_params(_spread(spec.shape, first + k + 1)) for k in range(count)]
-    return {name: np.array([np.ravel(cell[name])[0] for cell in cells]) for name in cells[0]}
 
 
 def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
@@ -188,29 +189,30 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 def _bytes_needed(spec: Spec, plan: Plan) -> int:
     """Every chunk of every variable in whole file blocks, the coordinates, and the overviews."""
-    states = len(spec.record.states)
-    sizes = {"exponent": states, "state": states, "sample": spec.settings.section_samples}
     total = 8 * sum(spec.shape)
-    for variable in result_variables(spec.settings):
-        item = {"bool": 1, "int8": 1, "int32": 4, "float64": 8}[variable.dtype]
-        chunk = item * math.prod(plan.tile) * math.prod(sizes[dim] for dim in variable.extra)
+    for chunk in _chunks(spec, plan.tile).values():
         total += plan.tile_count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
     return total + overview_bytes(spec, plan.tile)
 
 
-def _spread(shape: tuple[int, ...], k: int) -> Slices:
-    """The k-th cell of a sequence that fills the plane evenly (Halton's, bases 2 and 3), as slices of length one."""
-    cell = [int(_halton(k, base) * n) for base, n in zip((2, 3), shape, strict=False)]
-    return tuple(slice(i, i + 1) for i in cell)
+def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
+    """Bytes of a chunk of each variable."""
+    states = len(spec.record.states)
+    sizes = {"exponent": states, "state": states, "sample": spec.settings.section_samples}
+    items = {"bool": 1, "int8": 1, "int32": 4, "float64": 8}
+    return {
+        variable.name: items[variable.dtype] * math.prod(tile) * math.prod(sizes[dim] for dim in variable.extra)
+        for variable in result_variables(spec.settings)
+    }
 
 
-def _halton(k: int, base: int) -> float:
-    value, share = 0.0, 1.0
-    while k:
-        k, digit = divmod(k, base)
-        share /= base
-        value += digit * share
-    return value
+def _check_chunks(spec: Spec, tile: tuple[int, ...]) -> None:
+    name, size = max(_chunks(spec, tile).items(), key=lambda item: item[1])
+    if size > LARGEST_CHUNK:
+        raise InputError(
+            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, tile))} take {size} bytes a chunk, "
+            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
+        )
 
 
 def duration(seconds: float) -> str:

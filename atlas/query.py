@@ -23,7 +23,7 @@ from atlas.grid import (
     within,
 )
 from atlas.view import regime_areas, view
-from workers.results import ERROR, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, SUM_LAW_DEFECT
+from workers.results import AVERAGE, ERROR, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, SUM_LAW_DEFECT
 from workers.system import SYSTEMS
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ __all__ = [
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
 _CODES = {regime.name: regime.code for regime in REGIMES}
-_EXPONENTS = (LARGEST.name, ERROR.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
+_EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000
 """Cells along each axis, about, on which boundaries are drawn where a window has more."""

@@ -22,6 +22,7 @@ from atlas.outage import LONG
 from atlas.overview import Overviews
 from atlas.place import Place, place_of, waiting
 from atlas.plan import Plan
+from atlas.probe import probe as measure
 from atlas.progress import Progress
 from atlas.retry import NEEDED, Retry
 from atlas.spec import Spec
@@ -89,7 +90,7 @@ def run(
             compile_once(spec.system, spec.settings)
         if work.due.any() and probe:
             tell(Progress("probing a few cells"))
-            work = replace(work, plan=replace(plan, probe=planning.probe(spec)))
+            work = replace(work, plan=replace(plan, probe=measure(spec, plan.tile)))
         tally = Tally(work.plan, work.tiles_done, work.cells_done, work.tiles, work.cells)
         tell(tally.progress(_beginning(work, retry)))
         header = header or create(place, spec, plan.tile, origin)

@@ -28,6 +28,7 @@ class Summary:
     counts, reasons                cells solved by regime; failed cells by reason
     seconds                        from the first tile to the last
     solve_seconds, write_seconds   the workers' own inside the solver and inside the store, summed
+    processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
     failures, refused              tiles that raised; workers that would not do them, with their reasons
@@ -50,6 +51,7 @@ class Summary:
     failures: tuple[TileFailure, ...]
     refused: Mapping[str, str]
     retried: bool = False
+    processor_seconds: float = 0.0
 
     @property
     def cells_per_second(self) -> float:
@@ -78,6 +80,7 @@ class Summary:
             f"{self.cells_per_second:.3g} cells/s, {self.periods_per_second:.3g} forcing periods/s, "
             f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "
             f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
+            f"{duration(self.processor_seconds)} of processor time, "
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
             shares(self.counts),
         ]
@@ -97,7 +100,7 @@ class Tally:
         self.reasons: Counter[str] = Counter()
         self.failures: list[TileFailure] = []
         self.refused: Mapping[str, str] = {}
-        self.solve_seconds = self.write_seconds = 0.0
+        self.solve_seconds = self.write_seconds = self.processor_seconds = 0.0
         self.seconds = 0.0
         self.start()
 
@@ -116,6 +119,7 @@ class Tally:
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
         self.solve_seconds += outcome.solve_seconds
+        self.processor_seconds += outcome.processor_seconds
         self.write_seconds += outcome.write_seconds
         self.periods += outcome.periods
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
@@ -163,4 +167,5 @@ class Tally:
             peak_bytes=self.peak_bytes,
             failures=tuple(self.failures),
             refused=dict(self.refused),
+            processor_seconds=self.processor_seconds,
         )

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from atlas.child import python
-from atlas.plan import PROBED_TOGETHER
 from workers.settings import Settings
+
+SIDE_BY_SIDE = 8
+"""Cells that are enough to be solved by the kernels for many."""
 
 
 def warming(exponents: str) -> str:
@@ -57,7 +59,7 @@ def warm_up(system: str, settings: Settings) -> None:
     from workers.tile import solve_cells
 
     first = find_system(system).parameters[0]
-    many = {first.name: np.full(PROBED_TOGETHER, first.default)}
+    many = {first.name: np.full(SIDE_BY_SIDE, first.default)}
     brief: Settings = replace(settings, max_periods=1000, transient_periods=0, periods=1)
     for method in ("adaptive", "fixed"):
         for cells in ({}, many):

@@ -260,7 +260,7 @@ def measure(schedule: Schedule) -> list[dict[str, Any]]:
             works = [solver(beside, exponents, length) for length in lengths]
             works += [solver(params, exponents, length) for length in (schedule.alone, schedule.alone // 20)]
             found = works[0]()  # compiles, or loads what an earlier run compiled
-            averages = np.ravel(found[SETTINGS_NAME[exponents]])[:exponents] if exponents else np.zeros(0)
+            averages = np.ravel(found["average"])[:exponents] if exponents else np.zeros(0)
             timed = [partial(processor_seconds, work) for work in works]
             slow, fast, alone, brief, reference = in_turn(schedule.repeats, *timed, taylor(params, exponents, schedule))
             together = 1e6 * (slow - fast) / (schedule.long - schedule.short) / CELLS

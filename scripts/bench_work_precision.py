@@ -186,7 +186,8 @@ def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
     points = []
     for k, cell in enumerate(cells):
         seconds, found = timed(lambda cell=cell: solve(cell.params, settings))  # type: ignore[misc]
-        points.append(Point(method, value, k, seconds, int(found["periods_used"]), found["largest"], found["error"]))
+        exponent = found["average" if method == "fixed" else "largest"]
+        points.append(Point(method, value, k, seconds, int(found["periods_used"]), exponent, found["error"]))
     return points
 
 

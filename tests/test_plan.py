@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections import namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,21 +71,23 @@ def test_a_disk_without_room_is_refused_with_both_sizes(tmp_path: Path, monkeypa
         plan.check_disk(plan.make_plan(wide(300, 200), workers=1), tmp_path / "out.zarr")
 
 
-def test_a_probe_measures_distinct_cells() -> None:
-    cells = [plan._spread((50, 40), k) for k in range(1, 17)]
-    assert len({tuple(part.start for part in cell) for cell in cells}) == 16
-    assert all(0 <= y.start < 50 and 0 <= x.start < 40 for y, x in cells)
-
-
-def test_a_probe_solves_no_more_cells_than_there_are() -> None:
-    spec = Spec("two-mass", axes={"omega": [3.0]}, solve={"max_periods": 100})
-    assert plan.probe(spec).cells == 1
-
-
 def test_a_plan_prints_itself() -> None:
     printed = str(plan.make_plan(plane_of(), workers=2))
     assert "omega 2..4 (7 values) x b 0.1..0.5 (5 values)" in printed
     assert "35 (5 x 7; b, omega) in 9 tiles of 2 x 3" in printed
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "says"),
+    [(0.9, 1.1, "about 20 s on 2 workers (probed on 256 cells)"), (0.5, 1.5, "10 s to 30 s on 2 workers (probed on")],
+)
+def test_a_plan_prints_a_range_of_time_where_the_probe_leaves_one(low: float, high: float, says: str) -> None:
+    probe = plan.Probe(cells=256, periods_per_cell=100.0, seconds_per_cell=1.0, low=low, high=high)
+    made = replace(plan.make_plan(wide(8, 5), workers=2), probe=probe)
+    assert says in str(made)
+    assert made.as_dict()["seconds"] == 20.0
+    assert made.as_dict()["seconds_range"] == (20.0 * low, 20.0 * high)
+    assert (made.as_dict()["processor_seconds"], made.as_dict()["periods"]) == (40.0, 4000.0)
 
 
 WARM = """

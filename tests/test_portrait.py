@@ -94,7 +94,12 @@ def test_a_motion_of_very_many_impacts_is_averaged_over_fewer_periods() -> None:
 
 def test_averages_are_not_called_exact(chaotic: Orbit) -> None:
     assert not chaotic.exact
-    assert not follow(naive.FIGURES[4], settings=Settings(method="fixed", transient_periods=50, periods=50)).exact
+
+
+def test_the_exponents_of_a_periodic_motion_are_exact_by_either_method(closed: Orbit) -> None:
+    schedule = follow(naive.FIGURES[4], settings=Settings(method="fixed", transient_periods=50, periods=50))
+    assert schedule.exact
+    assert schedule.cell["spectrum"] == pytest.approx(closed.cell["spectrum"], abs=1e-12)
 
 
 def test_the_digest_is_that_of_the_parameters_and_settings(closed: Orbit) -> None:

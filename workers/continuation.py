@@ -39,6 +39,8 @@ def solve_lines(
     shape = grids[0].shape
     if not -len(shape) <= axis < len(shape):
         raise ValueError(f"axis: found {axis}, the cells have {len(shape)} axes")
+    if shape[axis] == 0:
+        return solve_cells(system, params, settings)
     values = {p.name: np.moveaxis(g, axis, 0) for p, g in zip(record.parameters, grids, strict=True)}
     last: Array | None = None  # per line, the newest state on an attractor; NaN before the first
     solved: list[Solution] = []

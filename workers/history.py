@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.lyapunov import run
 from workers.section import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
-from workers.settings import Settings
+from workers.settings import Settings, check_whole
 from workers.solve import REASONS, checked_start, vectors_for, with_frame
 from workers.system import find_system
 
@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 
 RECORD = 4096
 """Impacts of one period that are kept."""
+
+LONGEST = 1_000_000
+"""Periods of a history, which is kept in memory: 300 MB and more."""
 
 
 class Trace(NamedTuple):
@@ -34,10 +37,12 @@ class Trace(NamedTuple):
 
 
 def trace(system: str, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
-    """The history of one cell from its initial state over so many forcing periods, nothing dropped.
+    """The history of one cell from its initial state over so many forcing periods, 0 to a million, nothing dropped.
 
-    Raises KeyError for unknown names and ValueError, in one line, for parameters without a motion.
+    Raises KeyError for unknown names and ValueError, in one line, for another number of periods and for parameters
+    without a motion.
     """
+    check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
     settings = settings or Settings()
     values = {p.name: p.default for p in record.parameters}
@@ -65,5 +70,5 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         times=osc.period * np.arange(periods + 1.0),
         states=np.array(states),
         impacts=np.concatenate(impacts),
-        exponents=np.array(exponents).reshape(periods, -1),
+        exponents=np.array(exponents).reshape(periods, motion.growth.size),
     )

@@ -1,6 +1,6 @@
 """What a cell's solution consists of: the one table of result variables and of regimes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,10 @@ ERROR = Variable("error", "float64", _NAN, "error of the largest Lyapunov expone
 SPECTRUM = Variable(
     "spectrum", "float64", _NAN, "Lyapunov exponents per forcing period, largest first", _PER_PERIOD, ("exponent",)
 )
+AVERAGE = Variable(
+    "average", "float64", _NAN, "mean growth of tangent vectors per forcing period over the schedule", _PER_PERIOD
+)
+_ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
 SUM_LAW_DEFECT = Variable("sum_law_defect", "float64", _NAN, "sum of the exponents minus its exact value", _PER_PERIOD)
 SECTION = Variable("section", "float64", _NAN, "last section states", "1", ("sample", "state"))
 
@@ -76,6 +80,8 @@ def result_variables(settings: Settings) -> tuple[Variable, ...]:
     chosen: list[Variable] = []
     if settings.exponents != "none":
         chosen += [LARGEST, ERROR]
+        if settings.method == "fixed":
+            chosen.append(AVERAGE if settings.exponents == "largest" else _ALL_AVERAGES)
     if settings.exponents == "spectrum":
         chosen += [SPECTRUM, SUM_LAW_DEFECT]
     chosen += _ALWAYS

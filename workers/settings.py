@@ -1,10 +1,16 @@
 """How a cell is solved: the one record of settings, validated once."""
 
-import math
+import sys
 from dataclasses import dataclass
 
 EXPONENTS = ("none", "largest", "spectrum")
 METHODS = ("adaptive", "fixed")
+MOST_PERIODS = 500_000_000
+"""Of each kind: all that a cell may cost has to fit the 32 bits of ``periods_used``."""
+LONGEST_ORBIT = 10_000
+"""While a cell is solved it keeps as many section states."""
+MOST_SAMPLES = 100_000
+"""Section states of a cell: 3 MB."""
 
 
 @dataclass(frozen=True)
@@ -13,12 +19,12 @@ class Settings:
 
     exponents          "none", "largest" or "spectrum"
     tolerance          target standard error of the largest exponent, per forcing period; > 0
-    max_periods        forcing periods that a cell may cost; >= 1 (method "adaptive")
+    max_periods        forcing periods that a cell may cost; 1 to 500 million (method "adaptive")
     method             "adaptive", or "fixed": the schedule of Li & Tan (2011), transient then average
-    transient_periods  periods dropped before the average (method "fixed"); >= 0
-    periods            periods averaged (method "fixed"); >= 1
-    max_period         longest orbit looked for, in forcing periods; >= 1
-    section_samples    K: keep the last K section states of each cell; >= 0
+    transient_periods  periods dropped before the average (method "fixed"); 0 to 500 million
+    periods            periods averaged (method "fixed"); 1 to 500 million
+    max_period         longest orbit looked for, in forcing periods; 1 to 10,000
+    section_samples    K: keep the last K section states of each cell; 0 to 100,000
 
     Raises ValueError, in one line that names the setting, for anything else.
     """
@@ -37,13 +43,13 @@ class Settings:
         _one_of("method", self.method, METHODS)
         if isinstance(self.tolerance, bool) or not isinstance(self.tolerance, int | float):
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a number > 0")
-        if not (math.isfinite(self.tolerance) and self.tolerance > 0):
-            raise ValueError(f"tolerance: found {self.tolerance!r}, must be a number > 0")
-        _whole("max_periods", self.max_periods, 1)
-        _whole("transient_periods", self.transient_periods, 0)
-        _whole("periods", self.periods, 1)
-        _whole("max_period", self.max_period, 1)
-        _whole("section_samples", self.section_samples, 0)
+        if not 0 < self.tolerance <= sys.float_info.max:
+            raise ValueError(f"tolerance: found {self.tolerance!r}, must be a finite number > 0")
+        check_whole("max_periods", self.max_periods, 1, MOST_PERIODS)
+        check_whole("transient_periods", self.transient_periods, 0, MOST_PERIODS)
+        check_whole("periods", self.periods, 1, MOST_PERIODS)
+        check_whole("max_period", self.max_period, 1, LONGEST_ORBIT)
+        check_whole("section_samples", self.section_samples, 0, MOST_SAMPLES)
 
 
 def _one_of(name: str, value: object, known: tuple[str, ...]) -> None:
@@ -51,6 +57,7 @@ def _one_of(name: str, value: object, known: tuple[str, ...]) -> None:
         raise ValueError(f"{name}: found {value!r}, must be one of {', '.join(known)}")
 
 
-def _whole(name: str, value: object, low: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value < 2**31:
-        raise ValueError(f"{name}: found {value!r}, must be a whole number, {low} or more")
+def check_whole(name: str, value: object, low: int, high: int) -> None:
+    """Raise ValueError, in one line, for what is no whole number from low to high."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{name}: found {value!r}, must be a whole number, {low} to {high}")

@@ -74,6 +74,9 @@ CLEAR = 4.0
 GROWN = 15.0
 """Total log-growth from which a positive exponent counts: a deviation of rounding has become visible."""
 
+FARTHEST = 1e9
+"""From so many times the tolerance on it does not matter how far off the error is: no budget has the periods."""
+
 TORUS_LIMIT = 1e-5
 """Largest modulus of the weighted averages of two stretches that counts as an exponent zero."""
 
@@ -88,6 +91,7 @@ class Cell:
     largest: float = math.nan
     error: float = math.nan
     spectrum: Array | None = None
+    average: Array | float | None = None
     sum_law_defect: float = math.nan
     regime: int = UNDETERMINED
     period: int = 0
@@ -227,8 +231,7 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
         if _clearly_positive(mean, error, count):
             if error <= settings.tolerance:
                 return _chaotic(osc, motion, settings, used, averages)
-            ratio = min(error / settings.tolerance, 1e100)  # of no larger one is the square a float
-            missing = count * (ratio**2 - 1.0)
+            missing = count * (min(error / settings.tolerance, FARTHEST) ** 2 - 1.0)
             stretch = int(min(used, max(1.05 * missing, 256)))
         previous, weighted = weighted, float(averages.weighted[0] / averages.weighted[1])
         flat = max(abs(previous), abs(weighted)) < TORUS_LIMIT and not weighted < -10.0 * abs(weighted - previous)
@@ -237,7 +240,11 @@ def _adaptive(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
 
 
 def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
-    """The paper's schedule: a transient, then plain averages over so many periods."""
+    """The paper's schedule: a transient, then plain averages over so many periods.
+
+    The averages of a cell whose orbit is proved may span chaos that came before it: they are kept as ``average``, and
+    its exponents are the exact ones.
+    """
     sections = np.empty((min(settings.periods, settings.max_period + 1), *motion.h.shape))
     motion = with_frame(motion, vectors_for(settings, osc))
     averages = no_averages()
@@ -261,9 +268,8 @@ def _fixed(osc: Oscillator, motion: Motion, settings: Settings) -> Solving:
             cell.regime = CHAOTIC if _clearly_positive(mean, error, count) else UNDETERMINED
             return cell
         known = _periodic(osc, orbit, settings, cell.periods_used)
-    known.error += abs(cell.largest - known.largest)  # the exact exponent tells how far the average is off
-    known.largest, known.spectrum = cell.largest, cell.spectrum
-    known.sum_law_defect, known.state, known.section = cell.sum_law_defect, cell.state, cell.section
+    known.average, known.sum_law_defect = cell.average, cell.sum_law_defect
+    known.state, known.section = cell.state, cell.section
     return known
 
 
@@ -363,6 +369,7 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
         cell.largest, cell.error, count = _mean(averages)
         reset_frame(osc, motion)
         cell.spectrum = np.sort(motion.growth / count)[::-1]
+        cell.average = cell.spectrum.copy() if settings.exponents == "spectrum" else cell.largest
     elif settings.method == "fixed" and used > settings.transient_periods:
         count = used - settings.transient_periods
     if count:

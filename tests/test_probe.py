@@ -1,0 +1,126 @@
+"""What the probe says of the cost of an atlas, against what its solution costs."""
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client
+
+import atlas
+from atlas import probe as probing
+from atlas.plan import Probe, make_plan
+from atlas.spec import example_names
+from tests import naive
+from workers import Settings, solve_tile
+from workers.continuation import solve_lines
+from workers.results import CHAOTIC
+
+COARSE = {"omega-b": (48, 36), "omega-b-fine": (40, 30), "fig6": (250,), "tiny": (8, 6)}
+FIG_5 = {name: value for name, value in naive.FIGURES[5].items() if name != "omega"}
+
+
+def coarse(name: str, continuation: dict[str, str] | None = None) -> atlas.Spec:
+    """An example on fewer cells of the same window."""
+    spec = atlas.Spec.from_toml(name)
+    axes = {
+        axis.name: {"start": axis.values[0], "stop": axis.values[-1], "num": num} | (continuation or {})
+        for axis, num in zip(spec.axes, COARSE[name], strict=True)
+    }
+    store = {"tile": list(spec.tile)} if spec.tile else None
+    return atlas.Spec(spec.system, axes, spec.parameters, spec.settings, store)
+
+
+def probed(spec: atlas.Spec) -> Probe:
+    return probing.probe(spec, make_plan(spec, workers=2).tile)
+
+
+@pytest.mark.parametrize("name", example_names())
+def test_an_example_costs_what_its_probe_says_within_a_factor_of_two(name: str, tmp_path: Path, client: Client) -> None:
+    """Forcing periods, the same on every machine, and processor seconds, in which no other program counts."""
+    spec = coarse(name)
+    found = probed(spec)
+    done = atlas.run(spec, tmp_path / "out.zarr", client=client)
+    assert 0.5 < found.periods_per_cell * done.cells_solved / done.periods < 2.0
+    assert 0.5 < found.seconds_per_cell * done.cells_solved / done.processor_seconds < 2.0
+
+
+@pytest.mark.parametrize("continuation", ["forward", "backward"])
+def test_a_sweep_by_continuation_takes_the_periods_that_parts_of_it_tell(continuation: str) -> None:
+    spec = coarse("fig6", {"continuation": continuation})
+    backward = continuation == "backward"
+    whole = solve_lines(spec.system, spec.cell_params((slice(None),)), spec.settings, backward=backward)
+    assert 0.5 < probed(spec).periods_per_cell / whole.arrays["periods_used"].mean() < 2.0
+
+
+def test_cells_that_are_all_probed_leave_no_range() -> None:
+    spec = atlas.Spec("two-mass", axes={"omega": [2.5, 3.0, 3.5]}, solve={"max_periods": 1000})
+    found = probed(spec)
+    used = solve_tile("two-mass", {"omega": [2.5, 3.0, 3.5]}, spec.settings)["periods_used"]
+    assert (found.cells, found.periods_per_cell) == (3, pytest.approx(used.mean()))
+    assert found.low == found.high == found.seconds_per_cell
+
+
+def test_cells_probed_are_distinct_and_spread_over_the_plane() -> None:
+    starts, _ = probing._starts(coarse("omega-b"))
+    assert len(set(starts)) == len(starts) == probing.CELLS
+    quarters = np.array(starts) // (18, 24)
+    for quarter in itertools.product((0, 1), repeat=2):
+        assert (quarters == quarter).all(axis=1).sum() == pytest.approx(64, abs=4)
+
+
+class SlowClock:
+    """A processor on which every cell takes ten seconds."""
+
+    def __init__(self) -> None:
+        self.cells = 0
+
+    def thread_time(self) -> float:
+        return 10.0 * self.cells
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowClock]:
+    clock, solve = SlowClock(), probing._solve
+
+    def counted(spec, settings, starts, length):  # type: ignore[no-untyped-def]
+        clock.cells += len(starts) * length
+        return solve(spec, settings, starts, length)
+
+    monkeypatch.setattr(probing, "time", clock)
+    monkeypatch.setattr(probing, "_solve", counted)
+    return clock
+
+
+def test_the_probe_of_costly_cells_ends_with_its_first_step(slow: SlowClock) -> None:
+    found = probed(coarse("omega-b"))
+    assert (found.cells, slow.cells) == (4, 4)
+    assert found.low < found.seconds_per_cell < found.high
+
+
+@pytest.mark.usefixtures("slow")
+def test_no_probed_cell_costs_more_than_the_probe_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: a chaotic cell that never comes to its tolerance spends nine tenths of its budget."""
+    settings = Settings(tolerance=1e-9, max_periods=10_000_000)
+    spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
+    solved = []
+    solve = probing._solve
+    monkeypatch.setattr(probing, "_solve", lambda *given: solved.append(solve(*given)) or solved[-1])
+    found = probed(spec)
+    assert solved[0].arrays["regime"] == CHAOTIC
+    assert solved[0].arrays["periods_used"] <= probing.LONGEST
+    assert found.periods_per_cell == pytest.approx(0.9 * settings.max_periods, rel=0.01)
+
+
+def test_a_long_schedule_is_probed_on_a_short_one() -> None:
+    settings = Settings(method="fixed", transient_periods=1_000_000, periods=3_000_000)
+    found = probed(atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings))
+    assert found.periods_per_cell == pytest.approx(4_000_000, rel=0.01)
+
+
+def test_a_cell_that_stays_undetermined_leaves_a_range_up_to_its_whole_budget() -> None:
+    """Without exponents nothing tells when chaos ends: the full budget is a hundred times what was spent."""
+    settings = Settings(exponents="none", max_periods=100 * probing.LONGEST)
+    found = probed(atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings))
+    assert found.high / found.low == pytest.approx(100.0, rel=0.01)
