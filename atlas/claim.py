@@ -10,7 +10,6 @@ Who only asks (status, cancel) reports a claim as silent after SILENT_SECONDS wi
 
 import glob
 import json
-import math
 import os
 import shutil
 import socket
@@ -76,7 +75,9 @@ class Record:
     def number(self, name: str) -> float:
         """A number that the holder reports of its progress, 0 where it reports none."""
         value = self.progress.get(name)
-        return value if type(value) in (int, float) and math.isfinite(value) else 0
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return 0
+        return value if abs(value) < 2**63 else 0  # nor is NaN
 
     def __str__(self) -> str:
         return f"process {self.pid} on {self.host}"
@@ -202,7 +203,7 @@ class Observer:
         if found is None:
             return None
         record = Record.unpack(found)
-        return Sighting(record, record and _is_alive(record), time.monotonic() - self._since)
+        return Sighting(record, None if record is None else _is_alive(record), time.monotonic() - self._since)
 
     def settle(self) -> Sighting | None:
         """The claim, once it is known to move, to stand still, or to be gone."""

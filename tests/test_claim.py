@@ -229,7 +229,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_cancel_says_at_once_that_a_claim_stands_still(notes: Folder, impatient: None) -> None:
     notes.put(CLAIM, elsewhere().pack(), expected=None)
-    with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if it is dead, the next"):
+    with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if"):
         cancel(notes, "out.zarr", wait_seconds=600)
     assert notes.read(CLAIM) == replace(elsewhere(), cancelled=True).pack()
 
@@ -314,7 +314,7 @@ def test_a_claim_of_a_number_that_no_process_has_is_damaged(pid: int) -> None:
     assert Record.unpack(json.dumps(json.loads(elsewhere().pack()) | {"pid": pid}).encode()) is None
 
 
-@pytest.mark.parametrize("value", ["many", None, [1], True, float("nan"), float("inf")])
+@pytest.mark.parametrize("value", ["many", None, [1], True, float("nan"), float("inf"), 10**400])
 def test_a_number_that_is_none_counts_as_not_reported(value: object) -> None:
     assert replace(elsewhere(), progress={"workers": value}).number("workers") == 0
 
