@@ -23,7 +23,7 @@ from atlas.store import find, read_header
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, Variable
+    from distributed import Client, Event, Future, Variable
 
 WAIT_SECONDS = 0.5
 """How often it is looked whether the coordinator has begun, or ended before it did."""
@@ -69,7 +69,7 @@ def submit(
     another takes its place.
     Raises what ``atlas.run`` raises before its first tile, and RunError where all workers refuse.
     """
-    from distributed import Variable
+    from distributed import Event, Variable
 
     tell = on_progress or (lambda _: None)
     tell(Progress(f"connecting to {scheduler}", passing=True))
@@ -78,12 +78,12 @@ def submit(
         path, name = str(place_of(store)), f"atlas-{uuid.uuid4().hex[:8]}"
         task = Submission(spec, path, retry, name, SOLVER_VERSION, _run_id(path))
         tell(Progress("starting the coordinator on the cluster"))
-        begun = Variable(name, client=client)
-        begun.set("")
+        begun, run_id = Event(name, client=client), Variable(name, client=client)
+        run_id.set("")
         while True:
             willing = _willing(client, task)
             if not willing:
-                begun.delete()
+                run_id.delete()
                 raise _all_refuse(task)
             future = _start(client, task, willing)
             refusal = _refusal(future, begun)
@@ -98,24 +98,29 @@ def submit(
 def coordinate(task: Submission) -> Refusal | None:
     """The coordinator, as a worker runs it, or its refusal, as a value that names the worker.
 
-    A variable of the scheduler, by the submission's name, holds the store's run id as soon as tiles are under way. The
-    submitter waits for that and leaves. A coordinator that finds it set follows one whose worker died: it goes on with
-    that store only, and where its own worker must not coordinate, it starts the next one itself.
+    As soon as tiles are under way, a variable of the scheduler by the submission's name holds the store's run id, and
+    an event is set, on which the submitter leaves. A coordinator that finds a run id follows one whose worker died: it
+    goes on with that store only, and where its own worker must not coordinate, it starts the next one itself.
     However it ends, it leaves word of an error that no submitter waits for.
     """
-    from distributed import Variable, get_worker, worker_client
+    from distributed import Event, Variable, get_worker, worker_client
 
     with worker_client() as client:  # gives this thread's place to the tiles
-        begun, unwatched = Variable(task.name, client=client), False
+        begun, known, unwatched = Event(task.name, client=client), Variable(task.name, client=client), False
 
         def begin(run_id: str) -> None:
             nonlocal unwatched
             if not unwatched:
-                begun.set(run_id)
+                known.set(run_id)
+                begun.set()
                 unwatched = True
 
+        def forget() -> None:  # the scheduler would keep them
+            known.delete()
+            begun.clear()
+
         try:
-            earlier = _value(begun)
+            earlier = _value(known)
             unwatched = bool(earlier)
             task = replace(task, run_id=earlier or task.run_id)
             try:
@@ -129,9 +134,9 @@ def coordinate(task: Submission) -> Refusal | None:
         except BaseException as error:
             if unwatched or not isinstance(error, InputError):  # of bad input the submitter tells, and nothing is left
                 _leave_word(task, error)
-            begun.delete()
+            forget()
             raise
-        begun.delete()
+        forget()
         return None
 
 
@@ -218,12 +223,11 @@ def _all_refuse(task: Submission) -> RunError:
     return RunError(f"no worker can coordinate this run: {worker}: {reason}")
 
 
-def _refusal(future: "Future[Refusal | None]", begun: "Variable") -> Refusal | None:
+def _refusal(future: "Future[Refusal | None]", begun: "Event") -> Refusal | None:
     """Wait until the coordinator has begun, ended well (None) or refused; raise what it raised."""
     while not future.done():
-        if _value(begun):
+        if begun.wait(timeout=WAIT_SECONDS):
             return None
-        time.sleep(WAIT_SECONDS)
     if future.status == "error":
         error = future.exception()
         raise error if isinstance(error, InputError | RunError) else RunError(_in_words(error))
