@@ -4,6 +4,8 @@ A claim is one small note beside the store. Its holder counts a number in it up,
 watches that number: it moves, and the claim is respected; it stands still for PATIENCE_SECONDS of the watcher's own
 time, or its process is seen to be gone, and the claim is taken over. All of it rests on one operation, "put this note
 if what is there is still what I read", so that a holder that was only asleep finds out at its next beat.
+
+Who only asks (status, cancel) reports a claim as silent after SILENT_SECONDS without a beat, and leaves it in place.
 """
 
 import glob
@@ -25,15 +27,22 @@ from atlas.errors import InputError, NetworkError, RunError
 
 BEAT_SECONDS = 2.0
 """How often a holder moves its counter."""
+SILENT_SECONDS = 2.5 * BEAT_SECONDS
+"""How long a counter must stand still until that is reported: one beat may be late, two rarely are."""
 PATIENCE_SECONDS = 20.0
 """How long a counter must stand still until its holder counts as dead: ten beats, for a busy network disk."""
+LOOK_SECONDS = 0.2
+"""How often a watcher looks."""
 CLAIM, ENDED = "claim", "ended"
 """Names of notes: who is at work; how the last run ended that nobody watched."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty where nothing can."""
+    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty where nothing can.
+
+    ValueError for a field that no holder writes.
+    """
 
     token: str
     beat: int
@@ -43,17 +52,32 @@ class Record:
     cancelled: bool = False
     progress: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        kinds = {"token": str, "beat": int, "host": str, "pid": int, "process": str, "cancelled": bool}
+        wrong = [name for name, kind in kinds.items() if type(getattr(self, name)) is not kind]
+        if wrong or not isinstance(self.progress, Mapping):
+            raise ValueError(f"wrong type of {', '.join(wrong) or 'progress'}")
+        if not 0 < self.pid < 2**31 or len(self.process.split()) not in (0, 4):
+            raise ValueError(f"no process: {self.pid}, {self.process!r}")
+
     def pack(self) -> bytes:
         """As the bytes of a note."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
     def unpack(cls, data: bytes) -> "Record | None":
-        """The inverse, None for bytes that are no claim, such as those of a holder killed while it wrote them."""
+        """The inverse, None for a damaged claim, such as that of a holder killed while it wrote it."""
         try:
             return cls(**json.loads(data))
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             return None
+
+    def number(self, name: str) -> float:
+        """A number that the holder reports of its progress, 0 where it reports none."""
+        value = self.progress.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return 0
+        return value if abs(value) < 2**63 else 0  # nor is NaN
 
     def __str__(self) -> str:
         return f"process {self.pid} on {self.host}"
@@ -105,7 +129,7 @@ class Claim:
             if found is None:
                 self._lost = "this run's claim of the store was removed; finished tiles are kept"
             elif record is None or record.token != self._record.token:
-                self._lost = f"another run has taken this store over ({record or 'its claim is torn'})"
+                self._lost = f"another run has taken this store over ({record or 'its claim is damaged'})"
             else:
                 self._record, self._data = record, found
 
@@ -134,45 +158,102 @@ def claimed(notes: Notes, name: str, say: Callable[[str], None] = lambda _: None
         claim.release()
 
 
-def holder(notes: Notes) -> Record | None:
-    """Who claims the store at this moment, or None; one that is known to be dead does not count."""
-    found = notes.read(CLAIM)
-    record = None if found is None else Record.unpack(found)
-    return None if record is None or _is_gone(record) else record
+@dataclass(frozen=True)
+class Sighting:
+    """A claim as it was last seen.
+
+    record    None for a damaged claim
+    alive     whether its holder runs, None where this machine cannot know
+    silence   seconds of the observer's own time since the counter was first seen where it stands
+    """
+
+    record: Record | None
+    alive: bool | None
+    silence: float
+
+    @property
+    def trouble(self) -> str:
+        """Why no run may be at work in spite of this claim; empty where nothing says so."""
+        if self.record is None:
+            return "the claim is damaged; the next run replaces it"
+        if self.alive is False:
+            return f"{self.record} is gone without releasing its claim; the next run replaces it"
+        if self.alive is None and self.silence >= SILENT_SECONDS:
+            return (
+                f"no sign of life of {self.record} for {self.silence:.0f} s; "
+                f"if it is dead, the next run replaces its claim after {PATIENCE_SECONDS:.0f} s"
+            )
+        return ""
+
+
+class Observer:
+    """Looks at a store's claim from outside, and measures for how long its counter stands still.
+
+    A holder that is a process of this machine is known to be alive or gone at once. Of any other a single look tells
+    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, SILENT_SECONDS at most.
+    """
+
+    def __init__(self, notes: Notes) -> None:
+        self._notes, self._mark, self._since = notes, object(), 0.0
+
+    def look(self) -> Sighting | None:
+        """The claim of now, None where there is none."""
+        found = self._notes.read(CLAIM)
+        mark = None if found is None else _mark(found)
+        if mark != self._mark:
+            self._mark, self._since = mark, time.monotonic()
+        if found is None:
+            return None
+        record = Record.unpack(found)
+        return Sighting(record, None if record is None else _is_alive(record), time.monotonic() - self._since)
+
+    def settle(self) -> Sighting | None:
+        """The claim, once it is known to move, to stand still, or to be gone."""
+        seen, first = self.look(), self._mark
+        while seen and seen.record and seen.alive is None and not seen.trouble and self._mark == first:
+            time.sleep(LOOK_SECONDS)
+            seen = self.look()
+        return seen
 
 
 def cancel(notes: Notes, name: str, wait_seconds: float, say: Callable[[str], None] = lambda _: None) -> Record:
     """Ask the run that holds a store to stop, and wait until it has; InputError where no run holds it.
 
-    Raises RunError where it has not stopped after ``wait_seconds``; the request stands.
+    Raises RunError where the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the
+    request stands.
     """
     while True:
         found = notes.read(CLAIM)
-        record = None if found is None else Record.unpack(found)
-        if found is None or record is None or _is_gone(record):
+        if found is None:
             raise InputError(f"{name}: no run is at work on it")
+        record = Record.unpack(found)
+        if record is None:
+            raise RunError(f"{name}: {Sighting(None, None, 0.0).trouble}")
+        if _is_alive(record) is False:
+            raise InputError(f"{name}: no run is at work on it: {Sighting(record, False, 0.0).trouble}")
         if record.cancelled or notes.put(CLAIM, replace(record, cancelled=True).pack(), expected=found):
             break
     say(f"asked {record} to stop")
-    end = time.monotonic() + wait_seconds
+    observer, end = Observer(notes), time.monotonic() + wait_seconds
     while time.monotonic() < end:
-        now = notes.read(CLAIM)
-        current = None if now is None else Record.unpack(now)
-        if current is None or current.token != record.token or _is_gone(current):
+        seen = observer.look()
+        if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
             return record
-        time.sleep(0.2)
+        if seen.trouble:
+            raise RunError(f"{name}: {seen.trouble}")
+        time.sleep(LOOK_SECONDS)
     raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next sign of life")
 
 
 def leave_word(notes: Notes, text: str) -> None:
     """Note how a run ended that nobody watched, for the status; the next run to end well clears it."""
-    with suppress(OSError):
+    with suppress(Exception):  # what cannot be noted must not hide what happened
         notes.put(ENDED, text.encode(), expected=notes.read(ENDED))
 
 
 def last_word(notes: Notes) -> str:
     """How the last run ended that nobody watched, or nothing where it ended well."""
-    return (notes.read(ENDED) or b"").decode()
+    return (notes.read(ENDED) or b"").decode(errors="replace")
 
 
 def remove_half_made(store: Path) -> None:
@@ -184,23 +265,29 @@ def remove_half_made(store: Path) -> None:
 def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], None]) -> bool:
     """Watch a claim: True once it is certain that nobody moves it, InputError as soon as somebody does."""
     record = Record.unpack(found)
-    if record and _is_gone(record):
+    if record and _is_alive(record) is False:
         say(f"taking over from {record}, which is gone")
         return True
-    say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a torn claim")
+    say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
     end = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < end:
-        time.sleep(min(0.2, PATIENCE_SECONDS / 4))
+        time.sleep(min(LOOK_SECONDS, PATIENCE_SECONDS / 4))
         now = notes.read(CLAIM)
-        if now != found:
-            if now is None:
-                return False  # released meanwhile
+        if now is None:
+            return False  # released meanwhile
+        if _mark(now) != _mark(found):
             raise InputError(
                 f"{name}: another run is at work on it ({Record.unpack(now) or record}); wait for it to end, or stop "
                 f"it: atlas cancel {name}"
             )
     say("taking over: no sign of life")
     return True
+
+
+def _mark(data: bytes) -> object:
+    """What changes in a claim only by its holder: a request to stop, which others write, is not a sign of life."""
+    record = Record.unpack(data)
+    return (record.token, record.beat) if record else data
 
 
 def _this_process() -> str:
@@ -218,18 +305,18 @@ def _began(pid: int) -> str:
     return "dead" if state in "ZX" else rest[18]
 
 
-def _is_gone(record: Record) -> bool:
-    """Whether the holder certainly runs no more; False also where this machine cannot know."""
+def _is_alive(record: Record) -> bool | None:
+    """Whether the holder runs; None where this machine cannot know."""
     here, there = _this_process().split(), record.process.split()
     if not here or here[:2] != there[:2]:
-        return False
+        return None
     try:
         os.kill(record.pid, 0)
     except ProcessLookupError:
-        return True
+        return False
     except PermissionError:
         pass
     try:
-        return _began(record.pid) != there[3]
+        return _began(record.pid) == there[3]
     except OSError:
-        return False
+        return None

@@ -58,8 +58,8 @@ def coordinates(spec: Spec) -> dict[str, Coordinate]:
     return axes | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
 
 
-def root_attributes(spec: Spec, origin: Origin | None) -> dict[str, Any]:
-    """What the store as a whole says of itself."""
+def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
+    """What the store as a whole says of itself; a run id is drawn where none is given."""
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     return {
         "Conventions": "CF-1.11",
@@ -67,7 +67,7 @@ def root_attributes(spec: Spec, origin: Origin | None) -> dict[str, Any]:
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "solver_version": SOLVER_VERSION,
-        "run_id": uuid.uuid4().hex,
+        "run_id": run_id or uuid.uuid4().hex,
         "digest": spec.digest,
         # As text, since netCDF attributes cannot nest.
         "spec": json.dumps(spec.resolved()),

@@ -13,7 +13,7 @@ from atlas.beside import notes_of
 from atlas.chunks import read_tile
 from atlas.claim import CLAIM, Claim, claimed, remove_half_made
 from atlas.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.fanout import outcomes
 from atlas.job import Job, Receipt
 from atlas.layout import Origin
@@ -45,6 +45,7 @@ def run(
     retry: Retry | None = None,
     tls: Tls | None = None,
     origin: Origin | None = None,
+    run_id: str = "",
     patience: float = LONG,
 ) -> Summary:
     """Compute an atlas into a store, going on where an earlier run of the same spec stopped.
@@ -52,11 +53,11 @@ def run(
     The tiles run on ``client`` (used, not closed), on the cluster at address ``scheduler`` (by ``tls`` where it wants
     it), or on a local cluster of ``workers`` processes. ``on_progress`` is called with each Progress; ``probe`` has the
     plan measure a few cells. With ``retry`` the chosen cells of finished tiles are solved again, and nothing else.
-    A new store takes over the cells that ``origin`` has, see ``extend``. A store at a URL that stops answering is
-    waited for ``patience`` seconds.
+    A new store reuses the cells that ``origin`` has, see ``extend``; it gets the ``run_id``, where one is given. A
+    store at a URL that stops answering is waited for ``patience`` seconds.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
-    the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where
-    a server does not answer.
+    the store; RunError where the cluster is lost, the store has no room or is of another run than ``run_id``, or the
+    run is cancelled; NetworkError where a server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call goes on.
     """
     if workers is not None and (workers < 1 or client is not None or scheduler is not None):
@@ -83,6 +84,8 @@ def run(
         claim = stack.enter_context(_claimed(place, patience, tell))
         place = waiting(place, patience)  # it answers, and there is something to lose from now on
         header = find(place, spec)  # once more: before the claim another may have made or extended it
+        if header is not None and run_id not in ("", header.run_id):
+            raise RunError(f"{place}: not the store of run {run_id}")
         plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
         work = _work(header, plan, retry, tell)
         if work.due.any() and (client is None or probe):
@@ -93,7 +96,7 @@ def run(
             work = replace(work, plan=replace(plan, probe=measure(spec, plan.tile)))
         tally = Tally(work.plan, work.tiles_done, work.cells_done, work.tiles, work.cells)
         tell(tally.progress(_beginning(work, retry)))
-        header = header or create(place, spec, plan.tile, origin)
+        header = header or create(place, spec, plan.tile, origin, run_id)
         if retry is not None and retry.max_periods is not None:
             add_budget(header)
         if work.due.any() and client is None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from atlas.beside import notes_of
-from atlas.claim import PATIENCE_SECONDS, Record, holder, last_word
+from atlas.claim import PATIENCE_SECONDS, Observer, Record, last_word
 from atlas.plan import Plan, duration, make_plan
 from atlas.progress import Progress
 from atlas.store import Header, done_tiles, regime_counts
@@ -19,7 +19,8 @@ from atlas.store import Header, done_tiles, regime_counts
 class Status:
     """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
 
-    ``ended`` is how the last submitted run ended, empty where it ended well.
+    ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged.
+    ``ended`` is how the last submitted run ended. Both are empty where all is well.
     """
 
     header: Header
@@ -28,6 +29,7 @@ class Status:
     cells_done: int
     regimes: dict[str, int]
     run: Record | None
+    trouble: str
     ended: str
 
     @property
@@ -38,25 +40,27 @@ class Status:
     @property
     def progress(self) -> Progress:
         """As the run at work would tell it; speed and time left are its own."""
-        told = self.run.progress if self.run else {}
+        working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
-            stage=f"{self.run} is at work" if self.run else "no run is at work",
+            stage=self.trouble or working,
             plan=self.plan,
             tiles=self.plan.tile_count,
             cells=self.plan.cells,
             tiles_done=self.tiles_done,
             cells_done=self.cells_done,
-            cells_solved=told.get("cells_solved", 0),
-            seconds=told.get("seconds", 0.0),
+            cells_solved=int(self._reported("cells_solved")),
+            seconds=self._reported("seconds"),
             counts=self.regimes,
         )
 
     @property
     def seconds_left(self) -> float | None:
         """Seconds until the run at work has done what it set out to, or None."""
-        told = self.run.progress if self.run else {}
         rate = self.progress.rate
-        return (told["cells"] - told["cells_done"]) / rate if rate else None
+        return (self._reported("cells") - self._reported("cells_done")) / rate if rate else None
+
+    def _reported(self, name: str) -> float:
+        return self.run.number(name) if self.run else 0
 
     def __str__(self) -> str:
         axes = " x ".join(map(str, self.header.spec.axes))
@@ -74,11 +78,15 @@ class Status:
     def _run(self) -> str:
         if self.run is None:
             ended = f"; the last one submitted ended: {self.ended}" if self.ended else ""
-            return "complete" if self.fraction == 1 and not ended else f"none at work{ended}"
-        workers = self.run.progress.get("workers", 0)
+            trouble = f"; {self.trouble}" if self.trouble else ""
+            return "complete" if self.fraction == 1 and not ended + trouble else f"none at work{ended}{trouble}"
+        if self.trouble:
+            return self.trouble
+        workers = int(self._reported("workers"))
         speed = "" if self.seconds_left is None else f", {self.progress.rate:.3g} cells/s"
         left = "" if self.seconds_left is None else f", {duration(self.seconds_left)} left"
-        return f"{self.run}, {workers} workers{speed}{left}{', asked to stop' if self.run.cancelled else ''}"
+        asked = ", asked to stop" if self.run.cancelled else ""
+        return f"{self.run}, {workers} workers{speed}{left}{asked}"
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas status --json`` prints."""
@@ -103,8 +111,9 @@ class Status:
             "fraction": self.fraction,
             "regimes": self.regimes,
             "run": self.run and str(self.run),
+            "trouble": self.trouble or None,
             "ended": self.ended or None,
-            "workers": self.run.progress.get("workers", 0) if self.run else 0,
+            "workers": int(self._reported("workers")),
             "cells_per_second": self.progress.rate,
             "seconds_left": self.seconds_left,
             "solver_version": self.header.solver_version,
@@ -120,22 +129,29 @@ class Census:
         self.header, self.plan = header, make_plan(header.spec, workers=1, tile=header.tile)
         self.counted = np.zeros(self.plan.grid, dtype=bool)
         self.cells, self.regimes = 0, Counter[str]()
+        self.notes = notes_of(header.place)
+        self.observer = Observer(self.notes)
 
-    def take(self) -> Status:
-        """The status of now."""
+    def take(self, settled: bool = False) -> Status:
+        """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
         new = [index for index in done_tiles(self.header) if not self.counted[index]]
         self.regimes.update(regime_counts(self.header, new))
         for index in new:
             self.counted[index] = True
         self.cells += sum(map(self.plan.size, new))
-        notes = notes_of(self.header.place)
-        run, ended = holder(notes), last_word(notes)
-        return Status(self.header, self.plan, int(self.counted.sum()), self.cells, dict(self.regimes), run, ended)
+        seen = self.observer.settle() if settled else self.observer.look()
+        run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
+        tiles, ended = int(self.counted.sum()), last_word(self.notes)
+        return Status(self.header, self.plan, tiles, self.cells, dict(self.regimes), run, trouble, ended)
 
 
 def read_status(header: Header) -> Status:
-    """The status of a store; reads the regimes of the finished tiles."""
-    return Census(header).take()
+    """The status of a store; reads the regimes of the finished tiles.
+
+    Takes up to ``claim.SILENT_SECONDS`` where the run at work is not on this machine: that is how long it takes to see
+    whether it is alive.
+    """
+    return Census(header).take(settled=True)
 
 
 def watch(header: Header, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:

@@ -74,19 +74,23 @@ class Header:
 
 
 def create(
-    store: str | os.PathLike[str] | Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None = None
+    store: str | os.PathLike[str] | Place,
+    spec: Spec,
+    tile: tuple[int, ...],
+    origin: Origin | None = None,
+    run_id: str = "",
 ) -> Header:
     """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
 
     On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
-    them meanwhile. ``origin`` is the store that it is to take cells over from.
+    them meanwhile. ``origin`` is the store that it is to take cells over from. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
     with _refused(place, "written"):
         if place.local is None:
-            _create_remotely(place, spec, tile, origin)
+            _create_remotely(place, spec, tile, origin, run_id)
         else:
-            _create_locally(place.local, spec, tile, origin)
+            _create_locally(place.local, spec, tile, origin, run_id)
     return read_header(place)
 
 
@@ -331,20 +335,20 @@ def _is_free(place: Place, spec: Spec) -> bool:
     return True
 
 
-def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
+def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _build(building, spec, tile, origin)
+        _build(building, spec, tile, origin, run_id)
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
 
 
-def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
+def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         built = LocalPlace(Path(folder) / "store")
-        _build(built.path, spec, tile, origin)
+        _build(built.path, spec, tile, origin, run_id)
         for key in built.list_keys():
             if key != ROOT:
                 place.put(key, (built.path / key).read_bytes())
@@ -352,10 +356,10 @@ def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Or
             raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
 
 
-def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None) -> None:
+def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
     import zarr
 
-    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin))
+    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
     described = {"long_name": "processors and software that solved this atlas"}
     group.create_group(MACHINES, attributes=described)
     for name, coordinate in coordinates(spec).items():

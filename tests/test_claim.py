@@ -12,7 +12,7 @@ import pytest
 
 from atlas import claim as claiming
 from atlas.beside import Folder, notes_of
-from atlas.claim import CLAIM, Record, cancel, claimed, holder, remove_half_made
+from atlas.claim import CLAIM, Observer, Record, cancel, claimed, remove_half_made
 from atlas.errors import InputError, RunError
 
 
@@ -24,6 +24,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def notes(tmp_path: Path) -> Folder:
     return Folder(tmp_path / "notes")
+
+
+REPLACED = "the next run replaces it"
 
 
 def elsewhere(beat: int = 7) -> Record:
@@ -133,7 +136,9 @@ def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Fo
     )
     subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=Path(__file__).parent.parent)
     assert notes.read(CLAIM) is not None
-    assert holder(notes) is None
+    seen = Observer(notes).look()
+    assert seen is not None
+    assert (seen.alive, seen.trouble) == (False, f"{seen.record} is gone without releasing its claim; {REPLACED}")
     told: list[str] = []
     with claimed(notes, "out.zarr", told.append):
         pass
@@ -179,9 +184,11 @@ def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
     with claimed(notes, "out.zarr") as claim:
         claim.report({"workers": 3})
         until(lambda: json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"workers": 3})
-        found = holder(notes)
-        assert found is not None
-        assert (found.pid, found.progress) == (os.getpid(), {"workers": 3})
+        seen = Observer(notes).settle()
+        assert seen is not None
+        assert seen.record is not None
+        assert (seen.record.pid, seen.record.progress) == (os.getpid(), {"workers": 3})
+        assert (seen.alive, seen.trouble) == (True, "")
 
 
 def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: Folder) -> None:
@@ -212,6 +219,104 @@ def test_cancel_says_when_a_run_has_not_stopped(notes: Folder) -> None:
     notes.put(CLAIM, elsewhere().pack(), expected=None)
     with pytest.raises(RunError, match=r"has not stopped after 0.1 s"):
         cancel(notes, "out.zarr", wait_seconds=0.1)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claiming, "SILENT_SECONDS", 0.3)
+    monkeypatch.setattr(claiming, "LOOK_SECONDS", 0.02)
+
+
+def test_cancel_says_at_once_that_a_claim_stands_still(notes: Folder, impatient: None) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if"):
+        cancel(notes, "out.zarr", wait_seconds=600)
+    assert notes.read(CLAIM) == replace(elsewhere(), cancelled=True).pack()
+
+
+def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: Folder) -> None:
+    boot, namespace, *_ = claiming._this_process().split()
+    gone = replace(elsewhere(), pid=2**31 - 1, process=f"{boot} {namespace} {2**31 - 1} 1")
+    notes.put(CLAIM, gone.pack(), expected=None)
+    with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far is gone"):
+        cancel(notes, "out.zarr", wait_seconds=600)
+
+
+def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: Folder, impatient: None) -> None:
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+    observer = Observer(notes)
+    first, settled = observer.look(), observer.settle()
+    assert first is not None
+    assert settled is not None
+    assert (first.alive, first.trouble) == (None, "")
+    assert settled.trouble.startswith("no sign of life of process 1 on far for ")
+
+
+def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes.put(CLAIM, elsewhere(0).pack(), expected=None)
+
+    def beat(_: float) -> None:
+        assert notes.put(CLAIM, elsewhere(1).pack(), expected=elsewhere(0).pack())
+
+    monkeypatch.setattr(time, "sleep", beat)  # its holder moves it while the observer sleeps
+    seen = Observer(notes).settle()
+    assert seen is not None
+    assert (seen.record, seen.trouble) == (elsewhere(1), "")
+
+
+def test_a_request_to_stop_is_no_sign_of_life(notes: Folder, impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claiming, "PATIENCE_SECONDS", 0.3)
+    notes.put(CLAIM, elsewhere().pack(), expected=None)
+
+    def ask(text: str) -> None:
+        if "watching" in text:
+            notes.put(CLAIM, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
+
+    with claimed(notes, "out.zarr", ask) as claim:
+        claim.check()
+
+
+DAMAGES: dict[str, object] = {
+    "token": 7,
+    "beat": "x",
+    "host": None,
+    "pid": None,
+    "process": "boot pid:[1]",
+    "cancelled": "no",
+    "progress": [1],
+}
+
+
+@pytest.mark.parametrize("field", DAMAGES)
+def test_a_claim_with_a_field_of_another_type_is_damaged(
+    notes: Folder, field: str, impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(claiming, "PATIENCE_SECONDS", 0.1)
+    data = json.dumps(json.loads(elsewhere().pack()) | {field: DAMAGES[field]}).encode()
+    notes.put(CLAIM, data, expected=None)
+    assert Record.unpack(data) is None
+    seen = Observer(notes).settle()
+    assert seen is not None
+    assert seen.trouble == f"the claim is damaged; {REPLACED}"
+    with pytest.raises(RunError, match=rf"^out.zarr: the claim is damaged; {REPLACED}$"):
+        cancel(notes, "out.zarr", wait_seconds=600)
+    with claimed(notes, "out.zarr") as claim:
+        claim.check()
+
+
+@pytest.mark.parametrize("data", [b"[]", b"{}", b"7", b"null", b"\xff", b'{"pid": 1e400}', b"[" * 10**5])
+def test_bytes_that_are_no_claim_unpack_to_none(data: bytes) -> None:
+    assert Record.unpack(data) is None
+
+
+@pytest.mark.parametrize("pid", [0, -1, 2**31, 10**30, True])
+def test_a_claim_of_a_number_that_no_process_has_is_damaged(pid: int) -> None:
+    assert Record.unpack(json.dumps(json.loads(elsewhere().pack()) | {"pid": pid}).encode()) is None
+
+
+@pytest.mark.parametrize("value", ["many", None, [1], True, float("nan"), float("inf"), 10**400])
+def test_a_number_that_is_none_counts_as_not_reported(value: object) -> None:
+    assert replace(elsewhere(), progress={"workers": value}).number("workers") == 0
 
 
 def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,6 +24,7 @@ from atlas.store import create, read_header
 from atlas.submit import submit
 from tests.faults import attempts, environment
 from tests.planes import plane_of
+from workers import SOLVER_VERSION
 
 TILES = 15
 PLANE = plane_of((1, 3))
@@ -90,6 +93,27 @@ def test_the_coordinator_starts_again_after_its_workers_death_and_redoes_nothing
     assert len(tried) == TILES
     assert tried.total() <= TILES + 2  # one under way on each worker
     assert (atlas.open(service.folder / "killed.zarr").regime.values != 6).all()
+
+
+def pretend(solver_version: int) -> None:
+    """Give this process another solver version."""
+    for module in list(sys.modules.values()):
+        if "SOLVER_VERSION" in vars(module):
+            module.SOLVER_VERSION = solver_version  # type: ignore[attr-defined]
+
+
+def test_a_coordinator_that_dask_starts_again_on_a_worker_of_another_solver_goes_on_on_a_fit_one(
+    service: Service,
+) -> None:
+    where = service.submit("moved.zarr")
+    (unfit,) = {*service.client.nthreads()} - {where}
+    service.client.run(pretend, 99, workers=[unfit])
+    try:
+        os.kill(service.client.run(os.getpid, workers=[where])[where], signal.SIGKILL)
+        until(lambda: service.ends("moved.zarr"))
+    finally:
+        service.client.run(pretend, SOLVER_VERSION, workers=[unfit])
+    assert read_status(read_header(service.folder / "moved.zarr")).ended == ""
 
 
 def test_two_jobs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(service: Service) -> None:
@@ -163,6 +187,39 @@ def test_status_tells_how_a_run_ended_that_nobody_watched(service: Service) -> N
     service.submit(store.name)
     until(lambda: service.ends(store.name))
     assert json.loads(call("status", store, "--json").stdout)["ended"] is None
+
+
+@pytest.fixture
+def by_hand(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A scheduler in a process of its own, and its address; a worker in another."""
+    faults, file = environment(tmp_path / "faults", {"*": ["slow"]}), tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.{}", "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file"]
+    with (tmp_path / "log").open("w") as log:
+
+        def start(what: str, *more: str) -> subprocess.Popen[bytes]:
+            line = [word.format(what) for word in command]
+            return subprocess.Popen([*line, str(file), *more], env=faults, stdout=log, stderr=log)
+
+        with start("dask_scheduler", "--port", "0") as scheduler, start("dask_worker", "--no-nanny") as worker:
+            try:
+                until(file.exists)
+                yield scheduler, json.loads(file.read_text())["address"]
+            finally:
+                scheduler.kill()
+                worker.kill()
+
+
+def test_a_killed_scheduler_leaves_a_word_for_the_status(
+    by_hand: tuple[subprocess.Popen[bytes], str], tmp_path: Path
+) -> None:
+    scheduler, address = by_hand
+    store = tmp_path / "lost.zarr"
+    submit(plane_of((1, 1)), store, address)
+    scheduler.kill()
+    until(lambda: read_status(read_header(store)).ended != "")
+    found = read_status(read_header(store))
+    assert found.fraction < 1
+    assert "the cluster was lost; run again to go on from the stored tiles" in str(found)
 
 
 def test_a_bad_submission_is_one_line_and_exit_code_2(service: Service, tmp_path: Path) -> None:

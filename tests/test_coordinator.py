@@ -1,0 +1,236 @@
+"""What a coordinator checks before it begins, which worker takes its place, and the word that it leaves."""
+
+import asyncio
+import json
+import subprocess
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from distributed import Client, LocalCluster, Variable, get_worker
+
+import atlas
+from atlas import claim as claiming
+from atlas import submit as submitting
+from atlas.beside import notes_of
+from atlas.claim import CLAIM, Record, last_word
+from atlas.cli import cli
+from atlas.errors import InputError, RunError
+from atlas.fanout import Refusal
+from atlas.job import RefusedError
+from atlas.overview import Overviews
+from atlas.status import read_status
+from atlas.store import create, read_header
+from atlas.submit import Submission, coordinate, submit
+from tests.planes import plane_of
+from workers import SOLVER_VERSION
+
+PLANE = plane_of((5, 7))  # one tile
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Client]:
+    """Two workers of one thread in this process, which can be reached by an address."""
+    with (
+        LocalCluster(
+            processes=False,
+            n_workers=2,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            protocol="tcp",
+            dashboard_address="127.0.0.1:0",
+        ) as cluster,
+        Client(cluster) as made,  # the default one, so that coordinators in this process use it too
+    ):
+        yield made
+
+
+def submitted(client: Client, store: Path, plane: atlas.Spec = PLANE) -> str:
+    return submit(plane, store, str(client.scheduler.address))
+
+
+def task_of(store: Path, run_id: str = "", solver_version: int = SOLVER_VERSION) -> Submission:
+    return Submission(PLANE, str(store), None, f"atlas-{uuid.uuid4().hex}", solver_version, run_id)
+
+
+def restarted(client: Client, task: Submission, run_id: str) -> object:
+    """The outcome of a coordinator that follows one whose worker died after it had begun in the store of a run."""
+    Variable(task.name, client=client).set(run_id)
+    return client.submit(coordinate, task, pure=False).result()
+
+
+def until_idle(client: Client) -> None:
+    while any(client.processing().values()):
+        time.sleep(0.05)
+
+
+def refuse(where: Callable[[], bool], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Have workers refuse to coordinate; the addresses of those that were asked, in turn."""
+    asked: list[str] = []
+
+    def check(task: Submission) -> None:
+        asked.append(get_worker().address)
+        if where():
+            raise RefusedError("has another solver")
+
+    monkeypatch.setattr(submitting, "_check", check)
+    return asked
+
+
+def test_a_worker_with_another_solver_version_must_not_coordinate(tmp_path: Path) -> None:
+    with pytest.raises(RefusedError, match=rf"^this worker has solver version {SOLVER_VERSION}, the run needs 99$"):
+        submitting._check(task_of(tmp_path / "out.zarr", solver_version=99))
+
+
+def test_a_worker_that_sees_another_store_must_not_coordinate(tmp_path: Path) -> None:
+    store = create(tmp_path / "out.zarr", PLANE, (5, 7)).path
+    with pytest.raises(RefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
+        submitting._check(task_of(store, run_id="0123"))
+    with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
+        submitting._check(task_of(tmp_path / "none.zarr", run_id="0123"))
+
+
+def test_the_right_worker_may_coordinate(tmp_path: Path) -> None:
+    header = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    submitting._check(task_of(header.path, header.run_id))
+    submitting._check(task_of(tmp_path / "new.zarr"))
+
+
+def test_another_worker_takes_the_place_of_one_that_refuses(
+    tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    asked = refuse(lambda: get_worker().address == asked[0], monkeypatch)
+    where = submitted(two, tmp_path / "out.zarr")
+    assert [where, asked[0]] in (list(two.nthreads()), list(two.nthreads())[::-1])
+    assert read_header(tmp_path / "out.zarr").solver_version == SOLVER_VERSION
+
+
+def test_a_submission_that_every_worker_refuses_is_an_error_with_worker_and_reason(
+    tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = refuse(lambda: True, monkeypatch)
+    with pytest.raises(RunError, match=r"^no worker can coordinate this run: tcp://\S+: has another solver$"):
+        submitted(two, tmp_path / "out.zarr")
+    assert {*asked} == {*two.nthreads()}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_store_gets_the_run_id_that_its_run_was_given(tmp_path: Path, client: Client) -> None:
+    atlas.run(PLANE, tmp_path / "out.zarr", client=client, run_id="0123")
+    assert read_header(tmp_path / "out.zarr").run_id == "0123"
+    with pytest.raises(RunError, match=r"out.zarr: not the store of run 4567"):
+        atlas.run(PLANE, tmp_path / "out.zarr", client=client, run_id="4567")
+
+
+def test_a_coordinator_that_starts_again_hands_a_refusal_on_to_another_worker(
+    tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    asked: list[str] = []
+    asked = refuse(lambda: get_worker().address == asked[0], monkeypatch)
+    refusal = restarted(two, task_of(header.path), header.run_id)
+    assert refusal == Refusal(asked[0], "has another solver")
+    until_idle(two)
+    assert len({*asked}) == 2
+    assert read_status(header).fraction == 1
+    assert last_word(notes_of(header.path)) == ""
+
+
+def test_a_coordinator_that_starts_again_in_another_runs_store_computes_nothing_and_leaves_word(
+    tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(submitting, "WORKER_SECONDS", 0)
+    header = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    task = task_of(header.path)
+    restarted(two, task, "0123")
+    until_idle(two)
+    found = read_status(header)
+    assert found.cells_done == 0
+    assert found.ended.startswith("no worker can coordinate this run: tcp://")
+    assert f"{header.path} is not the store of run 0123" in found.ended
+
+
+@pytest.mark.parametrize(
+    ("error", "word"),
+    [
+        (KeyError("level 1"), "KeyError: 'level 1'"),
+        (RunError("no room"), "no room"),
+        (InputError("not a store"), "not a store"),
+        (asyncio.CancelledError(), "CancelledError"),
+    ],
+)
+def test_every_error_of_a_run_under_way_leaves_a_word(
+    tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch, error: BaseException, word: str
+) -> None:
+    def add(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(Overviews, "add", add)
+    store = tmp_path / "out.zarr"
+    task = task_of(store)
+    Variable(task.name, client=two).set("")
+    future = two.submit(coordinate, task, pure=False)
+    raised = future.exception()
+    assert type(raised) is type(error)
+    shown = CliRunner().invoke(cli, ["status", str(store), "--json"])
+    assert json.loads(shown.stdout)["ended"] == word
+
+
+def test_bad_input_is_told_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
+    header = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    with pytest.raises(InputError, match=r"out.zarr: is of another spec: "):
+        submitted(two, header.path, plane_of((5, 7), R=0.5))
+    assert last_word(notes_of(header.path)) == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["out.zarr"]
+
+
+@pytest.fixture
+def claimed_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], Path]:
+    monkeypatch.setattr(claiming, "SILENT_SECONDS", 0.1)
+    monkeypatch.setattr(claiming, "LOOK_SECONDS", 0.02)
+
+    def make(claim: bytes) -> Path:
+        store = create(tmp_path / "out.zarr", PLANE, (5, 7)).path
+        notes_of(store).put(CLAIM, claim, expected=None)
+        return store
+
+    return make
+
+
+def status(store: Path) -> tuple[str, dict[str, object]]:
+    """The line of the run, and the object of --json."""
+    text, told = (CliRunner().invoke(cli, ["status", str(store), *more]) for more in ((), ("--json",)))
+    assert (text.exit_code, told.exit_code) == (0, 0)
+    line = next(line for line in text.stdout.splitlines() if line.startswith("run "))
+    return line.removeprefix("run").strip(), json.loads(told.stdout)
+
+
+FAR = Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"workers": 3})
+
+
+def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Callable[[bytes], Path]) -> None:
+    line, told = status(claimed_store(FAR.pack()))
+    assert line.startswith("no sign of life of process 1 on far for ")
+    assert (told["run"], str(told["trouble"])[:24]) == ("process 1 on far", "no sign of life of proce")
+
+
+@pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
+def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
+    line, told = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
+    assert line == "none at work; the claim is damaged; the next run replaces it"
+    assert told["run"] is None
+
+
+def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[bytes], Path]) -> None:
+    boot, namespace, *_ = claiming._this_process().split()
+    with subprocess.Popen(["sleep", "600"]) as sleeper:
+        pid = sleeper.pid
+        process = f"{boot} {namespace} {pid} {claiming._began(pid)}"
+        sleeper.kill()
+    line, told = status(claimed_store(Record("t", 7, "here", pid, process).pack()))
+    gone = f"process {pid} on here is gone without releasing its claim; the next run replaces it"
+    assert (line, told["run"], told["trouble"]) == (f"none at work; {gone}", None, gone)
