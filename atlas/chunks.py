@@ -6,19 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from atlas.errors import RunError
+from atlas.errors import ChunkError, one_line
 from atlas.layout import BUDGET
 from atlas.store import Header, block, chunk_key, open_arrays
 from workers.results import REGIME, Variable, result_variables
-
-
-class ChunkError(RunError):
-    """Chunks of a tile that are missing or damaged: ``faults`` has what is wrong by the chunk's key."""
-
-    def __init__(self, header: Header, faults: dict[str, str]) -> None:
-        told = "; ".join(f"{key} {fault}" for key, fault in faults.items())
-        super().__init__(f"{header.place}: {told}: atlas verify --repair {header.place}, then run it again")
-        self.faults = faults
 
 
 def read_tile(
@@ -50,7 +41,7 @@ def read_tile(
         else:
             values[variable.name] = found
     if faults:
-        raise ChunkError(header, faults)
+        raise ChunkError(header.place, faults)
     return values
 
 
@@ -66,7 +57,7 @@ def _read(header: Header, array: Any, index: tuple[int, ...]) -> np.ndarray | st
     except MemoryError:
         raise
     except Exception as error:  # a codec that meets bytes it never wrote may raise anything
-        return f"is damaged ({' '.join(str(error).split()) or type(error).__name__})"
+        return f"is damaged ({one_line(error)})"
 
 
 def _is_blank(values: np.ndarray, variable: Variable) -> bool:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from atlas.errors import one_line
 from atlas.layout import coordinates, extra_sizes
 from atlas.store import ROOT, Header, open_arrays
 from workers.results import result_variables
@@ -16,7 +17,7 @@ def metadata_faults(header: Header) -> list[str]:
     except OSError:
         raise
     except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
-        return [*faults, f"metadata are damaged: {_line(error)}"]
+        return [*faults, f"metadata are damaged: {one_line(error)}"]
     variables, sizes = result_variables(spec.settings), extra_sizes(spec)
     shapes = {name: coordinate.values.shape for name, coordinate in coordinates(spec).items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
@@ -51,12 +52,8 @@ def coordinate_faults(header: Header) -> list[str]:
         except OSError:
             raise
         except Exception as error:  # a codec that meets bytes it never wrote may raise anything
-            faults.append(f"coordinate {name} is damaged ({_line(error)})")
+            faults.append(f"coordinate {name} is damaged ({one_line(error)})")
             continue
         if not np.array_equal(values, coordinate.values):
             faults.append(f"coordinate {name} is not the spec's, or missing")
     return faults
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
