@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from atlas.digests import digest_of
 from atlas.errors import ChunkError, one_line
 from atlas.layout import BUDGET
 from atlas.store import Header, block, chunk_key, open_arrays
@@ -43,6 +44,22 @@ def read_tile(
     if faults:
         raise ChunkError(header.place, faults)
     return values
+
+
+def digest_faults(
+    header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
+) -> tuple[str, ...]:
+    """What speaks against all that ``read_tile`` gave of a tile being that tile's, by the array of digests."""
+    stored = _read(header, digests, index)
+    key = "/".join([digests.path, "c", *map(str, index)])
+    if isinstance(stored, str):
+        return (f"{key} {stored}",)
+    found = digest_of(header.spec, index, values)
+    if int(stored.item()) == found:
+        return ()
+    if not header.place.exists(key):
+        return (f"{key} is missing",)
+    return ("its chunks are not those that were written here together: exchanged with another tile's, or altered",)
 
 
 def _read(header: Header, array: Any, index: tuple[int, ...]) -> np.ndarray | str:

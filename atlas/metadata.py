@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from atlas.digests import PATH as DIGESTS
 from atlas.errors import one_line
 from atlas.layout import coordinates, extra_sizes
-from atlas.store import ROOT, Header, open_arrays
+from atlas.store import ROOT, Header, open_arrays, open_digests
 from workers.results import result_variables
 
 
@@ -14,6 +15,7 @@ def metadata_faults(header: Header) -> list[str]:
     faults = [] if spec.digest == header.digest else [f"{ROOT}: the digest is not that of the spec"]
     try:
         own, copied = open_arrays(header), open_arrays(header, consolidated=True)
+        digests = open_digests(header), open_digests(header, consolidated=True)
     except OSError:
         raise
     except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
@@ -29,6 +31,8 @@ def metadata_faults(header: Header) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shape}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata are not those of {where}")
+    if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:
+        faults.append(f"{ROOT}: its consolidated metadata are not those of {DIGESTS}/{ROOT}")
     for variable in variables:
         array = own.get(variable.name)
         if array is None:

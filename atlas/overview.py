@@ -35,11 +35,11 @@ from atlas.grid import edges_of, widths_of
 from atlas.layout import OVERVIEWS
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
-from atlas.store import ROOT, Header, done_tiles, index_of, open_group
-from workers.results import PENDING, REGIME, REGIMES
+from atlas.store import ROOT, Header, chunk_key, done_tiles, index_of, open_group
+from workers.results import PENDING, REGIME, REGIMES, Variable
 
 GROUP = OVERVIEWS
-MARKS = (REGIME.name, REGIME_SHOWN.name)
+MARKS = (REGIME, REGIME_SHOWN)
 """Written last of a chunk, the first of them at the very end: either tells that all else of it is there."""
 WAIT_SECONDS = 5.0
 """Between two signs of life at the end of a run."""
@@ -117,7 +117,7 @@ class Overviews(AbstractContextManager["Overviews"]):
         for tile in filter(waiting.__getitem__, np.ndindex(waiting.shape)):
             over = self._levels.over(tile)
             self._missing[over] = self._missing.get(over, 0) + 1
-        self._current = {n: stored_chunks(header, n, REGIME.name) for n in self._numbers}
+        self._current = {n: stored_chunks(header, n, REGIME) for n in self._numbers}
         # What an earlier run finished and did not come to: it was killed, or knew no overviews.
         self._submit(1, [i for i in self._levels.chunks(1) if i not in self._missing and i not in self._current[1]])
         for level in self._numbers[1:]:
@@ -214,9 +214,9 @@ def drop_chunks(header: Header, chunks: Iterable[tuple[int, Index]]) -> None:
     for level in range(1, levels.count + 1):
         over = {tuple(i // 2 for i in index) for index in over} | {index for n, index in wanted if n == level}
         # Both, each where it is: a kill while a chunk was written may have left the second without the first.
-        for name in MARKS:
-            for index in over & stored_chunks(header, level, name):
-                header.place.remove(_key(level, name, index))
+        for mark in MARKS:
+            for index in over & stored_chunks(header, level, mark):
+                header.place.remove(level_key(level, mark, index))
 
 
 def make(header: Header, level: int, index: Index) -> None:
@@ -366,12 +366,13 @@ def _codecs() -> list[Any]:
     return [ZstdCodec(), Crc32cCodec()]
 
 
-def _key(level: int, name: str, index: Index) -> str:
-    return "/".join([GROUP, str(level), name, "c", *map(str, index)])
+def level_key(level: int, variable: Variable, index: Index) -> str:
+    """The key of a chunk of a level's variable."""
+    return f"{GROUP}/{level}/{chunk_key(variable, index)}"
 
 
-def stored_chunks(header: Header, level: int, name: str) -> set[Index]:
-    """Indices of the chunks of a level's variable, one with a number a cell, that exist. One listing tells them."""
-    root, grid = f"{GROUP}/{level}/{name}/c/", levels_of(header).grid(level)
+def stored_chunks(header: Header, level: int, mark: Variable) -> set[Index]:
+    """Indices of the chunks of a level that exist, by one of MARKS. One listing tells them."""
+    root, grid = f"{GROUP}/{level}/{mark.name}/c/", levels_of(header).grid(level)
     found = (index_of(key.removeprefix(root), grid) for key in header.place.list_keys(root))
     return {index for index in found if index is not None}

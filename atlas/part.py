@@ -166,10 +166,10 @@ class Part:
     def _stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
         """Variables of a piece of a level as stored, and the blocks of it of which that is not to be believed."""
         blocks = list(self._blocks(level, piece))
-        mark = next(name for name in MARKS if name in names)
+        mark = next(mark.name for mark in MARKS if mark.name in names)
         try:
             if self.pyramid.made:
-                made = {name: self.pyramid.read(level, name, piece) for name in (mark, *names)}
+                made = {name: self.pyramid.read(level, name, piece) for name in names}
                 missing = [b for b in blocks if not self._is_current(level, _within(piece, b), made[mark][b])]
                 return made, missing
         except ChunkError:
@@ -205,8 +205,14 @@ class Part:
             along.append([slice(a - p.start, b - p.start) for a, b in itertools.pairwise(cuts)])
         yield from itertools.product(*along)
 
+    def undone(self, level: int, place: Slices) -> list[tuple[int, ...]]:
+        """The tiles below a place of a level that are not done, counted from the first below it."""
+        tile = self.pyramid.levels.tile
+        first = [(s.start << level) // t for s, t in zip(place, tile, strict=True)]
+        return [tuple(np.add(first, at).tolist()) for at in np.argwhere(~self._below(level, place))]
+
     def _below(self, level: int, place: Slices) -> NDArray[np.bool_]:
-        """Which of the tiles below a place are done."""
+        """Which of the tiles below a place of a level are done."""
         tile = self.pyramid.levels.tile
         tiles = tuple(
             slice((s.start << level) // t, -(-(s.stop << level) // t)) for s, t in zip(place, tile, strict=True)

@@ -256,10 +256,12 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
         return {name: group[name] for name in (*names, *coordinates(header.spec)) if name in group}
 
 
-def open_digests(header: Header) -> Any | None:
+def open_digests(header: Header, consolidated: bool = False) -> Any | None:
     """The Zarr array of the digests of the tiles, None in a store made before there were any."""
+    import zarr
+
     with header.place.told():
-        group = open_group(header.place, "r")
+        group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
         return _array(group, DIGESTS) if DIGESTS in group else None
 
 
@@ -322,7 +324,8 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     header = read_header(store)
     place = header.place
     with place.told():
-        opened = xarray.open_dataset(GuardedStore(place, header.spec), engine="zarr", chunks=None, consolidated=True)
+        guarded: Any = GuardedStore(place, header.spec)
+        opened = xarray.open_dataset(guarded, engine="zarr", chunks=None, consolidated=True)
     opened.encoding["source"] = str(place)  # by which a view finds the overviews
     return opened
 
