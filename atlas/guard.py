@@ -8,7 +8,6 @@ checksum looked at as it comes in.
 import asyncio
 import atexit
 import errno
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import google_crc32c
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from atlas.spec import Spec
 
 _CHECKSUM_BYTES = 4
-_SETTLE_SECONDS = 10.0
+_PATIENCE_SECONDS = 10.0
 
 
 class GuardedStore(WrapperStore[Any]):
@@ -77,7 +76,7 @@ class GuardedStore(WrapperStore[Any]):
         return name in (self._complete if above.partition("/")[0] == OVERVIEWS else self._checked)
 
     def _error(self, key: str, fault: str) -> ChunkError:
-        _settle_at_exit(asyncio.get_running_loop())
+        _loops.add(asyncio.get_running_loop())
         return ChunkError(self.place, {key: fault})
 
 
@@ -95,20 +94,24 @@ def _is_whole(data: bytes) -> bool:
     return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
 
 
-@lru_cache(maxsize=8)  # once a loop
-def _settle_at_exit(loop: asyncio.AbstractEventLoop) -> None:
-    """Have the reads that were under way when one failed come to their end before Zarr closes its loop at exit.
+def abandon_reads() -> None:
+    """End the reads that were under way when one failed: for a process that is about to leave.
 
-    Registered after Zarr's own function, so called before it; otherwise Python complains of each of them on stderr.
+    Zarr closes its event loop at exit, whatever waits there, and Python complains of each of them on stderr.
     """
 
-    async def settle() -> None:
+    async def cancel() -> None:
         others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
         if others:
-            await asyncio.wait(others, timeout=_SETTLE_SECONDS)
+            await asyncio.wait(others, timeout=_PATIENCE_SECONDS)
 
-    def run() -> None:
+    for loop in list(_loops):
         if loop.is_running():
-            asyncio.run_coroutine_threadsafe(settle(), loop).result()
+            asyncio.run_coroutine_threadsafe(cancel(), loop).result()
 
-    atexit.register(run)
+
+_loops: set[asyncio.AbstractEventLoop] = set()
+"""Those in which a read failed; Zarr has one."""
+atexit.register(abandon_reads)  # after Zarr's own function was, which is imported above, so called before it
