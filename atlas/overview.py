@@ -32,7 +32,7 @@ from atlas.coarsen import (
 )
 from atlas.errors import ChunkError, RunError, one_line
 from atlas.grid import edges_of, widths_of
-from atlas.layout import OVERVIEWS
+from atlas.layout import OVERVIEWS, Coordinate, coordinates
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
 from atlas.store import ROOT, Header, chunk_key, done_tiles, index_of, open_group
@@ -205,6 +205,11 @@ def drop(header: Header, tiles: Iterable[Index]) -> None:
     drop_chunks(header, {(1, levels.over(tile)) for tile in tiles})
 
 
+def drop_all(header: Header) -> None:
+    """Drop the overviews as a whole, metadata and all: without its own metadata the group counts as not there."""
+    header.place.remove(f"{GROUP}/{ROOT}")
+
+
 def drop_chunks(header: Header, chunks: Iterable[tuple[int, Index]]) -> None:
     """Drop chunks of levels, each given as its level and index, and all that lies over them."""
     wanted, levels = set(chunks), levels_of(header)
@@ -319,17 +324,8 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
         }
     )
 
-    def put(name: str, values: NDArray[Any], dims: tuple[str, ...], attributes: dict[str, Any]) -> None:
+    for name, (values, dims, attributes) in level_coordinates(header, level).items():
         group.create_array(name, data=values, chunks=values.shape, dimension_names=dims, attributes=attributes)
-
-    for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
-        bounds = bounds_name(axis.name)
-        put(axis.name, centres(edges, axis.scale == "log"), (axis.name,), {**root[axis.name].attrs, "bounds": bounds})
-        put(bounds, np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
-    for name in spec.parameters:
-        put(name, np.asarray(root[name][...]), (), dict(root[name].attrs))
-    named = np.array([regime.name for regime in REGIMES], dtype="T")
-    put("class", named, ("class",), {"long_name": "regime of motion"})
     for variable in level_variables(spec.settings):
         stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
         attributes = dict(root[stored].attrs) if stored in root else {}
@@ -348,6 +344,20 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
             compressors=_codecs(),
             attributes=attributes,
         )
+
+
+def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
+    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
+    spec, base, made = header.spec, coordinates(header.spec), {}
+    for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
+        bounds = bounds_name(axis.name)
+        attributes = {**base[axis.name].attributes, "bounds": bounds}
+        made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)
+        made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
+    for name in spec.parameters:
+        made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
+    named = np.array([regime.name for regime in REGIMES], dtype="T")
+    return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}
 
 
 def bounds_name(axis: str) -> str:

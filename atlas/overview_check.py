@@ -8,13 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.coarsen import coarsen, level_variables
+from atlas.coarsen import CODES, coarsen, level_variables
 from atlas.errors import ChunkError
 from atlas.levels import Index
-from atlas.overview import MARKS, Pyramid, level_key, stored_chunks
+from atlas.overview import (
+    GROUP,
+    MARKS,
+    Pyramid,
+    drop_all,
+    drop_chunks,
+    level_coordinates,
+    level_key,
+    levels_of,
+    stored_chunks,
+)
 from atlas.part import Part
 from atlas.plan import plural
-from atlas.store import READERS, Header
+from atlas.store import READERS, ROOT, Header
 from workers.results import REGIME
 
 ROUNDING = 1e-9
@@ -22,24 +32,77 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class CheckedChunk:
-    """A chunk of a level that was read: its arrays that are whole, and what is wrong with it.
+class OverviewReport:
+    """What is wrong with the overviews of a store: chunks that were read whole, faults, each in a line.
 
-    ``sound`` tells whether it may stay; one over what is not sound may not, though nothing can be said of it.
+    unsound     chunks, by level and index, that must not stay: with faults, or over what is not sound
+    misformed   metadata or coordinates are damaged: no chunk was read, and none may stay
     """
 
-    level: int
+    chunks: int
+    faults: tuple[str, ...]
+    unsound: tuple[tuple[int, Index], ...]
+    misformed: bool = False
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A chunk of a level that was read: its arrays that are whole, what is wrong with it, and whether it may stay."""
+
     index: Index
     arrays: int
     faults: tuple[str, ...]
     sound: bool
 
 
-def check_overviews(header: Header, bad: set[Index], tell: Callable[[int], None]) -> Iterator[CheckedChunk]:
-    """Every chunk of every level, from the first level on; ``bad`` are the finished tiles that are not sound.
+def check_overviews(header: Header, bad: set[Index], tell: Callable[[int], None]) -> OverviewReport:
+    """Read every chunk of every level, from the first level on; ``bad`` are the finished tiles that are not sound.
 
     ``tell`` is called with each level before it is read.
     """
+    if misformed := _form_faults(header):
+        return OverviewReport(0, tuple(misformed), (), misformed=True)
+    chunks = 0
+    faults: list[str] = []
+    dropped: list[tuple[int, Index]] = []
+    for level, checked in _checked(header, bad, tell):
+        chunks += checked.arrays
+        faults += checked.faults
+        dropped += [] if checked.sound else [(level, checked.index)]
+    return OverviewReport(chunks, tuple(faults), tuple(dropped))
+
+
+def drop_unsound(header: Header, report: OverviewReport) -> None:
+    """Drop what must not stay, and all that lies over it; the next run makes it anew."""
+    if report.misformed:
+        drop_all(header)
+    drop_chunks(header, report.unsound)
+
+
+def _form_faults(header: Header) -> list[str]:
+    """What of the metadata and coordinates of overviews cannot be read, or is not as new ones have it."""
+    pyramid, levels, faults = Pyramid(header), levels_of(header), []
+    for level in range(1, levels.count + 1) if pyramid.made else ():
+        shape = levels.shape_of(level)
+        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in level_variables(header.spec.settings)}
+        for name, expected in shapes.items():
+            try:
+                found = pyramid.array(level, name).shape
+                if found != expected:
+                    faults.append(f"{GROUP}/{level}/{name}/{ROOT}: shape {found}, must be {expected}")
+            except ChunkError as error:
+                faults += [f"{key} {what}" for key, what in error.faults.items()]
+        for name, coordinate in level_coordinates(header, level).items():
+            try:
+                found = pyramid.read(level, name, tuple(slice(0, n) for n in coordinate.values.shape))
+                if not np.all(_same(found, coordinate.values)):
+                    faults.append(f"{GROUP}/{level}/{name} is not the spec's, or missing")
+            except ChunkError as error:
+                faults += [f"{key} {what}" for key, what in error.faults.items()]
+    return faults
+
+
+def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> Iterator[tuple[int, _Checked]]:
     pyramid = Pyramid(header)
     if not pyramid.made:
         return
@@ -60,10 +123,10 @@ def check_overviews(header: Header, bad: set[Index], tell: Callable[[int], None]
             for checked in readers.map(lambda given: _check(*given), checks):
                 if not checked.sound:
                     unsound.add(checked.index)
-                yield checked
+                yield level, checked
 
 
-def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> CheckedChunk:
+def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> _Checked:
     levels = part.pyramid.levels
     place = levels.block(level, index)
     variables = level_variables(part.header.spec.settings)
@@ -88,10 +151,10 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
             if wrong:
                 key = level_key(level, variable, index)
                 faults.append(f"{key} is not what the cells below it give: {plural(wrong, 'number')}")
-    return CheckedChunk(level, index, len(stored), tuple(faults), sound=not faults and not over_unsound)
+    return _Checked(index, len(stored), tuple(faults), sound=not faults and not over_unsound)
 
 
 def _same(one: NDArray[Any], two: NDArray[Any]) -> NDArray[np.bool_]:
-    if one.dtype.kind != "f":
+    if one.dtype.kind != "f" or one.shape != two.shape:
         return np.asarray(one == two)
     return np.isclose(one, two, rtol=ROUNDING, atol=ROUNDING, equal_nan=True)

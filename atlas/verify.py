@@ -22,8 +22,8 @@ from atlas.errors import ChunkError, InputError
 from atlas.foreign import foreign_keys
 from atlas.machine import this_machine
 from atlas.metadata import coordinate_faults, metadata_faults
-from atlas.overview import drop, drop_chunks
-from atlas.overview_check import check_overviews
+from atlas.overview import drop
+from atlas.overview_check import check_overviews, drop_unsound
 from atlas.plan import Plan, make_plan, plural
 from atlas.progress import Progress
 from atlas.recheck import Sample, beyond_error, place_in, solve_again, unequal
@@ -210,25 +210,22 @@ def verify(
                 (faults if exact else doubts).append(found)
         report = replace(report, cells_solved=len(samples))
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
-    unsound: list[tuple[int, Index]] = []
-    for part in check_overviews(header, set(bad), lambda level: tell(Progress(f"checking overview {level}"))):
-        report = replace(report, overview_chunks=report.overview_chunks + part.arrays)
-        faults += [Fault(None, what) for what in part.faults]
-        if not part.sound:
-            unsound.append((part.level, part.index))
+    overviews = check_overviews(header, set(bad), lambda level: tell(Progress(f"checking overview {level}")))
+    faults += [Fault(None, what) for what in overviews.faults]
+    report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
     if not repair:
         return report
     if worn:
         restore_coordinates(header)
     with claimed(notes_of(header.place), str(header.place)):
-        drop_chunks(header, unsound)
+        drop_unsound(header, overviews)
         drop(header, bad)  # first: an overview must not outlive what it is of
         for index in bad:
             drop_tile(header, index)
         for key in foreign:
             header.place.remove(key)
-    return replace(report, repaired=tuple(bad), dropped=len(unsound), removed=foreign)
+    return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign)
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,20 @@ def test_overviews_with_damaged_metadata_are_not_read(whole: store.Header) -> No
     assert_view_is_true(whole)
 
 
+@pytest.mark.parametrize("key", ["largest/zarr.json", "omega/c/0", "b_bounds/c/0/0", "class/c/0"])
+@pytest.mark.parametrize("lost", [True, False])
+def test_metadata_and_coordinates_of_overviews_are_checked_and_made_anew(
+    whole: store.Header, key: str, lost: bool
+) -> None:
+    path = whole.path / "overviews/2" / key
+    path.unlink() if lost else path.write_bytes(b"{")
+    (fault,) = overview_faults(whole)
+    assert fault.startswith(f"overviews/2/{key.partition('/')[0]}")
+    verify(whole.path, sample=0, repair=True)
+    assert keep(whole) == 14
+    assert verify(whole.path, sample=0).fine
+
+
 @pytest.mark.parametrize("tile", [(0, 0), (2, 3), (4, 5)])
 def test_an_overview_does_not_speak_for_a_tile_that_is_gone(whole: store.Header, tile: tuple[int, int]) -> None:
     whole.path.joinpath("regime", "c", *map(str, tile)).unlink()
