@@ -6,19 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from atlas.errors import RunError
+from atlas.digests import digest_of
+from atlas.errors import ChunkError, message_of
 from atlas.layout import BUDGET
 from atlas.store import Header, block, chunk_key, open_arrays
 from workers.results import REGIME, Variable, result_variables
-
-
-class ChunkError(RunError):
-    """Chunks of a tile that are missing or damaged: ``faults`` has what is wrong by the chunk's key."""
-
-    def __init__(self, header: Header, faults: dict[str, str]) -> None:
-        told = "; ".join(f"{key} {fault}" for key, fault in faults.items())
-        super().__init__(f"{header.place}: {told}: atlas verify --repair {header.place}, then run it again")
-        self.faults = faults
 
 
 def read_tile(
@@ -50,8 +42,24 @@ def read_tile(
         else:
             values[variable.name] = found
     if faults:
-        raise ChunkError(header, faults)
+        raise ChunkError(header.place, faults)
     return values
+
+
+def digest_faults(
+    header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
+) -> tuple[str, ...]:
+    """What speaks against all that ``read_tile`` gave of a tile being that tile's, by the array of digests."""
+    stored = _read(header, digests, index)
+    key = "/".join([digests.path, "c", *map(str, index)])
+    if isinstance(stored, str):
+        return (f"{key} {stored}",)
+    found = digest_of(header.spec, index, values)
+    if int(stored.item()) == found:
+        return ()
+    if not header.place.exists(key):
+        return (f"{key} is missing",)
+    return ("its chunks are not those that were written here together: exchanged with another tile's, or altered",)
 
 
 def _read(header: Header, array: Any, index: tuple[int, ...]) -> np.ndarray | str:
@@ -65,7 +73,7 @@ def _read(header: Header, array: Any, index: tuple[int, ...]) -> np.ndarray | st
     except MemoryError:
         raise
     except Exception as error:  # a codec that meets bytes it never wrote may raise anything
-        return f"is damaged ({' '.join(str(error).split()) or type(error).__name__})"
+        return f"is damaged ({message_of(error)})"
 
 
 def _is_blank(values: np.ndarray, variable: Variable) -> bool:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from atlas.errors import InputError, NetworkError, RunError, one_line, shown
+from atlas.errors import ChunkError, InputError, NetworkError, RunError, one_line, shown
 from atlas.render import FORMATS, KINDS, OVERLAYS
 from atlas.spec import Spec, checked_parameters, checked_settings, checked_system, example_names
 from workers import Settings
@@ -525,10 +525,15 @@ def _say(text: str) -> None:
 
 @contextmanager
 def _input_errors() -> Iterator[None]:
-    """What a query or a picture cannot answer is the question's fault: one line, exit code 2."""
+    """What a query or a picture cannot answer is the question's fault: one line, exit code 2. A bad chunk is not."""
     try:
         yield
     except NetworkError:
+        raise
+    except ChunkError:
+        from atlas.guard import abandon_reads
+
+        abandon_reads()
         raise
     except OSError as error:
         raise InputError(f"{error.filename or ''}: {error.strerror or error}".lstrip(": ")) from None

@@ -1,7 +1,7 @@
 """What can go wrong for a reason that the user can remove."""
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from workers.system import unknown_name
 
@@ -42,6 +42,23 @@ def shown(value: object) -> str:
         return _short.repr(value)
     except ValueError:  # a whole number of more digits than Python writes
         return "a whole number of thousands of digits"
+
+
+class ChunkError(RunError):
+    """Chunks of a store that are missing or damaged: ``faults`` has what is wrong by the chunk's key."""
+
+    def __init__(self, store: object, faults: Mapping[str, str]) -> None:
+        super().__init__(store, faults)  # both, so that it can be pickled
+        self.store, self.faults = str(store), dict(faults)
+
+    def __str__(self) -> str:
+        found = "; ".join(f"{key} {fault}" for key, fault in self.faults.items())
+        return f"{self.store}: {found}: atlas verify --repair {self.store}, then run it again"
+
+
+def message_of(error: Exception) -> str:
+    """What an error of a library says, in one line."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def check_names(kind: str, found: Iterable[object], known: Iterable[str]) -> None:

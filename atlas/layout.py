@@ -15,6 +15,8 @@ from workers.system import Parameter
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 1
+OVERVIEWS = "overviews"
+"""The group of the levels of coarser cells."""
 DIMENSIONS = {"state": "component"}
 """Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
 BUDGET = Variable("budget", "int32", 0, "forcing periods that the cell may cost; as in the spec unless retried", "1")

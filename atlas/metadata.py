@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from atlas.digests import PATH as DIGESTS
+from atlas.errors import message_of
 from atlas.layout import coordinates, extra_sizes
-from atlas.store import ROOT, Header, open_arrays
+from atlas.store import ROOT, Header, open_arrays, open_digests
 from workers.results import result_variables
 
 
@@ -13,10 +15,11 @@ def metadata_faults(header: Header) -> list[str]:
     faults = [] if spec.digest == header.digest else [f"{ROOT}: the digest is not that of the spec"]
     try:
         own, copied = open_arrays(header), open_arrays(header, consolidated=True)
+        digests = open_digests(header), open_digests(header, consolidated=True)
     except OSError:
         raise
     except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
-        return [*faults, f"metadata are damaged: {_line(error)}"]
+        return [*faults, f"metadata are damaged: {message_of(error)}"]
     variables, sizes = result_variables(spec.settings), extra_sizes(spec)
     shapes = {name: coordinate.values.shape for name, coordinate in coordinates(spec).items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
@@ -28,6 +31,8 @@ def metadata_faults(header: Header) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shape}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata are not those of {where}")
+    if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:
+        faults.append(f"{ROOT}: its consolidated metadata are not those of {DIGESTS}/{ROOT}")
     for variable in variables:
         array = own.get(variable.name)
         if array is None:
@@ -50,12 +55,8 @@ def coordinate_faults(header: Header) -> list[str]:
         except OSError:
             raise
         except Exception as error:  # a codec that meets bytes it never wrote may raise anything
-            faults.append(f"coordinate {name} is damaged ({_line(error)})")
+            faults.append(f"coordinate {name} is damaged ({message_of(error)})")
             continue
         if not np.array_equal(values, coordinate.values):
             faults.append(f"coordinate {name} is not the spec's, or missing")
     return faults
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

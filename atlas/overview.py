@@ -12,9 +12,9 @@ it is asked for (``atlas.part``).
 """
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
 from typing import Any, Literal
 
@@ -30,14 +30,17 @@ from atlas.coarsen import (
     halved,
     level_variables,
 )
-from atlas.errors import RunError
+from atlas.errors import ChunkError, RunError, message_of
 from atlas.grid import edges_of, widths_of
+from atlas.layout import OVERVIEWS, Coordinate, coordinates
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
-from atlas.store import Header, done_tiles, open_group
-from workers.results import PENDING, REGIME, REGIMES
+from atlas.store import ROOT, Header, chunk_key, done_tiles, index_of, open_group
+from workers.results import PENDING, REGIME, REGIMES, Variable
 
-GROUP = "overviews"
+GROUP = OVERVIEWS
+MARKS = (REGIME, REGIME_SHOWN)
+"""Written last of a chunk, the first of them at the very end: either tells that all else of it is there."""
 WAIT_SECONDS = 5.0
 """Between two signs of life at the end of a run."""
 _VERSION = 1
@@ -56,11 +59,9 @@ class Pyramid:
     """
 
     def __init__(self, header: Header) -> None:
-        import zarr
-
+        self._header = header
         self._plain = _root(header, "r").store
-        self._store = _counting(self._plain)
-        self._root = zarr.open_group(self._store, mode="r", use_consolidated=False)
+        self._root = _guarded_root(header)
         self._arrays: dict[str, Any] = {}
         self.levels = levels_of(header)
         self.made = _made(self._root)
@@ -68,23 +69,26 @@ class Pyramid:
     @property
     def chunks_read(self) -> int:
         """Chunks found and read so far; one that does not exist is not counted."""
-        return int(self._store.chunks_read)
+        return int(self._root.store.chunks_read)
 
     def holds(self, array: Any, name: str) -> bool:
         """Whether this store is where a Zarr array lies, by that name."""
         place = getattr(array, "store_path", None)
-        return place is not None and place.path == name and bool(place.store == self._plain)
+        return place is not None and place.path == name and place.store in (self._root.store, self._plain)
 
     def array(self, level: int, name: str) -> Any:
-        """A variable of a level as a Zarr array."""
+        """A variable of a level as a Zarr array; ChunkError where its metadata are damaged."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
-            self._arrays[path] = self._root[path]
+            with _named(self._header, f"{path}/{ROOT}"):
+                self._arrays[path] = self._root[path]
         return self._arrays[path]
 
     def read(self, level: int, name: str, part: Slices) -> NDArray[Any]:
-        """A part of a variable of a level."""
-        return np.asarray(self.array(level, name)[part])
+        """A part of a variable of a level; ChunkError where a chunk of it is missing or damaged."""
+        array = self.array(level, name)
+        with _named(self._header, array.path):
+            return np.asarray(array[part])
 
 
 class Overviews(AbstractContextManager["Overviews"]):
@@ -113,8 +117,7 @@ class Overviews(AbstractContextManager["Overviews"]):
         for tile in filter(waiting.__getitem__, np.ndindex(waiting.shape)):
             over = self._levels.over(tile)
             self._missing[over] = self._missing.get(over, 0) + 1
-        root = _root(header, "r")
-        self._current = {n: _stored(root, self._levels, n, REGIME.name) for n in self._numbers}
+        self._current = {n: stored_chunks(header, n, REGIME) for n in self._numbers}
         # What an earlier run finished and did not come to: it was killed, or knew no overviews.
         self._submit(1, [i for i in self._levels.chunks(1) if i not in self._missing and i not in self._current[1]])
         for level in self._numbers[1:]:
@@ -199,26 +202,35 @@ class Overviews(AbstractContextManager["Overviews"]):
 def drop(header: Header, tiles: Iterable[Index]) -> None:
     """Drop the overviews of these tiles: to be done before any of them is written."""
     levels = levels_of(header)
-    root = _root(header, "r+")
-    over = {levels.over(tile) for tile in tiles}
-    if not over or not _made(root):
+    drop_chunks(header, {(1, levels.over(tile)) for tile in tiles})
+
+
+def drop_all(header: Header) -> None:
+    """Drop the overviews as a whole, metadata and all: without its own metadata the group counts as not there."""
+    header.place.remove(f"{GROUP}/{ROOT}")
+
+
+def drop_chunks(header: Header, chunks: Iterable[tuple[int, Index]]) -> None:
+    """Drop chunks of levels, each given as its level and index, and all that lies over them."""
+    wanted, levels = set(chunks), levels_of(header)
+    if not wanted or not _made(_root(header, "r")):
         return
+    over: set[Index] = set()
     for level in range(1, levels.count + 1):
+        over = {tuple(i // 2 for i in index) for index in over} | {index for n, index in wanted if n == level}
         # Both, each where it is: a kill while a chunk was written may have left the second without the first.
-        for name in (REGIME.name, REGIME_SHOWN.name):
-            array = root[f"{GROUP}/{level}/{name}"].with_config({"write_empty_chunks": False})
-            for index in over & _stored(root, levels, level, name):
-                array[levels.block(level, index)] = PENDING  # nothing but the fill value: Zarr deletes the chunk
-        over = {tuple(i // 2 for i in index) for index in over}
+        for mark in MARKS:
+            for index in over & stored_chunks(header, level, mark):
+                header.place.remove(level_key(level, mark, index))
 
 
 def make(header: Header, level: int, index: Index) -> None:
     """Compute a chunk of a level from the level before and write it, ``regime`` last; all tiles below must be done."""
     levels = levels_of(header)
-    root = _root(header, "r+")
+    root, read = _root(header, "r+"), _guarded_root(header)
     names = [variable.name for variable in level_variables(header.spec.settings)]
     part = levels.finer(level, levels.block(level, index))
-    source = root if level == 1 else root[f"{GROUP}/{level - 1}"]
+    source = read if level == 1 else read[f"{GROUP}/{level - 1}"]
     arrays = {name: np.asarray(source[name][part]) for name in names if name in source}
     if (arrays[REGIME.name] == PENDING).any():
         raise RunError(f"{header.place}: overview {level}, chunk {index}: not all that lies below it is done")
@@ -251,8 +263,34 @@ def _root(header: Header, mode: Literal["r", "r+"]) -> Any:
     return open_group(header.place, mode)
 
 
+def _guarded_root(header: Header) -> Any:
+    """The root group for reading, on a store that lets no bad chunk pass."""
+    import zarr
+
+    from atlas.guard import GuardedStore
+
+    return zarr.open_group(GuardedStore(header.place, header.spec), mode="r", use_consolidated=False)
+
+
+@contextmanager
+def _named(header: Header, path: str) -> Iterator[None]:
+    """What reading bytes that nobody wrote raises becomes a ChunkError that names the path."""
+    try:
+        yield
+    except (OSError, MemoryError, RunError):
+        raise
+    except Exception as error:  # a codec, or a parser of metadata, may raise anything
+        raise ChunkError(header.place, {path: f"is damaged ({message_of(error)})"}) from None
+
+
 def _made(root: Any) -> bool:
-    return GROUP in root and root[GROUP].attrs.get("version") == _VERSION
+    """Whether there are overviews of the form known here; metadata that are damaged are none."""
+    try:
+        return GROUP in root and root[GROUP].attrs.get("version") == _VERSION
+    except OSError:
+        raise
+    except Exception:  # what is no JSON, or no metadata, may raise anything
+        return False
 
 
 def _ensure(header: Header) -> None:
@@ -286,17 +324,8 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
         }
     )
 
-    def put(name: str, values: NDArray[Any], dims: tuple[str, ...], attributes: dict[str, Any]) -> None:
+    for name, (values, dims, attributes) in level_coordinates(header, level).items():
         group.create_array(name, data=values, chunks=values.shape, dimension_names=dims, attributes=attributes)
-
-    for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
-        bounds = bounds_name(axis.name)
-        put(axis.name, centres(edges, axis.scale == "log"), (axis.name,), {**root[axis.name].attrs, "bounds": bounds})
-        put(bounds, np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
-    for name in spec.parameters:
-        put(name, np.asarray(root[name][...]), (), dict(root[name].attrs))
-    named = np.array([regime.name for regime in REGIMES], dtype="T")
-    put("class", named, ("class",), {"long_name": "regime of motion"})
     for variable in level_variables(spec.settings):
         stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
         attributes = dict(root[stored].attrs) if stored in root else {}
@@ -317,6 +346,20 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
         )
 
 
+def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
+    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
+    spec, base, made = header.spec, coordinates(header.spec), {}
+    for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
+        bounds = bounds_name(axis.name)
+        attributes = {**base[axis.name].attributes, "bounds": bounds}
+        made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)
+        made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
+    for name in spec.parameters:
+        made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
+    named = np.array([regime.name for regime in REGIMES], dtype="T")
+    return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}
+
+
 def bounds_name(axis: str) -> str:
     """The name of the variable that holds the edges of an axis's coarse cells."""
     return f"{axis}_bounds"
@@ -333,22 +376,13 @@ def _codecs() -> list[Any]:
     return [ZstdCodec(), Crc32cCodec()]
 
 
-def _stored(root: Any, levels: Levels, level: int, name: str) -> set[Index]:
-    """Chunks of a level that exist: they have a regime at their first cell."""
-    first = np.asarray(root[f"{GROUP}/{level}/{name}"][tuple(slice(None, None, c) for c in levels.chunk)])
-    return set(map(tuple, np.argwhere(first != PENDING).tolist()))
+def level_key(level: int, variable: Variable, index: Index) -> str:
+    """The key of a chunk of a level's variable."""
+    return f"{GROUP}/{level}/{chunk_key(variable, index)}"
 
 
-def _counting(store: Any) -> Any:
-    """A Zarr store that counts the chunks it gives."""
-    from zarr.storage import WrapperStore
-
-    class CountingStore(WrapperStore[Any]):
-        chunks_read = 0
-
-        async def get(self, key: str, *args: Any, **kwargs: Any) -> Any:
-            found = await super().get(key, *args, **kwargs)
-            self.chunks_read += found is not None and "c" in key.split("/")
-            return found
-
-    return CountingStore(store)
+def stored_chunks(header: Header, level: int, mark: Variable) -> set[Index]:
+    """Indices of the chunks of a level that exist, by one of MARKS. One listing tells them."""
+    root, grid = f"{GROUP}/{level}/{mark.name}/c/", levels_of(header).grid(level)
+    found = (index_of(key.removeprefix(root), grid) for key in header.place.list_keys(root))
+    return {index for index in found if index is not None}

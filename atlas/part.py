@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.coarsen import CODES, REGIME_SHOWN, SHARE, Cells, Widths, coarsen, from_cells, level_variables, needed
-from atlas.errors import InputError
+from atlas.coarsen import CODES, SHARE, Cells, Widths, coarsen, from_cells, level_variables, needed
+from atlas.errors import ChunkError, InputError
 from atlas.grid import axis_values
-from atlas.overview import Pyramid, level_widths
+from atlas.overview import MARKS, Pyramid, level_widths
 from atlas.spec import Slices
 from atlas.store import Header, done_tiles, read_header
 from workers.results import PENDING, REGIME, Variable, result_variables
@@ -140,23 +140,20 @@ class Part:
     def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
         """Variables of a piece of a level, a regime among them.
 
-        What of an overview is missing is computed from the level before, down to the cells; where no tile is done
-        below, it is pending without being looked for.
+        What of an overview is missing, damaged or out of date, as it is over a tile that is not done any more, is
+        computed from the level before, down to the cells; where no tile is done below, it is pending. Raises
+        ChunkError where a chunk of the cells themselves is missing or damaged.
         """
         wanted = list(names)
         if level == 0:
             stored = {v.name for v in result_variables(self.header.spec.settings)}
             base = stored & {*wanted, *(name.removesuffix("_count") for name in wanted), REGIME.name}
             return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, wanted)
-        # Both regimes are written after all that they stand for, so that either tells what is there.
-        mark = next(name for name in (REGIME.name, REGIME_SHOWN.name) if name in wanted)
-        made = {mark: self._stored(level, piece, mark)}
-        missing = [block for block in self._blocks(level, piece) if (made[mark][block] == PENDING).any()]
-        made |= {name: self._stored(level, piece, name) for name in wanted if name != mark}
+        made, missing = self._stored(level, piece, wanted)
         for block in missing:
-            place = tuple(slice(p.start + b.start, p.start + b.stop) for p, b in zip(piece, block, strict=True))
+            place = _within(piece, block)
             finer = self.pyramid.levels.finer(level, place)
-            if self._any_done(level, place):
+            if self._below(level, place).any():
                 below = self.read(level - 1, finer, self.closed(wanted))
                 widths = tuple(w[f] for w, f in zip(self.widths[level - 1], finer, strict=True))
                 computed = coarsen(below, widths)
@@ -166,12 +163,39 @@ class Part:
                 made[SHARE.name][(*block, CODES.tolist().index(PENDING))] = 1.0
         return made
 
-    def _stored(self, level: int, piece: Slices, name: str) -> NDArray[Any]:
-        if self.pyramid.made:
-            return self.pyramid.read(level, name, piece)
+    def _stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
+        """Variables of a piece of a level as stored, and the blocks of it of which that is not to be believed."""
+        blocks = list(self._blocks(level, piece))
+        mark = next(mark.name for mark in MARKS if mark.name in names)
+        try:
+            if self.pyramid.made:
+                made = {name: self.pyramid.read(level, name, piece) for name in names}
+                missing = [b for b in blocks if not self._is_current(level, _within(piece, b), made[mark][b])]
+                return made, missing
+        except ChunkError:
+            if len(blocks) > 1:  # which of them is bad shows when each is read alone
+                return self._stored_each(level, piece, names, blocks)
+        return {name: self._pending(piece, name) for name in names}, blocks
+
+    def _stored_each(
+        self, level: int, piece: Slices, names: Sequence[str], blocks: Iterable[Slices]
+    ) -> tuple[Cells, list[Slices]]:
+        made, missing = {name: self._pending(piece, name) for name in names}, []
+        for block in blocks:
+            cells, bad = self._stored(level, _within(piece, block), names)
+            missing += [block] if bad else []
+            for name in names:
+                made[name][block] = cells[name]
+        return made, missing
+
+    def _pending(self, piece: Slices, name: str) -> NDArray[Any]:
         variable = next(v for v in self._variables if v.name == name)
         shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra)
         return np.full(shape, variable.fill, dtype=variable.dtype)
+
+    def _is_current(self, level: int, place: Slices, marks: NDArray[Any]) -> bool:
+        """Whether an overview has all of a place, and every tile below it is still done."""
+        return not (marks == PENDING).any() and bool(self._below(level, place).all())
 
     def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
         """The piece cut along the borders of chunks, counted from its own first cell."""
@@ -181,12 +205,19 @@ class Part:
             along.append([slice(a - p.start, b - p.start) for a, b in itertools.pairwise(cuts)])
         yield from itertools.product(*along)
 
-    def _any_done(self, level: int, place: Slices) -> bool:
+    def undone(self, level: int, place: Slices) -> list[tuple[int, ...]]:
+        """The tiles below a place of a level that are not done, counted from the first below it."""
+        tile = self.pyramid.levels.tile
+        first = [(s.start << level) // t for s, t in zip(place, tile, strict=True)]
+        return [tuple(np.add(first, at).tolist()) for at in np.argwhere(~self._below(level, place))]
+
+    def _below(self, level: int, place: Slices) -> NDArray[np.bool_]:
+        """Which of the tiles below a place of a level are done."""
         tile = self.pyramid.levels.tile
         tiles = tuple(
             slice((s.start << level) // t, -(-(s.stop << level) // t)) for s, t in zip(place, tile, strict=True)
         )
-        return bool(self._done[tiles].any())
+        return self._done[tiles]
 
     def pieces(self) -> Iterator[tuple[int, Slices]]:
         """The part cut into pieces of whole cells of levels, as coarse as they fit."""
@@ -208,6 +239,11 @@ class Part:
         for width, p in zip(self.widths[level], piece, strict=True):
             share = np.tensordot(width[p], share, axes=1)
         return np.asarray(share)
+
+
+def _within(piece: Slices, block: Slices) -> Slices:
+    """A block of a piece, counted from the piece's first cell, as cells of the level."""
+    return tuple(slice(p.start + b.start, p.start + b.stop) for p, b in zip(piece, block, strict=True))
 
 
 def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:

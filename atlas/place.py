@@ -128,8 +128,9 @@ class LocalPlace:
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         """See Place. What a killed write left behind is none."""
         for folder, _, files in os.walk(self.path / prefix):
-            above = Path(folder).relative_to(self.path)
-            yield from ((above / name).as_posix() for name in files if not name.endswith(".partial"))
+            above = Path(folder).relative_to(self.path).as_posix()
+            begin = "" if above == "." else f"{above}/"
+            yield from (begin + name for name in files if not name.endswith(".partial"))
 
     @contextmanager
     def _written(self, key: str, data: bytes) -> Iterator[Path]:

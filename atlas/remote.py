@@ -1,14 +1,14 @@
-"""Zarr's store at a URL, which waits for a server that does not answer as the place itself does."""
+"""Zarr's own store of a place; at a URL one that waits for a server that does not answer, as the place itself does."""
 
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterable
 from typing import Any, Self, TypeVar
 
 from zarr.abc.store import ByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
-from zarr.storage import ObjectStore
+from zarr.storage import LocalStore, ObjectStore
 
 from atlas.outage import persist_async
-from atlas.place import ObjectPlace
+from atlas.place import ObjectPlace, Place
 
 _T = TypeVar("_T")
 
@@ -88,3 +88,11 @@ class RemoteStore(ObjectStore[Any]):
 
     async def _persist(self, call: Callable[[], Awaitable[_T]]) -> _T:
         return await persist_async(call, self._place.url, self._place.patience)
+
+
+def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore":
+    """Zarr's store of a place."""
+    if isinstance(place, ObjectPlace):
+        return RemoteStore(place, read_only)
+    assert place.local is not None, "a place is a folder or an object store"
+    return LocalStore(place.local, read_only=read_only)

@@ -17,6 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from atlas.digests import GROUP as TILES
+from atlas.digests import PATH as DIGESTS
+from atlas.digests import create_digests, write_digest
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.layout import (
     BUDGET,
@@ -30,7 +33,7 @@ from atlas.layout import (
     variable_attributes,
 )
 from atlas.machine import Machine, this_machine
-from atlas.place import LocalPlace, ObjectPlace, Place, place_of
+from atlas.place import LocalPlace, Place, place_of
 from atlas.spec import Slices, Spec, differences
 from workers import SOLVER_VERSION
 from workers.results import REGIME, REGIMES, Variable, result_variables
@@ -171,10 +174,27 @@ def _refused(place: Place, what: str) -> Iterator[None]:
 
 def done_tiles(header: Header) -> set[tuple[int, ...]]:
     """Indices of the tiles that are finished: those whose regime chunk exists. One listing tells them."""
-    root = f"{REGIME.name}/c/"
-    names = (key.removeprefix(root).split("/") for key in header.place.list_keys(root))
-    # A name that is not a number is what a killed write left behind.
-    return {tuple(map(int, parts)) for parts in names if all(part.isdigit() for part in parts)}
+    root, grid = f"{REGIME.name}/c/", grid_of(header)
+    found = (index_of(key.removeprefix(root), grid) for key in header.place.list_keys(root))
+    return {index for index in found if index is not None}
+
+
+def grid_of(header: Header) -> tuple[int, ...]:
+    """Tiles along each dimension."""
+    return tuple(-(-cells // tile) for cells, tile in zip(header.spec.shape, header.tile, strict=True))
+
+
+def index_of(name: str, grid: tuple[int, ...]) -> tuple[int, ...] | None:
+    """The index that a chunk's name, ``3/14``, stands for; None for one that a grid does not have, such as ``03/14``.
+
+    Such names are what a killed write left behind, or nothing of ours.
+    """
+    parts = name.split("/")
+    if len(parts) != len(grid) or not all(part.isascii() and part.isdigit() for part in parts):
+        return None
+    index = tuple(map(int, parts))
+    canonical = list(map(str, index)) == parts
+    return index if canonical and all(i < n for i, n in zip(index, grid, strict=True)) else None
 
 
 def is_done(header: Header, index: tuple[int, ...]) -> bool:
@@ -206,6 +226,7 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
     if BUDGET.name in group:
         array = _array(group, BUDGET.name)
         array[block(array, index)] = arrays.get(BUDGET.name, array.fill_value)
+    write_digest(group, header.spec, index, arrays)
     for variable in result_variables(header.spec.settings):
         array = _array(group, variable.name)
         # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
@@ -247,6 +268,14 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
     names = [variable.name for variable in (*result_variables(header.spec.settings), BUDGET)]
     return {name: group[name] for name in (*names, *coordinates(header.spec)) if name in group}
+
+
+def open_digests(header: Header, consolidated: bool = False) -> Any | None:
+    """The Zarr array of the digests of the tiles, None in a store made before there were any."""
+    import zarr
+
+    group = zarr.open_group(_zarr_store(header.place, "r"), mode="r", use_consolidated=consolidated)
+    return _array(group, DIGESTS) if DIGESTS in group else None
 
 
 def restore_coordinates(header: Header) -> None:
@@ -296,22 +325,26 @@ def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str,
 
 
 def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
-    """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas."""
+    """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
+
+    Reading a chunk of a finished tile that is missing or damaged raises ChunkError.
+    """
     import xarray
 
-    place = read_header(store).place
-    opened = xarray.open_dataset(_zarr_store(place, "r"), engine="zarr", chunks=None, consolidated=True)
+    from atlas.guard import GuardedStore
+
+    header = read_header(store)
+    place = header.place
+    guarded: Any = GuardedStore(place, header.spec)
+    opened = xarray.open_dataset(guarded, engine="zarr", chunks=None, consolidated=True)
     opened.encoding["source"] = str(place)  # by which a view finds the overviews
     return opened
 
 
 def _zarr_store(place: Place, mode: str) -> Any:
-    """Zarr's own store of a place."""
-    if isinstance(place, ObjectPlace):
-        from atlas.remote import RemoteStore
+    from atlas.remote import zarr_store  # with it Zarr, which takes a while to load
 
-        return RemoteStore(place, read_only=mode == "r")
-    return place.local
+    return zarr_store(place, read_only=mode == "r")
 
 
 def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
@@ -328,7 +361,7 @@ def _is_free(place: Place, spec: Spec) -> bool:
         return not path.exists() or (path.is_dir() and not any(path.iterdir()))
     if place.exists(ROOT):
         return False
-    ours = {MACHINES, *coordinates(spec)} | {variable.name for variable in result_variables(spec.settings)}
+    ours = {MACHINES, TILES, *coordinates(spec)} | {variable.name for variable in result_variables(spec.settings)}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
@@ -387,6 +420,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
             compressors=_codecs(),
             attributes=variable_attributes(variable, spec),
         )
+    create_digests(group, spec, tuple(-(-n // t) for n, t in zip(spec.shape, tile, strict=True)), _codecs())
     _consolidate(group)
 
 

@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 
 from atlas.beside import notes_of
-from atlas.chunks import ChunkError, read_tile
+from atlas.chunks import digest_faults, read_tile
 from atlas.claim import claimed
 from atlas.consistency import broken_rules
-from atlas.errors import InputError
+from atlas.errors import ChunkError, InputError
+from atlas.foreign import foreign_keys
 from atlas.machine import this_machine
 from atlas.metadata import coordinate_faults, metadata_faults
 from atlas.overview import drop
+from atlas.overview_check import check_overviews, drop_unsound
 from atlas.plan import Plan, make_plan, plural
 from atlas.progress import Progress
 from atlas.recheck import Sample, beyond_error, place_in, solve_again, unequal
@@ -32,6 +34,7 @@ from atlas.store import (
     drop_tile,
     machines,
     open_arrays,
+    open_digests,
     read_header,
     restore_coordinates,
 )
@@ -60,13 +63,17 @@ class Fault:
 class Report:
     """What a verification found.
 
-    tiles, tiles_done, chunks    in all; finished; chunks read whole, their checksums right
+    tiles, tiles_done, chunks    in all; finished; their chunks read whole, their checksums right
+    overview_chunks              read whole, and held against the cells below them
+    digests                      whether the tiles have digests, by which an exchange of tiles is found
     cells_checked                held against the rules
     cells_solved                 of the sample that was asked for, solved again
     comparison                   "bits", "error", or why none was made
     faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
     doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
     repaired                     tiles made unfinished, so that the next run solves them again
+    dropped                      chunks of overviews made missing, so that the next run makes them anew
+    removed                      names among the chunks that are none
     """
 
     store: str
@@ -79,7 +86,11 @@ class Report:
     seed: int
     faults: tuple[Fault, ...]
     doubts: tuple[Fault, ...]
+    overview_chunks: int = 0
+    digests: bool = True
     repaired: tuple[Index, ...] | None = None
+    dropped: int = 0
+    removed: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -96,6 +107,8 @@ class Report:
         lines = [
             f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run goes on"),
             f"chunks   {self.chunks} read, their checksums right",
+            f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
+            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
             f"cells    {self.cells_checked} held against the rules",
             f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
             if self.comparison in how
@@ -107,6 +120,9 @@ class Report:
         if self.repaired is not None:
             what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
             lines.append(what if self.repaired else "no tile to drop")
+            if self.dropped:
+                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: run it again to make them")
+            lines += [f"removed: {key}" for key in self.removed]
         bad = bool(self.faults or self.doubts)
         lines.append("fine" if self.fine else "not fine" if bad else "nothing wrong, but not complete")
         return "\n".join(lines)
@@ -126,7 +142,11 @@ class Report:
             "seed": self.seed,
             "faults": [{"tile": fault.tile, "what": fault.what} for fault in self.faults],
             "doubts": [{"tile": fault.tile, "what": fault.what} for fault in self.doubts],
+            "overview_chunks": self.overview_chunks,
+            "digests": self.digests,
             "repaired": self.repaired,
+            "dropped": self.dropped,
+            "removed": self.removed,
         }
 
 
@@ -140,10 +160,12 @@ def verify(
     """Read a whole store, while no run is at work on it, and report all that is wrong in it.
 
     Metadata and coordinates are held against the spec; every chunk of every finished tile is read, which checks its
-    checksum; every cell is held against the rules of ``consistency``, the sum law among them. Of ``sample`` cells
+    checksum, and all of a tile against its digest; every cell is held against the rules of ``consistency``, the sum
+    law among them; every chunk of an overview is held against what it stands for. Of ``sample`` cells
     that ``seed`` draws (failed ones left out), the solution is made again: on the kind of machine that solved them
-    it has to be the same to the bit, elsewhere within the errors. ``repair`` makes every tile with a fault unfinished
-    and writes damaged coordinates anew; it touches no tile that is only in doubt.
+    it has to be the same to the bit, elsewhere within the errors. ``repair`` makes every tile with a fault unfinished,
+    drops overviews that are not sound, removes names among the chunks that are none, and writes damaged coordinates
+    anew; it touches no tile that is only in doubt.
     Raises InputError where there is no store to verify, OSError where it cannot be read or repaired.
     """
     if sample < 0:
@@ -153,17 +175,18 @@ def verify(
     tell = on_progress or (lambda _: None)
     plan = make_plan(header.spec, workers=1, tile=header.tile)
     tell(Progress("listing the tiles"))
-    listed = done_tiles(header)
-    done = sorted(index for index in listed if _inside(plan, index))
+    done = sorted(done_tiles(header))
     report = Report(
         str(header.place), plan.tile_count, len(done), 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
     )
     faults = [Fault(None, what) for what in metadata_faults(header)]
     if faults:  # whatever is read through wrong metadata tells nothing
         return replace(report, comparison="the metadata are damaged", faults=tuple(faults))
+    report = replace(report, digests=open_digests(header) is not None)
     worn = coordinate_faults(header)
     faults += [Fault(None, what) for what in worn]
-    faults += [Fault(index, "lies beyond the last tile") for index in sorted(listed - set(done))]
+    foreign = tuple(foreign_keys(header))
+    faults += [Fault(None, f"{key} is no chunk of this atlas") for key in foreign]
 
     chunks = cells = 0
     samples: list[Sample] = []
@@ -172,7 +195,8 @@ def verify(
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
 
-    report = replace(report, chunks=chunks, cells_checked=cells, comparison=_comparison(header, sample, bool(done)))
+    comparison = _comparison(header, sample, bool(done))
+    report = replace(report, chunks=chunks, cells_checked=cells, comparison=comparison)
     doubts: list[Fault] = []
     if report.comparison in ("bits", "error"):
         exact = report.comparison == "bits"
@@ -185,17 +209,23 @@ def verify(
                 found = Fault(one.tile, f"cell {place_in(header.spec, one.cell)}: {different}")
                 (faults if exact else doubts).append(found)
         report = replace(report, cells_solved=len(samples))
+    bad = sorted({fault.tile for fault in faults if fault.tile is not None})
+    overviews = check_overviews(header, set(bad), lambda level: tell(Progress(f"checking overview {level}")))
+    faults += [Fault(None, what) for what in overviews.faults]
+    report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
     if not repair:
         return report
     if worn:
         restore_coordinates(header)
-    bad = sorted({fault.tile for fault in faults if fault.tile is not None})
     with claimed(notes_of(header.place), str(header.place)):
+        drop_unsound(header, overviews)
         drop(header, bad)  # first: an overview must not outlive what it is of
         for index in bad:
             drop_tile(header, index)
-    return replace(report, repaired=tuple(bad))
+        for key in foreign:
+            header.place.remove(key)
+    return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign)
 
 
 @dataclass(frozen=True)
@@ -213,14 +243,14 @@ def _read_all(
     header: Header, plan: Plan, done: list[Index], drawn: dict[Index, list[int]], tell: Callable[[Progress], None]
 ) -> Iterator[_Checked]:
     """Read and check the finished tiles, several at once."""
-    arrays = open_arrays(header)
+    arrays, digests = open_arrays(header), open_digests(header)
     sizes = [plan.size(index) for index in done]
     pending = plan.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
     stage = Progress("reading", plan, plan.tile_count, plan.cells, plan.tile_count - len(done), pending)
     tell(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check(header, plan, arrays, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check(header, plan, arrays, digests, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = plan.tile_count - len(done) + read
@@ -228,7 +258,9 @@ def _read_all(
             yield tile
 
 
-def _check(header: Header, plan: Plan, arrays: dict[str, Any], index: Index, drawn: list[int]) -> _Checked:
+def _check(
+    header: Header, plan: Plan, arrays: dict[str, Any], digests: Any | None, index: Index, drawn: list[int]
+) -> _Checked:
     slices = plan.at(index).slices
     try:
         values = read_tile(header, index, arrays=arrays)
@@ -241,6 +273,8 @@ def _check(header: Header, plan: Plan, arrays: dict[str, Any], index: Index, dra
         f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(header.spec, _first(mask, slices))}"
         for text, mask in broken.items()
     )
+    if digests is not None:
+        faults += digest_faults(header, digests, index, values)
     samples = []
     for flat in drawn:
         inner = tuple(int(i) for i in np.unravel_index(flat, shape))
@@ -284,8 +318,3 @@ def _comparison(header: Header, sample: int, any_done: bool) -> str:
     if not any_done:
         return "no cell is done"
     return "bits" if {machine.name for machine in machines(header)} == {this_machine().name} else "error"
-
-
-def _inside(plan: Plan, index: Index) -> bool:
-    grid = [-(-cells // tile) for cells, tile in zip(plan.shape, plan.tile, strict=True)]
-    return len(index) == len(grid) and all(i < n for i, n in zip(index, grid, strict=True))

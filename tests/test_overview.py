@@ -18,6 +18,7 @@ from atlas import levels, overview, store
 from atlas.coarsen import coarsen, from_cells
 from atlas.errors import RunError
 from atlas.overview import Overviews, levels_of
+from atlas.place import LocalPlace
 from atlas.progress import Progress
 from atlas.query import fractions
 from atlas.view import view
@@ -308,9 +309,10 @@ class Killed(BaseException):
 
 
 def killed_after(monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
-    """Let that many writes of arrays and of attributes through, then none."""
+    """Let that many writes of arrays and of attributes, and removals of chunks, through, then none."""
     left = [writes]
-    for kind, name in ((zarr.Array, "__setitem__"), (zarr.Group, "create_group"), (zarr.Group, "create_array")):
+    steps = (zarr.Array, "__setitem__"), (zarr.Group, "create_group"), (zarr.Group, "create_array")
+    for kind, name in (*steps, (LocalPlace, "remove")):
         whole = getattr(kind, name)
 
         def write(*given: object, whole: object = whole, **named: object) -> object:

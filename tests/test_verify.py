@@ -2,6 +2,7 @@ import json
 import os
 import shutil
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +15,11 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas import recheck, store
-from atlas.chunks import ChunkError, read_tile
+from atlas import digests, recheck, store
+from atlas.chunks import read_tile
 from atlas.cli import cli
 from atlas.consistency import law_of
-from atlas.errors import InputError
+from atlas.errors import ChunkError, InputError
 from atlas.machine import Machine
 from atlas.progress import Progress
 from atlas.verify import Fault, Report, verify
@@ -51,7 +52,7 @@ def whole(solved: Path, tmp_path: Path) -> Path:
 
 
 def chunk(path: Path, name: str, tile: str = "0/1") -> Path:
-    extra = {v.name: len(v.extra) for v in result_variables(SPEC.settings)}[name]
+    extra = {v.name: len(v.extra) for v in result_variables(SPEC.settings)}.get(name, 0)
     return path.joinpath(name, "c", tile, *["0"] * extra)
 
 
@@ -62,12 +63,14 @@ def flip(path: Path, byte: int) -> None:
 
 
 def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], value: Any) -> tuple[int, ...]:
-    """Another value, with a right checksum, in the first cell that ``where`` picks by its regime."""
+    """Another value, with a right checksum and digest, in the first cell that ``where`` picks by its regime."""
     group = zarr.open_group(path, mode="r+", use_consolidated=False)
     cell = tuple(int(i[0]) for i in np.nonzero(where(group["regime"][...])))
     values = group[name][...]
     values[cell] = value(values[cell]) if callable(value) else value
     group[name].with_config({"write_empty_chunks": True})[...] = values
+    tile = (cell[0] // 2, cell[1] // 2)
+    digests.write_digest(group, SPEC, tile, read_tile(store.read_header(path), tile))
     return cell
 
 
@@ -301,10 +304,72 @@ def test_a_digest_that_is_not_the_specs_is_found(whole: Path) -> None:
     assert "zarr.json: the digest is not that of the spec" in told(verify(whole))
 
 
-def test_a_tile_beyond_the_grid_is_found_and_dropped(whole: Path) -> None:
-    shutil.copytree(whole / "regime" / "c" / "0", whole / "regime" / "c" / "7")
-    assert verify(whole, sample=0, repair=True).repaired == ((7, 0), (7, 1))
+FOREIGN = ["7777", "05/0", "0/05", "²/0", "0/²", "0/+1", "0/1_0", "0/2", "2/0", "0/1/0", "x"]
+"""Names that no chunk of a grid of 2 x 2 tiles has."""
+
+
+def lay(path: Path, names: list[str]) -> None:
+    for name in names:
+        file = path / "regime" / "c" / name
+        if not file.parent.is_file():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(b"?")
+
+
+def test_names_that_are_no_chunks_are_found_and_removed(whole: Path) -> None:
+    names = [name for name in FOREIGN if name != "0/1/0"]  # a folder in place of a chunk
+    lay(whole, names)
+    (whole / "state" / "c" / "0" / "0" / "1").write_bytes(b"?")
+    report = verify(whole, sample=0, repair=True)
+    expected = {f"regime/c/{name}" for name in names} | {"state/c/0/0/1"}
+    assert set(told(report)) == {f"{key} is no chunk of this atlas" for key in expected}
+    assert set(report.removed) == expected
     assert verify(whole, sample=0).fine
+
+
+def test_names_that_are_no_chunks_are_no_tiles(whole: Path, client: Client) -> None:
+    chunk(whole, "regime").unlink()
+    lay(whole, FOREIGN)
+    assert store.done_tiles(store.read_header(whole)) == {(0, 0), (1, 0), (1, 1)}
+    assert json.loads(CliRunner().invoke(cli, ["status", "--json", str(whole)]).stdout)["tiles_done"] == 3
+    (whole / "regime" / "c" / "0" / "1" / "0").unlink()
+    (whole / "regime" / "c" / "0" / "1").rmdir()
+    assert atlas.run(SPEC, whole, client=client).tiles_done == 4
+
+
+def exchange(path: Path, one: str, other: str, names: list[str]) -> None:
+    for name in names:
+        files = [chunk(path, name, tile) for tile in (one, other)]
+        contents = [file.read_bytes() for file in files]
+        for file, content in zip(files, reversed(contents), strict=True):
+            file.write_bytes(content)
+
+
+@pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, digests.PATH], ["largest"], [digests.PATH]])
+def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, names: list[str]) -> None:
+    exchange(whole, "0/0", "1/1", names)
+    exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "exchanged with another" in fault.what]
+    assert exchanged == [(0, 0), (1, 1)]
+
+
+def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) -> None:
+    shutil.rmtree(whole / digests.GROUP)
+    with warnings.catch_warnings(action="ignore"):  # Zarr's, that consolidated metadata are an extension
+        zarr.consolidate_metadata(whole)
+    report = verify(whole, sample=0)
+    assert (report.fine, report.digests) == (True, False)
+    assert "digests  none" in str(report)
+
+
+def test_digests_that_are_gone_are_found(whole: Path) -> None:
+    shutil.rmtree(whole / digests.GROUP)
+    (fault,) = told(verify(whole, sample=0))
+    assert fault == "zarr.json: its consolidated metadata are not those of tiles/digest/zarr.json"
+
+
+def test_a_digest_that_is_missing_is_found(whole: Path) -> None:
+    (whole / digests.PATH / "c" / "0" / "1").unlink()
+    assert told(verify(whole, sample=0)) == ["tile (0, 1): tiles/digest/c/0/1 is missing"]
 
 
 def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,25 @@
+"""Names that lie among a store's chunks and are none: of a tile beyond the grid, ``05``, or anything else."""
+
+from collections.abc import Iterator
+
+from atlas.coarsen import level_variables
+from atlas.overview import GROUP, Pyramid, levels_of
+from atlas.store import Header, grid_of, index_of
+from workers.results import Variable, result_variables
+
+
+def foreign_keys(header: Header) -> Iterator[str]:
+    """The keys of all such objects, by a listing of each array's."""
+    for variable in result_variables(header.spec.settings):
+        yield from _foreign(header, "", variable, grid_of(header))
+    levels = levels_of(header)
+    for level in range(1, levels.count + 1) if Pyramid(header).made else ():
+        for variable in level_variables(header.spec.settings):
+            yield from _foreign(header, f"{GROUP}/{level}/", variable, levels.grid(level))
+
+
+def _foreign(header: Header, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
+    root = f"{folder}{variable.name}/c/"
+    whole = grid + (1,) * len(variable.extra)  # what has more numbers a cell has them all in one chunk
+    keys = (key for key in header.place.list_keys(root) if index_of(key.removeprefix(root), whole) is None)
+    yield from sorted(keys)
