@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lyapunov import run
+from workers.results import BEYOND_STOP, REASONS, InvalidError
 from workers.section import BEYOND, RECORDED, RUNNING, STATUS, blocks_to_physical, motion_from, reset_frame
 from workers.settings import Settings
-from workers.solve import REASONS, vectors_for, with_frame
+from workers.solve import REASON_OF, vectors_for, with_frame
 from workers.system import find_system
 
 Array = NDArray[np.float64]
@@ -50,13 +51,13 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     start = np.array([values[name] for name in record.states])
     motion = motion_from(osc, start, record=RECORD)
     if motion.contact[0] == BEYOND:
-        raise ValueError("the initial state lies beyond a stop")
+        raise InvalidError(BEYOND_STOP)
     motion = with_frame(motion, vectors_for(settings, osc))
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
         run(osc, motion, 1)
         if motion.tally[STATUS] != RUNNING:
-            raise ValueError(f"period {k}: {REASONS[int(motion.tally[STATUS])]}")
+            raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")
         reset_frame(osc, motion)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period
