@@ -31,10 +31,10 @@ from atlas.coarsen import (
     level_variables,
 )
 from atlas.errors import RunError
-from atlas.grid import edges_of, widths_of
+from atlas.grid import edges_of, widths_along
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
-from atlas.store import Header, done_tiles, open_group
+from atlas.store import Header, codecs, done_tiles, open_group
 from workers.results import PENDING, REGIME, REGIMES
 
 GROUP = "overviews"
@@ -232,7 +232,7 @@ def make(header: Header, level: int, index: Index) -> None:
 
 def level_widths(header: Header) -> list[Widths]:
     """The widths of the cells of every level along each dimension, the atlas itself first; only ratios count."""
-    found = [tuple(widths_of(np.array(axis.values), axis.scale == "log") for axis in reversed(header.spec.axes))]
+    found = [widths_along(header.spec)]
     for _ in range(levels_of(header).count):
         found.append(tuple(map(halved, found[-1])))
     return found
@@ -312,7 +312,7 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
             dtype=variable.dtype,
             fill_value=variable.fill,
             dimension_names=spec.dims + variable.extra,
-            compressors=_codecs(),
+            compressors=codecs(),
             attributes=attributes,
         )
 
@@ -325,12 +325,6 @@ def bounds_name(axis: str) -> str:
 def centres(edges: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
     """The middles of cells: half way between their edges, on a log axis the geometric mean."""
     return np.sqrt(edges[:-1] * edges[1:]) if log else 0.5 * (edges[:-1] + edges[1:])
-
-
-def _codecs() -> list[Any]:
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    return [ZstdCodec(), Crc32cCodec()]
 
 
 def _stored(root: Any, levels: Levels, level: int, name: str) -> set[Index]:

@@ -145,9 +145,9 @@ def mass_spring(
     """The oscillator M x'' + C x' + K x = force sin(omega t + tau) with stops on y = gap_row . x.
 
     The damping must be classical (diagonal in the undamped modes), as proportional damping is.
-    Raises InvalidError, a ValueError in one line, for a free rigid mode, for damping that is not classical, for undamped
-    resonance, where no periodic forced response exists, and for a forcing period of more free oscillations than
-    double precision keeps the phase of.
+    Raises InvalidError, a ValueError in one line, for a free rigid mode, for damping that is not classical, for
+    undamped resonance, where no periodic forced response exists, and for a forcing period of more free
+    oscillations than double precision keeps the phase of.
     """
     structure = _structure(_tuples(mass), _tuples(damping), _tuples(stiffness), _tuples(gap_row))
     free, held = structure.unforced, structure.unforced.held
