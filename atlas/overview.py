@@ -52,7 +52,8 @@ def levels_of(header: Header) -> Levels:
 class Pyramid:
     """A store's cells and overviews opened for reading, with the number of chunks read since.
 
-    ``made`` tells whether there are overviews at all. ``read`` takes level 0 for the cells.
+    ``root`` is the store's group; ``made`` tells whether there are overviews at all. ``read`` takes level 0 for the
+    cells.
     """
 
     def __init__(self, header: Header) -> None:
@@ -60,10 +61,10 @@ class Pyramid:
 
         self._plain = _root(header, "r").store
         self._store = _counting(self._plain)
-        self._root = zarr.open_group(self._store, mode="r", use_consolidated=False)
+        self.root = zarr.open_group(self._store, mode="r", use_consolidated=False)
         self._arrays: dict[str, Any] = {}
         self.levels = levels_of(header)
-        self.made = _made(self._root)
+        self.made = _made(self.root)
 
     @property
     def chunks_read(self) -> int:
@@ -79,7 +80,7 @@ class Pyramid:
         """A variable of a level as a Zarr array."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
-            self._arrays[path] = self._root[path]
+            self._arrays[path] = self.root[path]
         return self._arrays[path]
 
     def read(self, level: int, name: str, part: Slices) -> NDArray[Any]:

@@ -97,6 +97,13 @@ def tile_sizes(plan: Plan) -> NDArray[np.int64]:
     return np.asarray(reduce(np.multiply.outer, along))
 
 
+def tile_areas(header: Header) -> NDArray[np.float64]:
+    """The area of every tile in the units of ``tile_entry``, as an array over the tiles."""
+    widths = zip(widths_along(header.spec), header.tile, strict=True)
+    along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
+    return np.asarray(reduce(np.multiply.outer, along))
+
+
 def done_mask(header: Header, plan: Plan) -> NDArray[np.bool_]:
     """Which tiles are finished, as an array over the tiles."""
     done = np.zeros(plan.grid, dtype=bool)
