@@ -29,8 +29,8 @@ def export(ds: "xr.Dataset", path: str | Path, window: Window | None = None) -> 
 
     CSV: one row a cell, x fastest: the axes, then every variable, with a column for each component of one that has
     several (``state_x1``, ``spectrum_1``), regime and reason by name; numbers in their shortest exact form, NaN
-    and -inf as such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed parameters as scalar
-    coordinates. The file appears whole or not at all.
+    and -inf as such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed
+    parameters as scalar coordinates. The file appears whole or not at all.
     Raises InputError for another suffix, an unknown axis, a window without a cell, and a path that cannot be written.
     """
     target = Path(path)
