@@ -242,8 +242,9 @@ class Part:
         total = self._tallied(tiles)
         for side in _around(piece, inner):
             total = total + self._read_areas(side)
+        plan = plan_of(self.header)
         for index in np.argwhere(~self._tally[1][tiles]) + [s.start for s in tiles]:
-            total = total + self._read_areas(plan_of(self.header).at(tuple(index.tolist())).slices)
+            total = total + self._read_areas(plan.at(tuple(index.tolist())).slices)
         return total
 
     def _tiles(self, level: int, piece: Slices) -> Slices | None:

@@ -130,13 +130,14 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
 
     def __init__(self, header: Header, again: Iterable[Index] = ()) -> None:
         self._header, self._plan = header, plan_of(header)
-        self._array = _ensured(header, self._plan)
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._new: dict[Index, Entries] = {}
         settled = done_mask(header, self._plan)
         for index in again:
             settled[index] = False
-        entries, known = read_tally(open_group(header.place, "r"), self._plan)
+        with header.place.told():
+            self._array = _ensured(header, self._plan)
+            entries, known = read_tally(open_group(header.place, "r"), self._plan)
         stale = entries.any(axis=-1) & ~settled
         if stale.any():
             self._write({tuple(index): np.zeros(len(COLUMNS)) for index in np.argwhere(stale).tolist()})
@@ -186,10 +187,11 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
             by_chunk.setdefault(chunk, []).append(index)
         for chunk, indices in by_chunk.items():
             block = tuple(slice(k * c, (k + 1) * c) for k, c in zip(chunk, self._array.chunks, strict=False))
-            values = _read(self._array, block)
-            for index in indices:
-                values[tuple(i - part.start for i, part in zip(index, block, strict=True))] = entries[index]
-            self._array[block] = values
+            with self._header.place.told():
+                values = _read(self._array, block)
+                for index in indices:
+                    values[tuple(i - part.start for i, part in zip(index, block, strict=True))] = entries[index]
+                self._array[block] = values
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
