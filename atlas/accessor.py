@@ -51,6 +51,10 @@ class AtlasAccessor:
         """The share of the area, in the axes' own units, that belongs to each regime. See ``atlas.query.fractions``."""
         return query.fractions(self._ds, window)
 
+    def reasons(self, window: Window | None = None) -> dict[str, int]:
+        """How many cells have no result, by the reason in words. See ``atlas.query.reasons``."""
+        return query.reasons(self._ds, window)
+
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:

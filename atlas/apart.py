@@ -28,7 +28,7 @@ def run_apart(job: Job) -> Receipt | str:
             told = json.loads(ended.stdout.splitlines()[-1])
             if "error" in told:
                 raise _KINDS.get(told["kind"], RunError)(told["error"])
-            return Receipt(**told | {"index": tuple(told["index"])})
+            return Receipt(**told | {"index": tuple(told["index"]), "entry": tuple(told["entry"])})
         if -ended.returncode in _ORDERLY:
             raise RunError(f"the process of tile {job.index} was ended by {signal.Signals(-ended.returncode).name}")
     return f"its tile ends the process that solves it, each of {ATTEMPTS + 1} times ({_how(ended.returncode)})"

@@ -18,7 +18,7 @@ def read_tile(
 ) -> dict[str, np.ndarray]:
     """Arrays of a finished tile: those named, or all results and ``budget``, what each cell may cost in periods.
 
-    They are read from ``arrays`` as ``open_arrays`` gives them.
+    They are read from ``arrays`` as ``open_arrays`` gives them. Reasons are left out where an older store has none.
 
     Raises ChunkError, which tells of every bad chunk; OSError where the place cannot be read at all.
     """
@@ -32,12 +32,14 @@ def read_tile(
             shape = tuple(part.stop - part.start for part in block(arrays[REGIME.name], index))
             values[BUDGET.name] = np.full(shape, header.spec.settings.max_periods, BUDGET.dtype)
             continue
+        if variable.sparse and variable.name not in arrays:
+            continue
         key = chunk_key(variable, index)
         found = _read(header, arrays[variable.name], index)
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
-        elif variable is not BUDGET and _is_blank(found, variable) and not header.place.exists(key):
+        elif not variable.sparse and _is_blank(found, variable) and not header.place.exists(key):
             faults[key] = "is missing"
         else:
             values[variable.name] = found

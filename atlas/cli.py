@@ -300,6 +300,7 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     from atlas.export import check_path, export
     from atlas.output import print_table, text, to_json
     from atlas.part import counted
+    from atlas.progress import reasons_told
     from atlas.store import open_atlas
 
     if point and window:
@@ -318,12 +319,14 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
             found = {"file": str(out), "cells": export(dataset, out, bounds)}
         else:
             found = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds)
+        why = questions.reasons(dataset, bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
     if as_json:
-        click.echo(to_json(found))
+        click.echo(to_json(found | ({"reasons": why} if why else {})))
     elif point or out:
         print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
     else:
         print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
+        click.echo("".join(f"{line}\n" for line in reasons_told(why)), nl=False)
         _say(f"{reads.chunks} chunks read")
 
 

@@ -31,6 +31,7 @@ from workers.results import (
     LARGEST,
     PENDING,
     PERIODIC,
+    REASON,
     REGIME,
     REGIMES,
     UNDETERMINED,
@@ -57,11 +58,11 @@ Widths = tuple[NDArray[np.float64], ...]
 def level_variables(settings: Settings) -> tuple[Variable, ...]:
     """The variables of every level of an atlas with these settings; ``regime`` is the last, as it is the last written.
 
-    What has more than one value a cell has no mean that means something, and is left out.
+    Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
     """
     found: list[Variable] = []
     for variable in result_variables(settings):
-        if variable.extra or variable.name == REGIME.name:
+        if variable.extra or variable.name in (REASON.name, REGIME.name):
             continue
         if variable.name in CLASSES:
             found.append(variable)

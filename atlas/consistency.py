@@ -12,8 +12,11 @@ from workers.results import (
     FAILED,
     INVALID,
     NO_IMPACT,
+    NO_REASON,
     PERIODIC,
     QUASIPERIODIC,
+    REASON,
+    REASONS,
     REGIME,
     result_variables,
 )
@@ -52,11 +55,16 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     known = (regime >= NO_IMPACT) & (regime <= CHAOTIC)
 
     for variable in result_variables(spec.settings):
-        if variable.name in (REGIME.name, "periods_used"):
+        if variable.name in (REGIME.name, REASON.name, "periods_used"):
             continue
         values = arrays[variable.name].reshape(*regime.shape, -1)
         empty = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
         yield f"{variable.name} has a value in an invalid or failed cell", blank & ~empty.all(axis=-1)
+
+    if REASON.name in arrays:  # an older store has none
+        reason = arrays[REASON.name]
+        yield "reason is missing in an invalid or failed cell", blank & (reason == NO_REASON)
+        yield "reason is not one for this regime", (reason != NO_REASON) & ~_goes_with(reason, regime)
 
     yield from _exponent_rules(arrays, known)
 
@@ -85,6 +93,14 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     yield "min_impact_speed without impact", still & ~np.isnan(speed)
     yield "periods_used is negative", arrays["periods_used"] < 0
     yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
+
+
+def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
+    """Where a reason is one that the table has, for cells of this regime."""
+    found = np.zeros(regime.shape, dtype=bool)
+    for known in REASONS:
+        found |= (reason == known.code) & (regime == known.regime)
+    return found
 
 
 def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.grid import Window, axis_names, within
-from workers.results import REGIME, REGIMES
+from workers.results import REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,9 +28,9 @@ def export(ds: "xr.Dataset", path: str | Path, window: Window | None = None) -> 
     """Write the cells of a window to a file, in full and not coarsened, and return their number.
 
     CSV: one row a cell, x fastest: the axes, then every variable, with a column for each component of one that has
-    several (``state_x1``, ``spectrum_1``), the regime by name; numbers in their shortest exact form, NaN and -inf as
-    such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed parameters as scalar
-    coordinates. The file appears whole or not at all.
+    several (``state_x1``, ``spectrum_1``), regime and reason by name; numbers in their shortest exact form, NaN
+    and -inf as such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed
+    parameters as scalar coordinates. The file appears whole or not at all.
     Raises InputError for another suffix, an unknown axis, a window without a cell, and a path that cannot be written.
     """
     target = Path(path)
@@ -68,7 +68,10 @@ def _write_csv(ds: "xr.Dataset", path: Path) -> None:
     dims = tuple(reversed(names))
     ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
     columns = {str(name): _components(ds, str(name), dims) for name in ordered}
-    words = {regime.code: regime.name for regime in REGIMES}
+    words = {
+        REGIME.name: {regime.code: regime.name for regime in REGIMES},
+        REASON.name: {reason.code: reason.name for reason in REASONS},
+    }
     x, y = ds[names[0]].values.tolist(), ds[names[1]].values.tolist() if len(names) == 2 else [None]
     rows = max(1, _BLOCK // len(x))
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -82,7 +85,7 @@ def _write_csv(ds: "xr.Dataset", path: Path) -> None:
                 table = block[name].transpose(*dims, ...).values.reshape(cells, len(several))
                 for i in range(len(several)):
                     values = table[:, i].tolist()
-                    fields.append([words[code] for code in values] if name == REGIME.name else values)
+                    fields.append([words[name][code] for code in values] if name in words else values)
             points = ([u] if v is None else [u, v] for v in y[first : first + rows] for u in x)
             writer.writerows([*point, *row] for point, row in zip(points, zip(*fields, strict=True), strict=True))
 

@@ -13,6 +13,8 @@ from workers.results import REGIME
 if TYPE_CHECKING:
     import xarray as xr
 
+    from atlas.spec import Spec
+
 LONE_CELL = 0.05
 """Half width of the cell of an axis with one point, relative to its value (absolute where that is 0)."""
 
@@ -85,6 +87,11 @@ def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
     Only their ratios count, and ones are free of the rounding of edges.
     """
     return np.ones_like(values) if is_uniform(values) else np.diff(edges_of(values, log))
+
+
+def widths_along(spec: "Spec") -> tuple[NDArray[np.float64], ...]:
+    """``widths_of`` the cells of a whole plane along each of its dimensions."""
+    return tuple(widths_of(np.array(axis.values), axis.scale == "log") for axis in reversed(spec.axes))
 
 
 def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:

@@ -35,7 +35,7 @@ class GuardedStore(WrapperStore[Any]):
         results, levels = result_variables(spec.settings), level_variables(spec.settings)
         self.place, self.chunks_read = place, 0
         self._dims = len(spec.shape)
-        self._complete = {variable.name for variable in (*results, *levels)}
+        self._complete = {variable.name for variable in (*results, *levels) if not variable.sparse}
         self._checked = {variable.name for variable in results} | {BUDGET.name, *coordinates(spec)}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:

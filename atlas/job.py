@@ -22,9 +22,10 @@ from atlas.plan import make_plan
 from atlas.retry import Retry, solve_again
 from atlas.store import Header, is_done, read_header, write_tile
 from atlas.takeover import fill_tile, known_cells
+from atlas.tally import tile_entry
 from atlas.warm import compile_once
 from workers import SOLVER_VERSION
-from workers.results import FAILED, REGIME, REGIMES, result_variables
+from workers.results import FAILED, PROCESS_ENDED, REASON, REGIME, REGIMES, reason_counts, result_variables
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
@@ -58,12 +59,13 @@ class Job:
 class Receipt:
     """What a finished tile reports.
 
-    cells, counts, reasons          solved, in all and of each regime; failures by reason
+    cells, counts, reasons          solved, in all and of each regime; those without a result by the reason in words
     taken                           cells taken over from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
     peak_bytes                      most memory that the worker's process ever had
+    entry                           what the store's tally is to say of the whole tile, see atlas.tally
     """
 
     index: tuple[int, ...]
@@ -76,6 +78,7 @@ class Receipt:
     peak_bytes: int
     taken: int = 0
     processor_seconds: float = 0.0
+    entry: tuple[float, ...] = ()
 
 
 def run_job(job: Job) -> Receipt:
@@ -115,18 +118,18 @@ def solve_and_write(job: Job) -> Receipt:
         compile_once(spec.system, spec.settings)
         begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:
-            arrays, solved, reasons = fill_tile(header, tile.slices)
+            arrays, solved = fill_tile(header, tile.slices)
         else:
-            stored = read_tile(header, job.index)
+            stored = _stored(header, job.index)
             shape = stored[REGIME.name].shape
             cells = {name: np.broadcast_to(value, shape) for name, value in params.items()}
             begin, busy = time.perf_counter(), time.thread_time()
-            arrays, solved, reasons = solve_again(spec, cells, stored, job.retry)
+            arrays, solved = solve_again(spec, cells, stored, job.retry)
         middle, processor = time.perf_counter(), time.thread_time() - busy
         # Another attempt may have finished meanwhile: what is stored is then the same, and stays.
         if solved.any() if job.retry is not None else not is_done(header, job.index):
             write_tile(header, job.index, arrays)
-        receipt = _receipt(job.index, arrays, solved, reasons)
+        receipt = _receipt(header, job.index, arrays, solved)
         taken = int((~solved).sum()) if job.retry is None else 0
         return replace(
             receipt,
@@ -168,46 +171,53 @@ def _told_apart(job: Job) -> Iterator[None]:
         raise
 
 
-def _mark_failed(header: Header, job: Job, reason: str) -> Receipt:
+def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
     """Write the cells that were to be solved as failed, so that the rest of the atlas can be finished."""
     spec = header.spec
     if job.retry is None:
         tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
         stored, solved = known_cells(header, tile.slices)
     else:
-        stored = read_tile(header, job.index)
+        stored = _stored(header, job.index)
         solved = job.retry.selects(stored)
         stored[BUDGET.name] = np.where(solved, job.retry.budgets(stored), stored[BUDGET.name])
         for variable in result_variables(spec.settings):
             stored[variable.name][solved] = variable.fill
     if job.retry is None and is_done(header, job.index):
         return _receipt_of_stored(header, job.index)
-    stored[REGIME.name][solved] = FAILED
+    stored[REGIME.name][solved], stored[REASON.name][solved] = FAILED, PROCESS_ENDED
     write_tile(header, job.index, stored)
-    receipt = _receipt(job.index, stored, solved, {reason: int(solved.sum())})
+    receipt = replace(_receipt(header, job.index, stored, solved), reasons={died: int(solved.sum())})
     return receipt if job.retry else replace(receipt, taken=int((~solved).sum()))
+
+
+def _stored(header: Header, index: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """The arrays of a finished tile, reasons too where an older store keeps none."""
+    arrays = read_tile(header, index)
+    arrays.setdefault(REASON.name, np.full(arrays[REGIME.name].shape, REASON.fill, REASON.dtype))
+    return arrays
 
 
 def _receipt_of_stored(header: Header, index: tuple[int, ...]) -> Receipt:
     """The receipt of a tile that was finished before: its worker died after the writing, before the telling."""
-    arrays = read_tile(header, index)
-    return _receipt(index, arrays, np.ones(arrays[REGIME.name].shape, dtype=bool), {})
+    arrays = _stored(header, index)
+    return _receipt(header, index, arrays, np.ones(arrays[REGIME.name].shape, dtype=bool))
 
 
-def _receipt(
-    index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray, reasons: dict[str, int]
-) -> Receipt:
+def _receipt(header: Header, index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray) -> Receipt:
+    slices = make_plan(header.spec, workers=1, tile=header.tile).at(index).slices
     codes = arrays[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(
         index=index,
         cells=int(solved.sum()),
         counts={name: count for name, count in counts.items() if count},
-        reasons=dict(reasons),
+        reasons=reason_counts(arrays[REASON.name][solved]),
         solve_seconds=0.0,
         write_seconds=0.0,
         periods=int(arrays["periods_used"][solved].sum(dtype="int64")),
         peak_bytes=peak_memory(),
+        entry=tuple(tile_entry(header.spec, slices, arrays).tolist()),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from atlas.machine import package_version
 from atlas.spec import Spec
 from workers import SOLVER_VERSION
-from workers.results import REGIME, REGIMES, Variable
+from workers.results import REASON, REASONS, REGIME, REGIMES, Variable
 from workers.system import Parameter
 
 FORMAT = "impact-atlas"
@@ -19,7 +19,9 @@ OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
 DIMENSIONS = {"state": "component"}
 """Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
-BUDGET = Variable("budget", "int32", 0, "forcing periods that the cell may cost; as in the spec unless retried", "1")
+BUDGET = Variable(
+    "budget", "int32", 0, "forcing periods that the cell may cost; as in the spec unless retried", "1", sparse=True
+)
 """Only in stores where cells were solved again with more than the spec's ``max_periods``, which fills it."""
 
 
@@ -84,6 +86,9 @@ def variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
         attributes["flag_values"] = [regime.code for regime in REGIMES]
         attributes["flag_meanings"] = " ".join(regime.name for regime in REGIMES)
         attributes["flag_colors"] = " ".join(regime.color for regime in REGIMES)
+    if variable.name == REASON.name:
+        attributes["flag_values"] = [reason.code for reason in REASONS]
+        attributes["flag_meanings"] = " ".join(reason.name for reason in REASONS)
     if spec.parameters:
         attributes["coordinates"] = " ".join(spec.parameters)
     return attributes

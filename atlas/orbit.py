@@ -81,11 +81,11 @@ def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Setting
         exponents="spectrum",
         section_samples=max(SECTION, (settings or Settings()).section_samples),
     )
-    arrays, reasons = solve_cells(record.name, parameters, asked)
-    cell: dict[str, Any] = {name: array[()] for name, array in arrays.items()}
+    solution = solve_cells(record.name, parameters, asked)
+    cell: dict[str, Any] = {name: array[()] for name, array in solution.arrays.items()}
     start = cell["state"]
     if not np.all(np.isfinite(start)):
-        raise InputError(f"this cell has no motion to show: {', '.join(reasons) or 'its state is not known'}")
+        raise InputError(f"this cell has no motion to show: {', '.join(solution.reasons) or 'its state is not known'}")
     here = parameters | dict(zip(record.states, map(float, start), strict=True))
     closes = int(cell["period"])
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]

@@ -31,11 +31,11 @@ from atlas.coarsen import (
     level_variables,
 )
 from atlas.errors import ChunkError, RunError, message_of
-from atlas.grid import edges_of, widths_of
+from atlas.grid import edges_of, widths_along
 from atlas.layout import OVERVIEWS, Coordinate, coordinates
 from atlas.levels import Index, Levels
 from atlas.spec import Slices
-from atlas.store import ROOT, Header, chunk_key, done_tiles, index_of, open_group
+from atlas.store import ROOT, Header, chunk_key, codecs, done_tiles, index_of, open_group
 from workers.results import PENDING, REGIME, REGIMES, Variable
 
 GROUP = OVERVIEWS
@@ -55,33 +55,34 @@ def levels_of(header: Header) -> Levels:
 class Pyramid:
     """A store's cells and overviews opened for reading, with the number of chunks read since.
 
-    ``made`` tells whether there are overviews at all. ``read`` takes level 0 for the cells.
+    ``root`` is the store's group; ``made`` tells whether there are overviews at all. ``read`` takes level 0 for the
+    cells.
     """
 
     def __init__(self, header: Header) -> None:
         self._header = header
         self._plain = _root(header, "r").store
-        self._root = _guarded_root(header)
+        self.root = _guarded_root(header)
         self._arrays: dict[str, Any] = {}
         self.levels = levels_of(header)
-        self.made = _made(self._root)
+        self.made = _made(self.root)
 
     @property
     def chunks_read(self) -> int:
         """Chunks found and read so far; one that does not exist is not counted."""
-        return int(self._root.store.chunks_read)
+        return int(self.root.store.chunks_read)
 
     def holds(self, array: Any, name: str) -> bool:
         """Whether this store is where a Zarr array lies, by that name."""
         place = getattr(array, "store_path", None)
-        return place is not None and place.path == name and place.store in (self._root.store, self._plain)
+        return place is not None and place.path == name and place.store in (self.root.store, self._plain)
 
     def array(self, level: int, name: str) -> Any:
         """A variable of a level as a Zarr array; ChunkError where its metadata are damaged."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
             with _named(self._header, f"{path}/{ROOT}"):
-                self._arrays[path] = self._root[path]
+                self._arrays[path] = self.root[path]
         return self._arrays[path]
 
     def read(self, level: int, name: str, part: Slices) -> NDArray[Any]:
@@ -244,7 +245,7 @@ def make(header: Header, level: int, index: Index) -> None:
 
 def level_widths(header: Header) -> list[Widths]:
     """The widths of the cells of every level along each dimension, the atlas itself first; only ratios count."""
-    found = [tuple(widths_of(np.array(axis.values), axis.scale == "log") for axis in reversed(header.spec.axes))]
+    found = [widths_along(header.spec)]
     for _ in range(levels_of(header).count):
         found.append(tuple(map(halved, found[-1])))
     return found
@@ -341,7 +342,7 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
             dtype=variable.dtype,
             fill_value=variable.fill,
             dimension_names=spec.dims + variable.extra,
-            compressors=_codecs(),
+            compressors=codecs(),
             attributes=attributes,
         )
 
@@ -368,12 +369,6 @@ def bounds_name(axis: str) -> str:
 def centres(edges: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
     """The middles of cells: half way between their edges, on a log axis the geometric mean."""
     return np.sqrt(edges[:-1] * edges[1:]) if log else 0.5 * (edges[:-1] + edges[1:])
-
-
-def _codecs() -> list[Any]:
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    return [ZstdCodec(), Crc32cCodec()]
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from atlas.errors import ChunkError, InputError
 from atlas.grid import axis_values
 from atlas.overview import MARKS, Pyramid, level_widths
 from atlas.spec import Slices
-from atlas.store import Header, done_tiles, read_header
-from workers.results import PENDING, REGIME, Variable, result_variables
+from atlas.store import Header, read_header
+from atlas.tally import AREAS, BY_REASON, Entries, done_mask, plan_of, read_tally, tile_areas
+from workers.results import NO_REASON, PENDING, REASON, REASONS, REGIME, Variable, result_variables
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -121,11 +122,16 @@ class Part:
     @cached_property
     def _done(self) -> NDArray[np.bool_]:
         """Which tiles are done, as an array over the tiles."""
-        levels = self.pyramid.levels
-        done = np.zeros([-(-n // t) for n, t in zip(levels.shape, levels.tile, strict=True)], dtype=bool)
-        for index in done_tiles(self.header):
-            done[index] = True
-        return done
+        return done_mask(self.header, plan_of(self.header))
+
+    @cached_property
+    def _tally(self) -> tuple[Entries, NDArray[np.bool_]]:
+        """The tally's entries, those of tiles that are not done made up, and the mask of the tiles that have one."""
+        pending = ~self._done
+        entries, known = read_tally(self.pyramid.root, plan_of(self.header))
+        entries[pending] = 0.0
+        entries[pending, AREAS.start + CODES.tolist().index(PENDING)] = tile_areas(self.header)[pending]
+        return entries, known | pending
 
     def tell(self, steps: Sequence[int] = (0,)) -> None:
         """Add what was read to the count around, if there is one; the steps are those of a view."""
@@ -234,11 +240,89 @@ class Part:
                 inner = levels.finer(level, outer) if level else None
 
     def areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
-        """The area of each regime in a piece, in the order of CODES."""
-        share = self.read(level, piece, [REGIME.name, SHARE.name])[SHARE.name]
+        """The area of each regime in a piece, in the order of CODES.
+
+        What of an overview is missing is taken from the tally, or from the level before, down to the cells.
+        """
+        if level == 0:
+            return self._areas_of_cells(piece)
+        made, missing = self._stored(level, piece, [REGIME.name, SHARE.name])
+        share = made[SHARE.name]
+        for block in missing:
+            share[block] = 0.0
+        total = self._weighed(level, piece, share)
+        for block in missing:
+            place = _within(piece, block)
+            finer = self.pyramid.levels.finer(level, place)
+            tiles = self._tiles(level, place)
+            whole = tiles is not None and self._tally[1][tiles].all()
+            total = total + (self._tallied(tiles) if tiles and whole else self.areas(level - 1, finer))
+        return total
+
+    def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
+        """The areas in a piece of the cells themselves: by the tally in whole tiles that have an entry there."""
+        levels = self.pyramid.levels
+        tiles = tuple(
+            slice(-(-s.start // t), -(-n // t) if s.stop == n else s.stop // t)
+            for s, t, n in zip(piece, levels.tile, levels.shape, strict=True)
+        )
+        if any(s.start >= s.stop for s in tiles) or not self._tally[1][tiles].any():
+            return self._read_areas(piece)
+        ends = zip(tiles, levels.tile, levels.shape, strict=True)
+        inner = tuple(slice(s.start * t, min(s.stop * t, n)) for s, t, n in ends)
+        total = self._tallied(tiles)
+        for side in _around(piece, inner):
+            total = total + self._read_areas(side)
+        plan = plan_of(self.header)
+        for index in np.argwhere(~self._tally[1][tiles]) + [s.start for s in tiles]:
+            total = total + self._read_areas(plan.at(tuple(index.tolist())).slices)
+        return total
+
+    def _tiles(self, level: int, piece: Slices) -> Slices | None:
+        """The tiles that a piece of a level is made of, None where it cuts through one."""
+        levels = self.pyramid.levels
+        cells = [slice(s.start << level, min(s.stop << level, n)) for s, n in zip(piece, levels.shape, strict=True)]
+        ends = list(zip(cells, levels.tile, levels.shape, strict=True))
+        if any(s.start % t or (s.stop % t and s.stop < n) for s, t, n in ends):
+            return None
+        return tuple(slice(s.start // t, -(-s.stop // t)) for s, t, _ in ends)
+
+    def _tallied(self, tiles: Slices) -> NDArray[np.float64]:
+        """The areas in those of some tiles that have an entry in the tally."""
+        entries, known = self._tally
+        return np.asarray(entries[tiles][known[tiles]][:, AREAS].sum(axis=0))
+
+    def _read_areas(self, piece: Slices) -> NDArray[np.float64]:
+        return self._weighed(0, piece, self.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])
+
+    def _weighed(self, level: int, piece: Slices, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The area of each regime, from its shares of the cells of a piece."""
         for width, p in zip(self.widths[level], piece, strict=True):
             share = np.tensordot(width[p], share, axes=1)
         return np.asarray(share)
+
+    def reasons(self) -> NDArray[np.int64]:
+        """Cells of the part by reason, in the order of the table: by the tally where whole tiles have an entry there.
+
+        Of other tiles, those at the part's border with an entry that has reasons, the reasons are read.
+        """
+        levels, plan = self.pyramid.levels, plan_of(self.header)
+        entries, known = self._tally
+        inside = [
+            (np.arange(-(-n // t)) * t >= s.start) & (np.minimum(np.arange(1, -(-n // t) + 1) * t, n) <= s.stop)
+            for s, t, n in zip(self.cells, levels.tile, levels.shape, strict=True)
+        ]
+        whole = known & reduce(np.logical_and.outer, inside)
+        total = entries[whole][:, BY_REASON].sum(axis=0).astype(np.int64)
+        none = entries[..., BY_REASON][..., NO_REASON] == entries[..., BY_REASON].sum(axis=-1)
+        met = np.zeros(known.shape, dtype=bool)
+        met[tuple(slice(s.start // t, -(-s.stop // t)) for s, t in zip(self.cells, levels.tile, strict=True))] = True
+        for index in np.argwhere(met & ~whole & self._done & ~(known & none)).tolist():
+            ends = zip(plan.at(tuple(index)).slices, self.cells, strict=True)
+            piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
+            codes = self.pyramid.read(0, REASON.name, piece)
+            total += [np.count_nonzero(codes == reason.code) for reason in REASONS]
+        return total
 
 
 def _within(piece: Slices, block: Slices) -> Slices:

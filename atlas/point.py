@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.spec import checked_parameters, checked_system
 from workers import Settings
-from workers.results import REGIME, REGIMES, result_variables
+from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,12 +23,13 @@ def point(system: str, given: Mapping[str, Any], settings: Settings) -> dict[str
 
     record = checked_system(system)
     parameters = checked_parameters(record, given)
-    arrays, reasons = solve_cells(record.name, parameters, settings)
+    arrays = solve_cells(record.name, parameters, settings).arrays
     names = {regime.code: regime.name for regime in REGIMES}
     found = {variable.name: arrays[variable.name].tolist() for variable in result_variables(settings)}
     found[REGIME.name] = names[found[REGIME.name]]
-    if reasons:
-        found["reason"] = ", ".join(map(str, reasons))
+    reason = REASONS[found.pop(REASON.name)]
+    if reason.code != NO_REASON:
+        found[REASON.name] = reason.text
     return {"system": record.name, "parameters": parameters, "solve": asdict(settings)} | found
 
 

@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import IO
 
 from atlas.plan import Plan, duration, plural
+from workers.results import FAILED, REASONS, REGIMES
 
 LOG_INTERVAL = 5.0
 """Seconds between two plain lines."""
@@ -60,6 +61,14 @@ def shares(counts: Mapping[str, int]) -> str:
     total = sum(counts.values())
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
+
+
+def reasons_told(reasons: Mapping[str, int]) -> list[str]:
+    """A line for each reason why cells have no result: ``360 cells invalid: the initial state lies beyond a stop``."""
+    regimes = {regime.code: regime.name for regime in REGIMES}
+    # How a process died is told in words of its own.
+    meant = {reason.text: regimes[reason.regime] for reason in REASONS}
+    return [f"{plural(count, 'cell')} {meant.get(text, regimes[FAILED])}: {text}" for text, count in reasons.items()]
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):

@@ -22,8 +22,22 @@ from atlas.grid import (
     known_axis,
     within,
 )
+from atlas.part import find_part
 from atlas.view import regime_areas, view
-from workers.results import AVERAGE, ERROR, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, SUM_LAW_DEFECT
+from workers.results import (
+    AVERAGE,
+    ERROR,
+    LARGEST,
+    NO_REASON,
+    PENDING,
+    REASON,
+    REASONS,
+    REGIME,
+    REGIMES,
+    SPECTRUM,
+    SUM_LAW_DEFECT,
+    reason_counts,
+)
 from workers.system import SYSTEMS
 
 if TYPE_CHECKING:
@@ -39,6 +53,7 @@ __all__ = [
     "is_log",
     "is_uniform",
     "per_unit_time",
+    "reasons",
     "where_regime",
 ]
 
@@ -54,7 +69,8 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     """The cell nearest to a point: its coordinates, its distance from the point, and every number it holds.
 
     Keys: each axis (the cell's own coordinate), ``distance`` (a dict, absolute, per axis), ``regime`` (its name),
-    and every other variable with one value per cell. Nearest is per axis, in the axis's own units.
+    ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis,
+    in the axis's own units.
     Arguments: ``point`` gives a value for every axis, inside the grid or at most half a cell beyond its ends.
     Raises InputError, in one line, for a missing or unknown axis and for a point outside the grid.
     Reads one chunk of each variable.
@@ -71,7 +87,9 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     found: dict[str, Any] = {name: float(cell[name]) for name in names}
     found["distance"] = {name: abs(found[name] - float(point[name])) for name in names}
     found[REGIME.name] = _NAMES[int(cell[REGIME.name])]
-    return found | {str(name): cell[name].item() for name in whole if name != REGIME.name}
+    why = REASONS[int(cell[REASON.name])].text if REASON.name in whole else ""
+    found |= {REASON.name: why} if why else {}
+    return found | {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
 
 
 def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:
@@ -83,13 +101,30 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     counts ten times as much as the one below it, whatever the picture's scale.
     Cells that are not solved yet are the share ``pending``.
     Raises InputError, in one line, for an unknown axis and for a window without a cell.
-    Reads the regimes in the window and nothing else; of a large window the overviews, and cells along its border.
+    Reads the regimes in the window and nothing else; of a large window the overviews and the store's tally, and cells
+    along its border.
     """
     areas = regime_areas(ds, window)
     if areas is None:
         areas = _areas_of_cells(within(ds, window), ds, inside(ds, window))
     total = sum(areas.values())
     return {name: area / total for code, name in sorted(_NAMES.items()) if (area := areas[code])}
+
+
+def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
+    """How many cells of a window have no result, by the reason in words; empty where the atlas is too old to say.
+
+    Cells and errors as in ``fractions``. Reads the store's tally, and the reasons themselves along the window's border.
+    """
+    ds = within(ds, window)
+    if REASON.name not in ds:
+        return {}
+    part = find_part(ds, [REGIME.name, REASON.name])
+    if part is None:
+        return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
+    counts = part.reasons().tolist()
+    part.tell()
+    return {each.text: n for each, n in zip(REASONS, counts, strict=True) if n and each.code != NO_REASON}
 
 
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":

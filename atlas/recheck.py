@@ -42,7 +42,7 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
 
 def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
     """How two solutions of a cell differ in any bit; empty where they do not."""
-    names = [name for name, values in again.items() if stored[name].tobytes() != values.tobytes()]
+    names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
     return _told(stored, again, names)
 
 

@@ -1,6 +1,5 @@
 """Solving some cells of finished tiles again: those that failed, or that a larger budget may decide."""
 
-from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,8 +58,8 @@ def checked_retry(spec: Spec, names: str, max_periods: int | None) -> Retry:
 
 def solve_again(
     spec: Spec, cells: dict[str, np.ndarray], stored: dict[str, np.ndarray], retry: Retry
-) -> tuple[dict[str, np.ndarray], np.ndarray, dict[str, int]]:
-    """A stored tile with the selected cells solved again: its arrays, the mask of those cells, reasons of failures.
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """A stored tile with the selected cells solved again: its arrays, and the mask of those cells.
 
     ``cells`` holds the parameters of every cell of the tile, each in the tile's shape.
     """
@@ -68,7 +67,6 @@ def solve_again(
 
     mask, budgets = retry.selects(stored), retry.budgets(stored)
     arrays = {name: values.copy() for name, values in stored.items()}
-    reasons: Counter[str] = Counter()
     for budget in np.unique(budgets[mask]).tolist():
         chosen = mask & (budgets == budget)
         solution = solve_cells(
@@ -79,5 +77,4 @@ def solve_again(
         for name, values in solution.arrays.items():
             arrays[name][chosen] = values
         arrays[BUDGET.name][chosen] = budget
-        reasons.update(solution.reasons)
-    return arrays, mask, dict(reasons)
+    return arrays, mask

@@ -28,6 +28,7 @@ from atlas.retry import NEEDED, Retry
 from atlas.spec import Spec
 from atlas.store import Header, add_budget, create, done_tiles, find
 from atlas.summary import Summary, Tally
+from atlas.tally import TallyKeeper
 from atlas.warm import compile_once, warming
 
 if TYPE_CHECKING:
@@ -102,12 +103,19 @@ def run(
         if work.due.any() and client is None:
             tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
             client = stack.enter_context(local_cluster(count))
-        # Before the first tile is written: what overviews say of tiles that are solved again is dropped.
-        again = _indices(work.due) if retry is not None else ()
+        # Before the first tile is written: what overviews and tally say of tiles that are solved again is dropped.
+        again = list(_indices(work.due)) if retry is not None else []
+        tallies = stack.enter_context(TallyKeeper(header, again))
         overviews = stack.enter_context(Overviews(header, pending=again))
         if work.due.any() and client is not None:
-            _solve(client, header, work.due, retry, patience, claim, tally, overviews, tell)
+
+            def written(receipt: Receipt) -> None:
+                overviews.add(receipt.index)
+                tallies.add(receipt.index, receipt.entry)
+
+            _solve(client, header, work.due, retry, patience, claim, tally, written, tell)
         overviews.finish(lambda done, parts: tell(tally.progress(f"writing overviews: {done} of {parts} parts")))
+        tallies.finish(lambda tiles: tell(tally.progress(f"counting the cells of {planning.plural(tiles, 'tile')}")))
         return replace(tally.summary(str(header.place)), retried=retry is not None)
 
 
@@ -140,7 +148,7 @@ def _solve(
     patience: float,
     claim: Claim,
     tally: Tally,
-    overviews: Overviews,
+    written: Callable[[Receipt], None],
     tell: Callable[[Progress], None],
 ) -> None:
     """Fan the tiles due out to the workers, and add up their receipts."""
@@ -160,7 +168,7 @@ def _solve(
             tally.add(outcome)
             if isinstance(outcome, Receipt):
                 order.note(outcome.index, outcome.solve_seconds)
-                overviews.add(outcome.index)
+                written(outcome)
             tell(tally.progress("solving"))
     except KeyboardInterrupt:
         tell(tally.progress("interrupted, dropping the tiles under way"))

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def solve_block(spec: Spec, slices: Slices) -> "Solution":
-    """Results of the cells in these slices, and the reasons of those that are invalid or failed.
+    """Results of the cells in these slices.
 
     Where an axis is continued a cell depends on all before it in its line: a part of a line has no results of its own,
     and RunError is raised for one.

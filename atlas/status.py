@@ -1,7 +1,6 @@
 """How far a store is, from the store alone: what is in it, and what the run at work on it says beside it."""
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,15 +9,19 @@ import numpy as np
 
 from atlas.beside import notes_of
 from atlas.claim import PATIENCE_SECONDS, Observer, Record, last_word
-from atlas.plan import Plan, duration, make_plan
-from atlas.progress import Progress
-from atlas.store import Header, done_tiles, regime_counts
+from atlas.errors import ChunkError
+from atlas.plan import Plan, duration
+from atlas.progress import Progress, reasons_told
+from atlas.store import Header, open_group
+from atlas.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, plan_of, read_tally, tile_sizes
+from workers.results import NO_REASON, REASONS, REGIMES
 
 
 @dataclass(frozen=True)
 class Status:
     """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
 
+    ``reasons`` has the cells without a result, by the reason in words; none of a store too old to keep them.
     ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged.
     ``ended`` is how the last submitted run ended. Both are empty where all is well.
     """
@@ -28,6 +31,7 @@ class Status:
     tiles_done: int
     cells_done: int
     regimes: dict[str, int]
+    reasons: dict[str, int]
     run: Record | None
     trouble: str
     ended: str
@@ -73,6 +77,7 @@ class Status:
         ]
         total = max(1, self.cells_done)
         lines += [f"  {name:<15}{count:>10}  {100 * count / total:6.2f} %" for name, count in self.regimes.items()]
+        lines += [f"  {line}" for line in reasons_told(self.reasons)]
         return "\n".join(lines)
 
     def _run(self) -> str:
@@ -110,6 +115,7 @@ class Status:
             "cells_failed": self.regimes.get("failed", 0),
             "fraction": self.fraction,
             "regimes": self.regimes,
+            "reasons": self.reasons,
             "run": self.run and str(self.run),
             "trouble": self.trouble or None,
             "ended": self.ended or None,
@@ -123,30 +129,38 @@ class Status:
 
 
 class Census:
-    """Counts a store's cells; asked again, it reads only the tiles that have come since."""
+    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once."""
 
     def __init__(self, header: Header) -> None:
-        self.header, self.plan = header, make_plan(header.spec, workers=1, tile=header.tile)
+        self.header, self.plan = header, plan_of(header)
         self.counted = np.zeros(self.plan.grid, dtype=bool)
-        self.cells, self.regimes = 0, Counter[str]()
+        self.total = np.zeros(len(COLUMNS))
         self.notes = notes_of(header.place)
         self.observer = Observer(self.notes)
 
     def take(self, settled: bool = False) -> Status:
         """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
-        new = [index for index in done_tiles(self.header) if not self.counted[index]]
-        self.regimes.update(regime_counts(self.header, new))
-        for index in new:
-            self.counted[index] = True
-        self.cells += sum(map(self.plan.size, new))
+        new = done_mask(self.header, self.plan) & ~self.counted
+        if new.any():
+            entries, known = read_tally(open_group(self.header.place, "r"), self.plan)
+            self.total += entries[new & known].sum(axis=0)
+            for entry in count_tiles(self.header, [tuple(index) for index in np.argwhere(new & ~known).tolist()]):
+                if isinstance(entry, ChunkError):
+                    raise entry
+                self.total += entry
+            self.counted |= new
+        cells = self.total[CELLS].astype(int).tolist()
+        regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
+        found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
+        reasons = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
+        tiles, done = int(self.counted.sum()), int(tile_sizes(self.plan)[self.counted].sum())
         seen = self.observer.settle() if settled else self.observer.look()
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
-        tiles, ended = int(self.counted.sum()), last_word(self.notes)
-        return Status(self.header, self.plan, tiles, self.cells, dict(self.regimes), run, trouble, ended)
+        return Status(self.header, self.plan, tiles, done, regimes, reasons, run, trouble, last_word(self.notes))
 
 
 def read_status(header: Header) -> Status:
-    """The status of a store; reads the regimes of the finished tiles.
+    """The status of a store, from one listing and its tally; reads the chunks of no tile that has an entry there.
 
     Takes up to ``claim.SILENT_SECONDS`` where the run at work is not on this machine: that is how long it takes to see
     whether it is alive.

@@ -7,8 +7,7 @@ import shutil
 import tempfile
 import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -36,7 +35,7 @@ from atlas.machine import Machine, this_machine
 from atlas.place import LocalPlace, Place, place_of
 from atlas.spec import Slices, Spec, differences
 from workers import SOLVER_VERSION
-from workers.results import REGIME, REGIMES, Variable, result_variables
+from workers.results import REGIME, Variable, result_variables
 
 if TYPE_CHECKING:
     import xarray
@@ -228,9 +227,12 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
         array[block(array, index)] = arrays.get(BUDGET.name, array.fill_value)
     write_digest(group, header.spec, index, arrays)
     for variable in result_variables(header.spec.settings):
+        if variable.sparse and variable.name not in group:
+            continue  # made before there was such a variable
         array = _array(group, variable.name)
         # A chunk of nothing but fill values is written too, so that a missing one is always a missing result.
-        array.with_config({"write_empty_chunks": True})[block(array, index)] = arrays[variable.name]
+        config = {"write_empty_chunks": not variable.sparse}
+        array.with_config(config)[block(array, index)] = arrays[variable.name]
 
 
 def record_machine(header: Header, machine: Machine) -> None:
@@ -298,30 +300,10 @@ def add_budget(header: Header) -> None:
         dtype=BUDGET.dtype,
         fill_value=spec.settings.max_periods,
         dimension_names=spec.dims,
-        compressors=_codecs(),
+        compressors=codecs(),
         attributes=variable_attributes(BUDGET, spec),
     )
     _consolidate(group)
-
-
-def regime_counts(header: Header, tiles: Iterable[tuple[int, ...]]) -> dict[str, int]:
-    """Cells of each regime in these tiles, as stored; regimes that do not occur are left out."""
-    totals = {regime.code: 0 for regime in REGIMES}
-
-    def count_one(index: tuple[int, ...]) -> tuple[list[int], list[int]]:
-        try:
-            codes, counts = np.unique(array[block(array, index)], return_counts=True)
-        except (ValueError, RuntimeError) as error:
-            fault = f"{chunk_key(REGIME, index)} is damaged ({error})"
-            raise RunError(f"{header.place}: {fault}: atlas verify --repair {header.place}") from None
-        return codes.tolist(), counts.tolist()
-
-    with ThreadPoolExecutor(READERS) as readers:
-        array = _array(open_group(header.place, "r"), REGIME.name)
-        for codes, counts in readers.map(count_one, tiles):
-            for code, count in zip(codes, counts, strict=True):
-                totals[code] += count
-    return {regime.name: totals[regime.code] for regime in REGIMES if totals[regime.code]}
 
 
 def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
@@ -402,7 +384,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
             chunks=coordinate.values.shape,
             dtype="str" if coordinate.values.dtype.kind == "T" else "float64",
             dimension_names=coordinate.dims,
-            compressors=_codecs(),
+            compressors=codecs(),
             attributes=coordinate.attributes,
         )
         array[...] = coordinate.values
@@ -417,10 +399,10 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
             dtype=variable.dtype,
             fill_value=variable.fill,
             dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
-            compressors=_codecs(),
+            compressors=codecs(),
             attributes=variable_attributes(variable, spec),
         )
-    create_digests(group, spec, tuple(-(-n // t) for n, t in zip(spec.shape, tile, strict=True)), _codecs())
+    create_digests(group, spec, tuple(-(-n // t) for n, t in zip(spec.shape, tile, strict=True)), codecs())
     _consolidate(group)
 
 
@@ -433,7 +415,8 @@ def _consolidate(group: "zarr.Group") -> None:
         zarr.consolidate_metadata(group.store)
 
 
-def _codecs() -> list[Any]:
+def codecs() -> list[Any]:
+    """How every chunk is packed."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk

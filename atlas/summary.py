@@ -8,7 +8,7 @@ from typing import Any
 
 from atlas.job import Receipt
 from atlas.plan import Plan, duration, plural
-from atlas.progress import Progress, shares
+from atlas.progress import Progress, reasons_told, shares
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Summary:
 
     tiles, tiles_done              in all (of those to be solved again, where some are); done now
     tiles_solved, cells_solved     by this run
-    counts, reasons                cells solved by regime; failed cells by reason
+    counts, reasons                cells solved by regime; those without a result by the reason in words
     seconds                        from the first tile to the last
     solve_seconds, write_seconds   the workers' own inside the solver and inside the store, summed
     processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
@@ -84,8 +84,7 @@ class Summary:
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
             shares(self.counts),
         ]
-        lines += [f"{plural(count, 'cell')} failed: {reason}" for reason, count in self.reasons.items()]
-        return "\n".join(lines)
+        return "\n".join(lines + reasons_told(self.reasons))
 
 
 class Tally:

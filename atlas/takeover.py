@@ -16,15 +16,14 @@ from atlas.plan import make_plan
 from atlas.solving import solve_block
 from atlas.spec import Slices, Spec
 from atlas.store import Header, is_done, machines, open_arrays, read_header, record_machine
-from workers.results import FAILED, PENDING, REGIME, empty_results, result_variables
+from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results, result_variables
 
 
 class Filled(NamedTuple):
-    """A tile's arrays, the mask of the cells that were solved for it, and these cells' failures by reason."""
+    """A tile's arrays, and the mask of the cells that were solved for it."""
 
     arrays: dict[str, np.ndarray]
     solved: NDArray[np.bool_]
-    reasons: dict[str, int]
 
 
 class Shared(NamedTuple):
@@ -45,16 +44,16 @@ def fill_tile(header: Header, slices: Slices) -> Filled:
     spec = header.spec
     arrays, unknown = known_cells(header, slices)
     if not unknown.any():
-        return Filled(arrays, unknown, {})
+        return Filled(arrays, unknown)
     if unknown.all():
         solution = solve_block(spec, slices)
-        return Filled(solution.arrays, unknown, solution.reasons)
+        return Filled(solution.arrays, unknown)
     params = spec.cell_params(slices)
     cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
     solution = solve_cells(spec.system, cells, spec.settings)
     for name, values in solution.arrays.items():
         arrays[name][unknown] = values
-    return Filled(arrays, unknown, solution.reasons)
+    return Filled(arrays, unknown)
 
 
 def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
@@ -90,6 +89,8 @@ def _take_over(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) ->
         found = read_tile(origin, index, arrays=sources)
         # A cell that was given more than the settings' budget is not what it would come out as here.
         found[REGIME.name][found.pop(BUDGET.name) != origin.spec.settings.max_periods] = PENDING
+        if REASON.name not in found:  # an older store: what is invalid costs nothing, and is to have its reason here
+            found[REGIME.name][found[REGIME.name] == INVALID] = PENDING
         for name, values in found.items():
             arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
 

@@ -39,7 +39,7 @@ from atlas.store import (
     restore_coordinates,
 )
 from workers import SOLVER_VERSION
-from workers.results import FAILED, result_variables
+from workers.results import FAILED, REASON, result_variables
 
 SAMPLE = 32
 SHOWN = 50
@@ -284,7 +284,7 @@ def _check(
     # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
     return _Checked(
         index,
-        len(values.keys() & arrays.keys()),
+        len(values.keys() & arrays.keys()) - (REASON.name in values and not values[REASON.name].any()),
         math.prod(shape),
         faults,
         tuple(one for one in samples if one.regime != FAILED),

@@ -25,7 +25,8 @@ from atlas.overview import Overviews
 from atlas.plan import Tile, make_plan
 from atlas.spec import Spec
 from atlas.store import create, done_tiles, find, write_tile
-from workers.results import CHAOTIC, FAILED, PERIODIC, UNDETERMINED, empty_results, result_variables
+from atlas.tally import TallyKeeper, tile_entry
+from workers.results import CHAOTIC, FAILED, GAVE_UP, PERIODIC, UNDETERMINED, empty_results, result_variables
 
 WINDOW = ("--window", "omega=2.5:2.6", "--window", "b=0.2:0.22")
 
@@ -49,6 +50,7 @@ def synthetic(spec: Spec, tile: Tile) -> dict[str, np.ndarray]:
     regime[doubtful] = UNDETERMINED
     if all(part.start <= 1234 < part.stop for part in tile.slices):
         regime[1234 - tile.slices[0].start, 1234 - tile.slices[1].start] = FAILED
+    arrays["reason"][regime == FAILED] = GAVE_UP
     arrays["largest"][regime >= UNDETERMINED] = np.nan
     return arrays
 
@@ -65,11 +67,13 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
     done = done_tiles(header)
     missing = [each for each in plan.tiles() if each.index not in done]
     begin = time.perf_counter()
-    with Overviews(header) as overviews:
+    with Overviews(header) as overviews, TallyKeeper(header) as tallies:
         for count, each in enumerate(missing):
             if count % 100 == 0:
                 print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
-            write_tile(header, each.index, synthetic(spec, each))
+            arrays = synthetic(spec, each)
+            write_tile(header, each.index, arrays)
+            tallies.add(each.index, tile_entry(spec, each.slices, arrays))
         middle = time.perf_counter()
         for each in missing:
             overviews.add(each.index)
@@ -123,6 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             "window, exponent": ("render", store, "-o", picture, *WINDOW),
             "whole, shares": ("query", store),
             "window, shares": ("query", store, *WINDOW),
+            "status": ("status", store),
         }
         found = {name: ask(*words) for name, words in questions.items() if "shares" in name or not given.light}
     if given.json:

@@ -167,12 +167,11 @@ def test_a_tile_that_raises_is_told_and_the_others_finish(
     assert len(done_tiles(read_header(tmp_path / "out.zarr"))) == 8
 
 
-def test_reasons_of_failed_cells_are_added_up(
-    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = solving.solve_cells
-    monkeypatch.setattr(solving, "solve_cells", lambda *given: whole(*given)._replace(reasons={"worn out": 2}))
-    assert atlas.run(plane, tmp_path / "out.zarr", client=client).reasons == {"worn out": 18}
+def test_the_summary_says_how_many_cells_are_invalid_and_why(tmp_path: Path, client: Client) -> None:
+    """Truth: with b from 0.1 to 0.5, the mass starts beyond a stop in the rows of b = 0.1 and 0.2."""
+    summary = atlas.run(plane_of(x1=0.25), tmp_path / "out.zarr", client=client)
+    assert summary.reasons == {"the initial state lies beyond a stop": 14}
+    assert "14 cells invalid: the initial state lies beyond a stop" in str(summary).splitlines()
 
 
 def test_an_interrupt_leaves_no_task_on_the_callers_cluster(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:

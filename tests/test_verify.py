@@ -24,7 +24,7 @@ from atlas.machine import Machine
 from atlas.progress import Progress
 from atlas.verify import Fault, Report, verify
 from workers.lyapunov import sum_of_exponents
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, result_variables
+from workers.results import CHAOTIC, FAILED, GAVE_UP, INVALID, NO_IMPACT, PERIODIC, result_variables
 from workers.system import find_system
 
 verifying = sys.modules["atlas.verify"]  # the package has the function of that name
@@ -35,7 +35,7 @@ SPEC = atlas.Spec(
     solve={"max_periods": 500, "tolerance": 0.1, "exponents": "spectrum", "section_samples": 2},
     store={"tile": [2, 2]},
 )
-VARIABLES = [variable.name for variable in result_variables(SPEC.settings)]
+VARIABLES = [variable.name for variable in result_variables(SPEC.settings) if not variable.sparse]
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +267,7 @@ def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path, mon
 
 
 def test_failed_cells_are_not_solved_again(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    values = {v.name: v.fill for v in result_variables(SPEC.settings)} | {"regime": FAILED}
+    values = {v.name: v.fill for v in result_variables(SPEC.settings)} | {"regime": FAILED, "reason": GAVE_UP}
     for name, value in values.items():
         change(whole, name, lambda regime: np.arange(regime.size).reshape(regime.shape) == 0, value)
     monkeypatch.setattr(verifying, "solve_again", lambda _, one: pytest.fail("0") if one.cell == (0, 0) else one.stored)
@@ -291,7 +291,8 @@ def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
         verify(whole)
 
 
-def test_status_names_a_damaged_chunk(whole: Path) -> None:
+def test_status_of_a_store_without_a_tally_names_a_damaged_chunk(whole: Path) -> None:
+    shutil.rmtree(whole / "tally")
     flip(chunk(whole, "regime"), 3)
     result = CliRunner().invoke(cli, ["status", str(whole)])
     assert result.exit_code == 1

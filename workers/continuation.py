@@ -1,6 +1,5 @@
 """The door for continuation: lines of cells, each cell started from the attractor of the one before it."""
 
-from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -54,10 +53,9 @@ def solve_lines(
         last = states if last is None else np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
     if backward:
         solved.reverse()
-    reasons = sum((Counter(solution.reasons) for solution in solved), Counter[str]())
     along = axis % len(shape)
     arrays = {name: np.stack([s.arrays[name] for s in solved], axis=along) for name in solved[0].arrays}
-    return Solution(arrays, dict(reasons))
+    return Solution(arrays)
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.lyapunov import run
+from workers.results import REASONS
 from workers.section import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
 from workers.settings import Settings, check_whole
-from workers.solve import REASONS, checked_start, vectors_for, with_frame
+from workers.solve import REASON_OF, checked_start, vectors_for, with_frame
 from workers.system import find_system
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     for k in range(periods):
         run(osc, motion, 1)
         if motion.tally[STATUS] != RUNNING:
-            raise ValueError(f"period {k}: {REASONS[int(motion.tally[STATUS])]}")
+            raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")
         reset_frame(osc, motion)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period

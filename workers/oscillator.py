@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.results import COUPLED_DAMPING, LONG_PERIOD, OUT_OF_DOUBLES, RESONANCE, RIGID_MODE, InvalidError
+
 Array = NDArray[np.float64]
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]
@@ -130,7 +132,7 @@ class Oscillator(NamedTuple):
 
 
 def in_double_precision(build: Callable[_P, Oscillator]) -> Callable[_P, Oscillator]:
-    """The same builder of an oscillator; ValueError, in one line, where a number of it leaves double precision."""
+    """The same builder of an oscillator; InvalidError where a number of it leaves double precision."""
 
     @wraps(build)
     def checked(*args: _P.args, **kwargs: _P.kwargs) -> Oscillator:
@@ -141,7 +143,7 @@ def in_double_precision(build: Callable[_P, Oscillator]) -> Callable[_P, Oscilla
         except (ArithmeticError, np.linalg.LinAlgError):
             within = False
         if not within:
-            raise ValueError("the parameters lead beyond the range of double precision")
+            raise InvalidError(OUT_OF_DOUBLES)
         return osc
 
     return checked
@@ -163,9 +165,9 @@ def mass_spring(
     """The oscillator M x'' + C x' + K x = force sin(omega t + tau) with stops on y = gap_row . x.
 
     The damping must be classical (diagonal in the undamped modes), as proportional damping is.
-    Raises ValueError, in one line, for a free rigid mode, for damping that is not classical, for undamped
-    resonance, where no periodic forced response exists, and for a forcing period of more free oscillations than
-    double precision keeps the phase of. What leaves the range of floats is left to ``in_double_precision``.
+    Raises InvalidError, a ValueError in one line, for a free rigid mode, for damping that is not classical, for
+    undamped resonance, where no periodic forced response exists, and for a forcing period of more free oscillations
+    than double precision keeps the phase of. What leaves the range of floats is left to ``in_double_precision``.
     """
     structure = _structure(_tuples(mass), _tuples(damping), _tuples(stiffness), _tuples(gap_row))
     free, held = structure.unforced, structure.unforced.held
@@ -175,7 +177,7 @@ def mass_spring(
     held_forced = _response(held.release.block, _projected(structure.held_modes, loads), omega)
     period = 2.0 * math.pi / omega
     if max((block.w for block in free.gap.block if block.d > 0.0), default=0.0) * period > LARGEST_ANGLE:
-        raise ValueError(f"a forcing period spans more than {LARGEST_ANGLE:g} radians of a free oscillation")
+        raise InvalidError(LONG_PERIOD)
     acceleration = _total(a * f for a, f in zip(structure.accelerance, loads, strict=True))
     return free._replace(
         gap=_with_force(free.gap, forced, 0.0, omega),
@@ -262,7 +264,7 @@ def _modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     half = np.linalg.cholesky(mass)
     lam, vectors = np.linalg.eigh(np.linalg.solve(half, np.linalg.solve(half, stiffness).T))
     if not lam[0] > 0.0:
-        raise ValueError("the stiffness leaves a free rigid mode")
+        raise InvalidError(RIGID_MODE)
     return lam, np.linalg.solve(half.T, vectors)
 
 
@@ -271,7 +273,7 @@ def _modal_damping(modes: Array, damping: Array) -> Array:
     modal = modes.T @ damping @ modes
     eta = np.diag(modal) / 2.0
     if np.any(np.abs(modal - np.diag(2.0 * eta)) > 1e-9 * np.max(np.abs(modal), initial=0.0)):
-        raise ValueError("the damping is not classical: it couples the undamped modes")
+        raise InvalidError(COUPLED_DAMPING)
     return np.maximum(eta, 0.0)
 
 
@@ -286,7 +288,7 @@ def _response(blocks: tuple[Block, ...], force: Row, omega: float) -> tuple[Rows
     for block, f in zip(blocks, force, strict=True):
         stiffness = complex(block.lam - omega**2, 2.0 * block.eta * omega)
         if f != 0.0 and abs(stiffness) < 1e-13 * (block.lam + omega**2):
-            raise ValueError("undamped resonance: no periodic forced response exists")
+            raise InvalidError(RESONANCE)
         H = f / stiffness if f != 0.0 else 0j
         found.append(((H.real, H.imag), (-omega * H.imag, omega * H.real)))
     return tuple(found)

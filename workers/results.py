@@ -31,10 +31,61 @@ REGIMES = (
 
 
 @dataclass(frozen=True)
+class Reason:
+    """Why a cell has no result: its code in the data, its name there, the regime of such a cell, and a sentence."""
+
+    code: int
+    name: str
+    regime: int
+    text: str
+
+
+(
+    NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
+    BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
+    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES,
+) = range(16)  # fmt: skip
+
+REASONS = (
+    Reason(NO_REASON, "none", PENDING, ""),
+    Reason(GAVE_UP, "gave_up", FAILED, "the march to the next impact gave up"),
+    Reason(NOT_FINITE, "not_finite", FAILED, "the state is no longer finite"),
+    Reason(ARITHMETIC, "arithmetic", FAILED, "a calculation met an overflow, a zero divisor or a singular matrix"),
+    Reason(PROCESS_ENDED, "process_ended", FAILED, "its tile ends the process that solves it"),
+    Reason(COSTLY_PERIOD, "costly_period", UNDETERMINED, "one period takes more than a million evaluations"),
+    Reason(WORK_SPENT, "work_spent", UNDETERMINED, "the evaluations that it may cost are spent"),
+    Reason(BEYOND_STOP, "beyond_stop", INVALID, "the initial state lies beyond a stop"),
+    Reason(OUT_OF_RANGE, "out_of_range", INVALID, "a parameter lies outside its valid range"),
+    Reason(NO_OSCILLATOR, "no_oscillator", INVALID, "the parameters make no oscillator"),
+    Reason(RESONANCE, "resonance", INVALID, "undamped resonance: no periodic forced response exists"),
+    Reason(LONG_PERIOD, "long_period", INVALID, "a forcing period spans too many radians of a free oscillation"),
+    Reason(RIGID_MODE, "rigid_mode", INVALID, "the stiffness leaves a free rigid mode"),
+    Reason(COUPLED_DAMPING, "coupled_damping", INVALID, "the damping is not classical: it couples the undamped modes"),
+    Reason(OUT_OF_DOUBLES, "out_of_doubles", INVALID, "the parameters lead beyond the range of double precision"),
+    Reason(
+        ENERGY_OUT_OF_DOUBLES,
+        "energy_out_of_doubles",
+        INVALID,
+        "the energy of the motion is beyond the range of double precision",
+    ),
+)
+"""Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
+
+
+class InvalidError(ValueError):
+    """Parameters that make no sense; ``reason`` is the code of why."""
+
+    def __init__(self, reason: int) -> None:
+        super().__init__(REASONS[reason].text)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
 class Variable:
     """One result array: name, numpy type, value of a cell without a result, CF long_name and units.
 
     ``extra`` names dimensions after the cell's own: "exponent" (2n), "state" (2n), "sample" (section_samples).
+    ``sparse``: most tiles have nothing but fill values of it, and are stored without a chunk.
     """
 
     name: str
@@ -43,6 +94,7 @@ class Variable:
     long_name: str
     units: str
     extra: tuple[str, ...] = ()
+    sparse: bool = False
 
 
 _NAN = float("nan")
@@ -72,6 +124,7 @@ _ALWAYS = (
     Variable("periods_used", "int32", 0, "forcing periods simulated", "1"),
     Variable("state", "float64", _NAN, "physical section state on the attractor", "1", ("state",)),
 )
+REASON = Variable("reason", "int8", NO_REASON, "why the cell is invalid, failed or given up", "1", sparse=True)
 REGIME = Variable("regime", "int8", PENDING, "regime of motion", "1")
 
 
@@ -87,7 +140,13 @@ def result_variables(settings: Settings) -> tuple[Variable, ...]:
     chosen += _ALWAYS
     if settings.section_samples:
         chosen.append(SECTION)
-    return (*chosen, REGIME)
+    return (*chosen, REASON, REGIME)
+
+
+def reason_counts(codes: np.ndarray) -> dict[str, int]:
+    """Cells by reason, each as its sentence, from an array of codes; those without a reason are left out."""
+    found, counts = np.unique(codes[codes != NO_REASON], return_counts=True)
+    return {REASONS[code].text: count for code, count in zip(found.tolist(), counts.tolist(), strict=True)}
 
 
 def empty_results(

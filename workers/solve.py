@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,23 @@ from workers.lyapunov import (
 from workers.maps import energy_norm
 from workers.orbits import Orbit, closest_return, recurrence, settle
 from workers.oscillator import Oscillator
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, QUASIPERIODIC, UNDETERMINED
+from workers.results import (
+    BEYOND_STOP,
+    CHAOTIC,
+    COSTLY_PERIOD,
+    ENERGY_OUT_OF_DOUBLES,
+    FAILED,
+    GAVE_UP,
+    INVALID,
+    NO_IMPACT,
+    NO_REASON,
+    PERIODIC,
+    QUASIPERIODIC,
+    UNDETERMINED,
+    WORK_SPENT,
+    InvalidError,
+)
+from workers.results import NOT_FINITE as NO_LONGER_FINITE
 from workers.section import (
     BEYOND,
     FREE,
@@ -49,11 +65,8 @@ from workers.stretch import Stretch, follow
 
 Array = NDArray[np.float64]
 
-REASONS = {
-    MARCH_GAVE_UP: "the march to the next impact gave up",
-    OUT_OF_WORK: "one period takes more than a million evaluations",
-    NOT_FINITE: "the state is no longer finite",
-}
+REASON_OF = {MARCH_GAVE_UP: GAVE_UP, OUT_OF_WORK: COSTLY_PERIOD, NOT_FINITE: NO_LONGER_FINITE}
+"""Why a motion cannot go on, by its status."""
 
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell: so many for each period of its budget, but not less than the second number.
@@ -86,7 +99,7 @@ TORUS_RETURN = 1e-5
 
 @dataclass
 class Cell:
-    """What is known of one cell: the result variables (see results.py) and, if it failed, the reason."""
+    """What is known of one cell: the result variables (see results.py)."""
 
     largest: float = math.nan
     error: float = math.nan
@@ -105,7 +118,7 @@ class Cell:
     periods_used: int = 0
     state: Array | None = None
     section: Array | None = None
-    reason: str = field(default="", compare=False)
+    reason: int = NO_REASON
 
 
 Solving = Generator[Stretch, int, Cell]
@@ -127,8 +140,8 @@ def solving(osc: Oscillator, start: Array, settings: Settings) -> Solving:
     """As solve_cell, one stretch at a time, so that many cells can be taken along side by side."""
     try:
         motion = checked_start(osc, start)
-    except ValueError as error:
-        return Cell(regime=INVALID, reason=str(error))
+    except InvalidError as error:
+        return Cell(regime=INVALID, reason=error.reason)
     periods = settings.max_periods if settings.method == "adaptive" else settings.transient_periods + settings.periods
     motion.tally[WORK] = max(WORK_PER_PERIOD * periods, LEAST_WORK)
     method = _fixed if settings.method == "fixed" else _adaptive
@@ -143,16 +156,16 @@ def solving(osc: Oscillator, start: Array, settings: Settings) -> Solving:
 def checked_start(osc: Oscillator, start: Array, record: int = 0) -> Motion:
     """The motion from physical section state ``start`` (2n,), with room to record so many impacts.
 
-    Raises ValueError, in one line, for a state beyond a stop and for a motion whose energy, which deviations are
+    Raises InvalidError for a state beyond a stop and for a motion whose energy, which deviations are
     measured by, no float can hold.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         motion = motion_from(osc, start, record=record)
         scale = scale_of(osc, motion)
     if motion.contact[0] == BEYOND:
-        raise ValueError("the initial state lies beyond a stop")
+        raise InvalidError(BEYOND_STOP)
     if not math.isfinite(scale):
-        raise ValueError("the energy of the motion is beyond the range of double precision")
+        raise InvalidError(ENERGY_OUT_OF_DOUBLES)
     return motion
 
 
@@ -279,9 +292,13 @@ def _stopped(osc: Oscillator, motion: Motion, settings: Settings, used: int, ave
     if status == RUNNING and not np.all(np.isfinite(motion.h)):
         status = NOT_FINITE
     if status == RUNNING:
-        return _undecided(osc, motion, settings, used, averages) if motion.tally[WORK] < 0.0 else None
+        if motion.tally[WORK] >= 0.0:
+            return None
+        cell = _undecided(osc, motion, settings, used, averages)
+        cell.reason = WORK_SPENT if cell.regime == UNDETERMINED else NO_REASON
+        return cell
     regime = UNDETERMINED if status == OUT_OF_WORK else FAILED
-    return Cell(regime=regime, periods_used=used, reason=REASONS[status])
+    return Cell(regime=regime, periods_used=used, reason=REASON_OF[status])
 
 
 def _settled(

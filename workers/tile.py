@@ -1,13 +1,23 @@
 """The door for results: every cell of a tile solved on its own, from arrays of parameters to arrays of results."""
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.results import FAILED, INVALID, empty_results, result_variables
+from workers.results import (
+    ARITHMETIC,
+    FAILED,
+    INVALID,
+    NO_OSCILLATOR,
+    OUT_OF_RANGE,
+    REASON,
+    InvalidError,
+    empty_results,
+    reason_counts,
+    result_variables,
+)
 from workers.settings import Settings
 from workers.solve import Cell, Solving, solving
 from workers.stretch import Stretch, ended, follow_together
@@ -15,10 +25,14 @@ from workers.system import System, find_system
 
 
 class Solution(NamedTuple):
-    """Result arrays of a tile, and how many of its cells are invalid or failed, by reason."""
+    """Result arrays of a tile."""
 
     arrays: dict[str, NDArray[Any]]
-    reasons: dict[str, int]
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """Cells that are invalid, failed or given up, by the reason in words."""
+        return reason_counts(self.arrays[REASON.name])
 
 
 def solve_tile(
@@ -33,7 +47,7 @@ def solve_tile(
 
     Exponents are per forcing period. The variables and their units are those of ``results.result_variables``.
     A cell depends on its own parameters and the settings only, to the bit. It never raises for a cell: outside
-    the valid range it is "invalid", and "failed" where its motion cannot be followed.
+    the valid range it is "invalid", and "failed" where its motion cannot be followed; "reason" says why.
     Raises KeyError for an unknown system or parameter name and ValueError for shapes that do not broadcast.
 
     >>> from workers import solve_tile
@@ -45,7 +59,7 @@ def solve_tile(
 
 
 def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Solution:
-    """As solve_tile, with the reasons of invalid and failed cells."""
+    """As solve_tile, as a Solution."""
     record = find_system(system)
     settings = settings or Settings()
     for name in params:
@@ -56,7 +70,6 @@ def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings
     size = len(record.states)
     variables = result_variables(settings)
     arrays = empty_results(variables, shape, {"exponent": size, "state": size, "sample": settings.section_samples})
-    reasons: Counter[str] = Counter()
     names = [p.name for p in record.parameters]
     cells = [dict(zip(names, cell, strict=True)) for cell in np.stack(grids, axis=-1).reshape(-1, len(names)).tolist()]
     for index, cell in zip(np.ndindex(shape), _solve_together(record, cells, settings), strict=True):
@@ -64,9 +77,7 @@ def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings
             value = getattr(cell, variable.name)
             if value is not None:
                 arrays[variable.name][index] = value
-        if cell.reason:
-            reasons[cell.reason] += 1
-    return Solution(arrays, dict(reasons))
+    return Solution(arrays)
 
 
 def _solve_together(record: System, cells: Iterable[dict[str, float]], settings: Settings) -> list[Cell]:
@@ -84,8 +95,8 @@ def _solve_together(record: System, cells: Iterable[dict[str, float]], settings:
                     waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
             except StopIteration as end:
                 solved[k] = end.value
-            except (ArithmeticError, np.linalg.LinAlgError) as error:
-                solved[k] = Cell(regime=FAILED, reason=f"{type(error).__name__}: {error}")
+            except (ArithmeticError, np.linalg.LinAlgError):
+                solved[k] = Cell(regime=FAILED, reason=ARITHMETIC)
         counts = follow_together(list(waiting.values()), [done[k] for k in waiting], all_the_way=False)
         done.update(zip(waiting, counts, strict=True))
         ready = {k: done[k] for k, stretch in waiting.items() if ended(stretch, done[k])}
@@ -98,9 +109,11 @@ def _start(record: System, values: dict[str, float], settings: Settings) -> Solv
     """A cell to be solved from its parameters, or what it is where they have no motion."""
     for parameter in record.parameters:
         if not parameter.admits(values[parameter.name]):
-            return Cell(regime=INVALID, reason=f"{parameter.name} outside {parameter.range}")
+            return Cell(regime=INVALID, reason=OUT_OF_RANGE)
     try:
         osc = record.build(values)
-    except ValueError as error:
-        return Cell(regime=INVALID, reason=str(error))
+    except InvalidError as error:
+        return Cell(regime=INVALID, reason=error.reason)
+    except ValueError:
+        return Cell(regime=INVALID, reason=NO_OSCILLATOR)
     return solving(osc, np.array([values[name] for name in record.states]), settings)

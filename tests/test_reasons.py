@@ -1,0 +1,204 @@
+"""Why a cell is invalid, failed or given up: kept with the atlas, checked, and told by everything that shows cells."""
+
+import csv
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from click.testing import CliRunner, Result
+from distributed import Client
+
+import atlas
+from atlas import query
+from atlas.cli import cli
+from atlas.extend import extend
+from atlas.retry import Retry
+from atlas.status import read_status
+from atlas.store import read_header
+from atlas.verify import verify
+from tests.planes import plane_of
+from workers import solve_tile
+from workers.oscillator import mass_spring
+from workers.results import (
+    BEYOND_STOP,
+    COUPLED_DAMPING,
+    FAILED,
+    INVALID,
+    LONG_PERIOD,
+    NO_REASON,
+    OUT_OF_RANGE,
+    REASONS,
+    RESONANCE,
+    RIGID_MODE,
+    UNDETERMINED,
+    WORK_SPENT,
+    InvalidError,
+)
+
+BEYOND = "the initial state lies beyond a stop"
+LINE = f"14 cells invalid: {BEYOND}"
+"""With b from 0.1 to 0.5 and x1 = 0.25, the rows of b = 0.1 and 0.2, 7 cells each, start beyond a stop."""
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    path = tmp_path_factory.mktemp("reasons") / "out.zarr"
+    atlas.run(plane_of(x1=0.25), path, client=client)
+    return path
+
+
+@pytest.fixture
+def store(solved: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(solved, tmp_path / "out.zarr"))
+
+
+@pytest.fixture
+def older(store: Path) -> Path:
+    """A store as it was made before there were reasons and a tally."""
+    shutil.rmtree(store / "reason")
+    shutil.rmtree(store / "tally")
+    zarr.consolidate_metadata(store)
+    return store
+
+
+def call(*args: object) -> Result:
+    return CliRunner().invoke(cli, [str(arg) for arg in args])
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_codes_are_the_places_in_the_table_and_their_names_differ() -> None:
+    assert [reason.code for reason in REASONS] == list(range(len(REASONS)))
+    assert len({reason.name for reason in REASONS}) == len({reason.text for reason in REASONS}) == len(REASONS)
+    assert {reason.regime for reason in REASONS[1:]} == {FAILED, INVALID, UNDETERMINED}
+
+
+@pytest.mark.parametrize(
+    ("params", "reason"),
+    [
+        ({}, NO_REASON),
+        ({"x1": 0.2}, BEYOND_STOP),
+        ({"R": 1.5}, OUT_OF_RANGE),
+        ({"zeta": 0.0, "omega": 1e-7}, LONG_PERIOD),
+        ({"zeta": 0.0, "mu_k": 1.5, "mu_m": 1.0, "omega": math.sqrt(0.5)}, RESONANCE),
+    ],
+)
+def test_a_cell_says_by_its_code_why_it_is_invalid(params: dict[str, float], reason: int) -> None:
+    found = solve_tile("two-mass", params)
+    assert (found["reason"], found["reason"].dtype) == (reason, np.int8)
+    assert (found["regime"] == INVALID) == (reason != NO_REASON)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"stiffness": np.array([[1.0, -1.0], [-1.0, 1.0]])}, RIGID_MODE),
+        ({"damping": np.array([[1.0, 0.5], [0.5, 0.1]])}, COUPLED_DAMPING),
+    ],
+)
+def test_an_oscillator_that_cannot_be_built_says_why(changes: dict[str, np.ndarray], reason: int) -> None:
+    system = {"mass": np.eye(2), "damping": np.zeros((2, 2)), "stiffness": np.diag([1.0, 2.0])} | changes
+    forced = {"gap_row": np.array([1.0, 0.0]), "force": np.array([1.0, 0.0]), "omega": 3.0, "tau": 0.0}
+    with pytest.raises(InvalidError) as caught:
+        mass_spring(**system, **forced, b_upper=1.0, b_lower=1.0, R=0.8)
+    assert caught.value.reason == reason
+
+
+def test_the_store_keeps_the_reasons_with_their_meanings(store: Path) -> None:
+    ds = xr.open_zarr(store)
+    np.testing.assert_array_equal(ds.reason.values, np.where(ds.regime.values == INVALID, BEYOND_STOP, NO_REASON))
+    meanings = dict(zip(ds.reason.attrs["flag_values"], ds.reason.attrs["flag_meanings"].split(), strict=True))
+    assert meanings[BEYOND_STOP] == "beyond_stop"
+
+
+def test_tiles_without_a_reason_have_no_chunk_of_them(store: Path) -> None:
+    chunks = {path.relative_to(store / "reason" / "c").as_posix() for path in (store / "reason" / "c").rglob("?/?")}
+    assert chunks == {"0/0", "0/1", "0/2"}  # b = 0.1 and 0.2
+
+
+def test_status_tells_the_reasons(store: Path) -> None:
+    assert f"  {LINE}" in call("status", store).stdout.splitlines()
+    assert json.loads(call("status", store, "--json").stdout)["reasons"] == {BEYOND: 14}
+
+
+def test_query_tells_the_reasons_of_a_window(store: Path) -> None:
+    assert LINE in call("query", store).stdout.splitlines()
+    shown = call("query", store, "--window", "omega=2:3", "--json")
+    assert json.loads(shown.stdout)["reasons"] == {BEYOND: 8}
+
+
+def test_query_of_an_atlas_without_such_cells_tells_shares_alone(store: Path) -> None:
+    shares = json.loads(call("query", store, "--window", "b=0.3:0.5", "--json").stdout)
+    assert sum(shares.values()) == pytest.approx(1.0)
+
+
+def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
+    part = atlas.open(store).isel(omega=slice(1, 6), b=slice(1, 4))
+    assert part.atlas.reasons() == query.reasons(part.load().copy()) == {BEYOND: 5}
+
+
+def test_a_cell_asked_for_tells_its_reason_in_words(store: Path) -> None:
+    assert query.at(atlas.open(store), {"omega": 3.0, "b": 0.1})["reason"] == BEYOND
+    assert "reason" not in query.at(atlas.open(store), {"omega": 3.0, "b": 0.5})
+
+
+def test_an_export_names_the_reason_of_every_cell(store: Path, tmp_path: Path) -> None:
+    ds = atlas.open(store)
+    call("query", store, "-o", tmp_path / "a.csv")
+    rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert {(row["regime"] == "invalid", row["reason"]) for row in rows} == {(True, "beyond_stop"), (False, "none")}
+    call("query", store, "-o", tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc", engine="scipy") as written:
+        np.testing.assert_array_equal(written.reason.values, ds.reason.values)
+
+
+def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) -> None:
+    (store / "reason" / "c" / "0" / "1").unlink()
+    (fault,) = verify(store, sample=0).faults
+    assert fault.what.startswith("reason is missing in an invalid or failed cell: 6 cells")
+
+
+@pytest.mark.parametrize(("cell", "code"), [((0, 0), WORK_SPENT), ((0, 0), 99), ((4, 0), BEYOND_STOP)])
+def test_a_reason_of_another_regime_is_a_fault(store: Path, cell: tuple[int, int], code: int) -> None:
+    zarr.open_group(store, mode="r+")["reason"][cell] = code
+    (fault,) = verify(store, sample=0).faults
+    assert fault.what.startswith("reason is not one for this regime: 1 cell,")
+
+
+def test_a_retry_that_solves_a_failed_cell_takes_its_reason_away(store: Path, client: Client) -> None:
+    group = zarr.open_group(store, mode="r+")
+    for name, value in {"regime": FAILED, "reason": 1}.items():
+        group[name][4, 0] = value
+    atlas.run(plane_of(x1=0.25), store, client=client, retry=Retry((FAILED,)))
+    assert zarr.open_group(store, mode="r")["reason"][4, 0] == NO_REASON
+    assert verify(store, sample=35).fine
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_a_store_from_before_there_were_reasons_is_sound_and_tells_its_shares(older: Path) -> None:
+    assert verify(older, sample=35).fine
+    assert read_status(read_header(older)).reasons == {}
+    assert json.loads(call("query", older, "--json").stdout)["invalid"] == pytest.approx(0.4)
+    assert call("query", older, "--at", "omega=3", "--at", "b=0.1").exit_code == 0
+    assert call("render", older, "-o", older.parent / "map.png").exit_code == 0
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path, client: Client) -> None:
+    (older / "regime" / "c" / "0" / "1").unlink()
+    summary = atlas.run(plane_of(x1=0.25), older, client=client)
+    assert (summary.tiles_solved, summary.reasons) == (1, {BEYOND: 6})
+    zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
+    assert atlas.run(plane_of(x1=0.25), older, client=client, retry=Retry((FAILED,))).cells_solved == 1
+    assert not (older / "reason").exists()
+    assert verify(older, sample=35).fine
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_cells_taken_over_from_an_older_store_have_their_reasons(older: Path, tmp_path: Path, client: Client) -> None:
+    extend(older, tmp_path / "new.zarr", refine={"omega": 2}, client=client)
+    assert verify(tmp_path / "new.zarr", sample=0).fine
