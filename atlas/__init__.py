@@ -8,14 +8,15 @@
 import os
 from typing import TYPE_CHECKING
 
+from atlas.cell.point import portrait
+from atlas.check.verify import verify
+
 # Imported here and not at first use: a function must take its name back from the module of that name.
 # None of them loads Dask, Zarr, xarray or Numba before it is called.
-from atlas.extend import extend
-from atlas.point import portrait
-from atlas.run import run
-from atlas.spec import Spec
-from atlas.store import open_atlas
-from atlas.verify import verify
+from atlas.service.extend import extend
+from atlas.service.run import run
+from atlas.spec.spec import Spec
+from atlas.store.store import open_atlas
 
 if TYPE_CHECKING:
     import xarray

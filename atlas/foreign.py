@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from atlas.coarsen import level_variables
-from atlas.overview import GROUP, Pyramid, levels_of
-from atlas.store import Header, grid_of, index_of
+from atlas.overview.coarsen import level_variables
+from atlas.overview.pyramid import GROUP, Pyramid, levels_of
+from atlas.store.store import Header, grid_of, index_of
 from workers.results import Variable, result_variables
 
 

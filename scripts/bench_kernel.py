@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from workers import Settings, solve_tile
-from workers.lyapunov import run
-from workers.section import EVALUATIONS, motion_from
-from workers.system import find_system
+from workers.kernel.averages import run
+from workers.kernel.stroboscopic import EVALUATIONS, motion_from
+from workers.model.system import find_system
 
 Array = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from atlas.overview import Overviews
-from atlas.plan import Tile, make_plan
-from atlas.spec import Spec
-from atlas.store import create, done_tiles, find, write_tile
-from atlas.tally import TallyKeeper, tile_entry
+from atlas.overview.pyramid import Overviews
+from atlas.service.plan import Tile, make_plan
+from atlas.spec.spec import Spec
+from atlas.store.store import create, done_tiles, find, write_tile
+from atlas.store.tally import TallyKeeper, tile_entry
 from workers.results import CHAOTIC, FAILED, GAVE_UP, PERIODIC, UNDETERMINED, empty_results, result_variables
 
 WINDOW = ("--window", "omega=2.5:2.6", "--window", "b=0.2:0.22")
@@ -85,7 +85,7 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
 def ask(*command: str) -> dict[str, Any]:
     """One ``atlas`` command as a process: seconds, those of the processor, peak MB, chunks read as it says."""
     code = (
-        "import atexit, sys; from pathlib import Path; from atlas.cli import cli\n"
+        "import atexit, sys; from pathlib import Path; from atlas.cli.commands import cli\n"
         "atexit.register(lambda: print(Path('/proc/self/status').read_text(), file=sys.stderr))\n"
         "cli(sys.argv[1:])"
     )

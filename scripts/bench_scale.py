@@ -32,10 +32,11 @@ from unittest import mock
 import numpy as np
 
 import atlas
-from atlas import fanout, overview
-from atlas.job import Job, Receipt
-from atlas.order import Order
-from atlas.summary import Summary
+from atlas.overview.pyramid import pyramid as overview
+from atlas.service import dispatch as fanout
+from atlas.service.schedule import Order
+from atlas.service.summary import Summary
+from atlas.task.task import Job, Receipt
 
 SIZES = (100, 1000, 10_000, 50_000)
 ROOT = Path(__file__).parent.parent

@@ -24,9 +24,9 @@ from typing import IO
 
 import numpy as np
 
-from atlas.chunks import read_tile
-from atlas.plan import make_plan
-from atlas.store import read_header
+from atlas.service.plan import make_plan
+from atlas.store.store import read_header
+from atlas.store.tiles import read_tile
 from tests.faults import attempts, environment
 
 WORKERS = 2

@@ -11,9 +11,7 @@ from scripts.stress_cells import POSITION, Findings, Params, draw, frequencies
 from tests.oracle import dense_violation, simulate
 from tests.oracle.model import model
 from tests.oracle.simulate import first_hit
-from workers.maps import map_with_jacobian
-from workers.oscillator import Oscillator
-from workers.section import (
+from workers.kernel.stroboscopic import (
     BEYOND,
     LOWER,
     RECORDED,
@@ -28,7 +26,9 @@ from workers.section import (
     motion_from,
     travel,
 )
-from workers.system import find_system
+from workers.model.oscillator import Oscillator
+from workers.model.system import find_system
+from workers.orbit.map import map_with_jacobian
 
 Array = NDArray[np.float64]
 

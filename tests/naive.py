@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from workers.oscillator import Oscillator, Signal
-from workers.system import find_system
+from workers.model.oscillator import Oscillator, Signal
+from workers.model.system import find_system
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from matplotlib import colors
 from matplotlib.figure import Figure
 from PIL import Image
 
-from atlas.orbit import Orbit
+from atlas.cell.orbit import Orbit
 from atlas.render import style
 from workers import Settings
+from workers.model.system import TWO_MASS
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, UNDETERMINED
-from workers.system import TWO_MASS
 
 NAN = float("nan")
 EVERY = [PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED]

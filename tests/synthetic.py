@@ -8,10 +8,10 @@ import xarray as xr
 import zarr
 
 import atlas
-from atlas import store
-from atlas.overview import Overviews
-from atlas.plan import make_plan
-from atlas.view import view
+from atlas.overview.pyramid import Overviews
+from atlas.query.resample import view
+from atlas.service.plan import make_plan
+from atlas.store.store import store
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -122,7 +122,7 @@ def assert_overviews_are_of(header: store.Header) -> None:
 
 
 def store_levels(header: store.Header) -> int:
-    from atlas.overview import levels_of
+    from atlas.overview.pyramid import levels_of
 
     return levels_of(header).count
 

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 
 import atlas.accessor  # noqa: F401  registers it
-from atlas import query
 from atlas.errors import InputError
+from atlas.query.queries import queries as query
 from tests.test_query import plane
 from workers import Settings
 from workers.results import CHAOTIC, PENDING, PERIODIC, QUASIPERIODIC
@@ -144,7 +144,7 @@ def test_a_portrait_is_of_the_nearest_cell_with_the_settings_of_the_atlas(
 ) -> None:
     told: dict[str, Any] = {}
     monkeypatch.setattr(
-        import_module("atlas.point"),
+        import_module("atlas.cell.point"),
         "portrait",
         lambda given, **named: told.update(given=given, **named),
         raising=False,

@@ -13,13 +13,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from workers.maps import Fixed
-from workers.orbits import newton
-from workers.oscillator import Oscillator
+from workers.kernel.stroboscopic import FREE, blocks_to_physical, motion_at, motion_from
+from workers.model.oscillator import Oscillator
+from workers.model.system import TWO_MASS
+from workers.orbit.map import Fixed
+from workers.orbit.newton import newton
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
-from workers.section import FREE, blocks_to_physical, motion_at, motion_from
 from workers.solve import scale_of
-from workers.system import TWO_MASS
 from workers.tile import solve_tile
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from atlas import claim as claiming
-from atlas.beside import Folder, notes_of
-from atlas.claim import CLAIM, Observer, Record, cancel, claimed, remove_half_made
 from atlas.errors import InputError, RunError
+from atlas.service import lease as claiming
+from atlas.service.lease import CLAIM, Observer, Record, cancel, claimed, remove_half_made
+from atlas.store.sidecar import Folder, notes_of
 
 
 @pytest.fixture(autouse=True)
@@ -131,7 +131,7 @@ def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: 
 def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Folder) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from atlas.claim import claimed; from atlas.beside import Folder\n"
+        "from atlas.service.lease import claimed; from atlas.store.sidecar import Folder\n"
         "with claimed(Folder(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=Path(__file__).parent.parent)

@@ -13,8 +13,8 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas.cli import cli
-from atlas.output import to_json
+from atlas.cli.commands import cli
+from atlas.cli.output import to_json
 from tests.faults import ATLAS
 
 ROOT = Path(__file__).parent.parent
@@ -231,7 +231,7 @@ def test_a_folder_that_refuses_is_refused(folder: Path, tmp_path: Path) -> None:
 def test_an_unreachable_scheduler_is_refused(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
-    monkeypatch.setattr(sys.modules["atlas.cluster"], "CONNECT_SECONDS", 0.3)
+    monkeypatch.setattr(sys.modules["atlas.service.cluster"], "CONNECT_SECONDS", 0.3)
     told = f"{address}: no scheduler answers"
     check_refused(call("run", folder / "spec.toml", "-o", tmp_path / "out.zarr", "--scheduler", address), told)
     assert list(tmp_path.iterdir()) == []
@@ -275,8 +275,8 @@ def test_a_picture_that_cannot_be_made_is_refused(folder: Path) -> None:
 
 INTERRUPTED = """
 import os, signal, sys
-from atlas import progress
-from atlas.cli import cli
+from atlas.service import progress
+from atlas.cli.commands import cli
 
 class Interrupting(progress.LogReporter):
     def __call__(self, snapshot):

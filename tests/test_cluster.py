@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from distributed import Client, LocalCluster, Security
 
 import atlas
-from atlas import fanout
-from atlas.cli import cli
-from atlas.cluster import Tls, local_cluster
+from atlas.cli.commands import cli
 from atlas.errors import InputError
+from atlas.service import dispatch as fanout
+from atlas.service.cluster import Tls, local_cluster
 from tests.planes import plane_of
 
 

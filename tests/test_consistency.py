@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.consistency import broken_rules
+from atlas.check.rules import broken_rules
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
 from workers.tile import solve_tile
 

@@ -8,8 +8,8 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError, RunError
-from atlas.plan import make_plan
-from atlas.solving import solve_block
+from atlas.service.plan import make_plan
+from atlas.task.solving import solve_block
 from workers import Settings
 from workers.continuation import solve_lines
 from workers.results import INVALID, NO_IMPACT, PERIODIC

@@ -13,18 +13,18 @@ from click.testing import CliRunner
 from distributed import Client, LocalCluster, Variable, get_worker
 
 import atlas
-from atlas import claim as claiming
-from atlas import submit as submitting
-from atlas.beside import notes_of
-from atlas.claim import CLAIM, Record, last_word
-from atlas.cli import cli
+from atlas.cli.commands import cli
 from atlas.errors import InputError, RunError
-from atlas.fanout import Refusal
-from atlas.job import RefusedError
-from atlas.overview import Overviews
-from atlas.status import read_status
-from atlas.store import create, read_header
-from atlas.submit import Submission, coordinate, submit
+from atlas.overview.pyramid import Overviews
+from atlas.service import lease as claiming
+from atlas.service import submit as submitting
+from atlas.service.dispatch import Refusal
+from atlas.service.lease import CLAIM, Record, last_word
+from atlas.service.status import read_status
+from atlas.service.submit import Submission, coordinate, submit
+from atlas.store.sidecar import notes_of
+from atlas.store.store import create, read_header
+from atlas.task.task import RefusedError
 from tests.planes import plane_of
 from workers import SOLVER_VERSION
 

@@ -17,14 +17,14 @@ import xarray as xr
 import zarr
 
 import atlas
-from atlas import levels, store
+from atlas.check.verify import verify
 from atlas.errors import ChunkError
-from atlas.export import export
-from atlas.overview import Overviews
-from atlas.query import fractions
+from atlas.overview.pyramid import Overviews, levels
+from atlas.query.export import export
+from atlas.query.queries import fractions
+from atlas.query.resample import view
 from atlas.render import figure
-from atlas.verify import verify
-from atlas.view import view
+from atlas.store.store import store
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers.results import PENDING, result_variables
 
@@ -41,7 +41,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def lawless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Made-up results break the rules of cells, which are not the matter here."""
-    monkeypatch.setattr(sys.modules["atlas.verify"], "broken_rules", lambda *_: {})
+    monkeypatch.setattr(sys.modules["atlas.check.verify"], "broken_rules", lambda *_: {})
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,7 @@ def test_a_command_that_meets_damage_says_one_line_and_nothing_else(
             flip(path)
     name, *options = command
     done = subprocess.run(
-        [sys.executable, "-c", "from atlas.cli import main; main()", name, str(whole.path), *options],
+        [sys.executable, "-c", "from atlas.cli.commands import main; main()", name, str(whole.path), *options],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,

@@ -33,10 +33,11 @@ import numpy as np
 from distributed import Client
 
 import atlas
-from atlas import claim, fanout
+from atlas.service import lease as claim
+from atlas.service import dispatch as fanout
 from atlas.errors import RunError
-from atlas.chunks import read_tile
-from atlas.store import done_tiles, read_header
+from atlas.store.tiles import read_tile
+from atlas.store.store import done_tiles, read_header
 from tests.planes import plane_of
 from workers.tile import solve_cells
 

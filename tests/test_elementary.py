@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from workers.elementary import cosc_sinc, exp_minus, sin_cos
-from workers.oscillator import LARGEST_ANGLE, make_block, mass_spring
+from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.model.oscillator import LARGEST_ANGLE, make_block, mass_spring
 
 EPS = 2.0**-52
 

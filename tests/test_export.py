@@ -8,10 +8,10 @@ import pytest
 import xarray as xr
 
 import atlas
-from atlas import store
 from atlas.errors import InputError
-from atlas.export import export
-from atlas.grid import within
+from atlas.query.export import export
+from atlas.spec.cells import within
+from atlas.store.store import store
 from tests.synthetic import fill, spec_of
 
 WINDOW = {"omega": (1.5, 2.5), "b": (0.2, 0.3)}
@@ -42,7 +42,7 @@ def test_a_csv_has_a_row_for_every_cell_x_fastest(ds: xr.Dataset, tmp_path: Path
 def test_a_csv_holds_exact_numbers_and_regimes_by_name(
     ds: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
 ) -> None:
-    monkeypatch.setattr("atlas.export._BLOCK", block)
+    monkeypatch.setattr("atlas.query.export._BLOCK", block)
     export(ds, tmp_path / "a.csv")
     rows = rows_of(tmp_path / "a.csv")
     names = ds.regime.attrs["flag_meanings"].split()
@@ -98,7 +98,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(ds: xr.Dataset, tmp_path: 
 def test_a_window_too_large_for_netcdf_is_refused(
     ds: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atlas.export.NETCDF_LIMIT", 1000)
+    monkeypatch.setattr("atlas.query.export.NETCDF_LIMIT", 1000)
     with pytest.raises(InputError, match="bytes in this window, netCDF takes 1000"):
         export(ds, tmp_path / "a.nc")
     assert list(tmp_path.iterdir()) == []

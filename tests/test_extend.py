@@ -12,18 +12,18 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas.axes import Axis
-from atlas.cli import cli
+from atlas.check.verify import verify
+from atlas.cli.commands import cli
 from atlas.errors import InputError
-from atlas.extend import extend, refined
-from atlas.machine import Machine
-from atlas.retry import checked_retry
-from atlas.store import create, done_tiles, machines, read_header, record_machine
-from atlas.verify import verify
+from atlas.service.extend import extend, refined
+from atlas.spec.axis import Axis
+from atlas.store.machine import Machine
+from atlas.store.store import create, done_tiles, machines, read_header, record_machine
+from atlas.task.retry import checked_retry
 from workers import tile as solving
 from workers.results import FAILED, result_variables
 
-extending = sys.modules["atlas.extend"]  # the package has the function of that name
+extending = sys.modules["atlas.service.extend"]  # the package has the function of that name
 
 SOLVE = {"max_periods": 400, "tolerance": 0.1, "section_samples": 2}
 

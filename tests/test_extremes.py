@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tests import naive
 from tests.fuzzing import fuzz
 from workers import Settings, solve_tile, trace
+from workers.model.system import TWO_MASS
 from workers.results import CHAOTIC, FAILED, INVALID
-from workers.system import TWO_MASS
 from workers.tile import solve_cells
 
 QUICK = Settings(exponents="none", max_periods=20)

@@ -12,14 +12,14 @@ import pytest
 from distributed import Client, LocalCluster, get_worker
 
 import atlas
-from atlas import fanout
-from atlas import job as jobs
-from atlas import store as storing
-from atlas.beside import notes_of
-from atlas.chunks import read_tile
 from atlas.errors import NetworkError, RunError
-from atlas.job import Job, RefusedError, StoreFullError, run_job
-from atlas.store import create, done_tiles, read_header
+from atlas.service import dispatch as fanout
+from atlas.store.sidecar import notes_of
+from atlas.store.store import create, done_tiles, read_header
+from atlas.store.store import store as storing
+from atlas.store.tiles import read_tile
+from atlas.task import task as jobs
+from atlas.task.task import Job, RefusedError, StoreFullError, run_job
 from tests.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import FAILED, result_variables

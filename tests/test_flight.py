@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp
 
 from tests import naive
-from workers.flight import (
+from workers.kernel.flight import (
     ON_STOP_AT_REST,
     ON_STOP_MOVING,
     ON_STOP_RELEASED,
@@ -16,7 +16,7 @@ from workers.flight import (
     next_crossing,
     safe_step,
 )
-from workers.oscillator import Signal, make_block
+from workers.model.oscillator import Signal, make_block
 
 
 def flow(eta: float, lam: float, s: float) -> np.ndarray:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from workers.frame import inner, orthonormalise, orthonormalise_pass
+from workers.kernel.frame import inner, orthonormalise, orthonormalise_pass
 
 LAM = (0.7, 3.1)
 

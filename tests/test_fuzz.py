@@ -12,14 +12,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from atlas import Spec
-from atlas.cli import cli
+from atlas.cli.commands import cli
 from atlas.errors import LONGEST_LINE, InputError
-from atlas.extend import refined
-from atlas.place import place_of
-from atlas.store import create
+from atlas.service.extend import refined
+from atlas.store.location import place_of
+from atlas.store.store import create
 from tests.fuzzing import fuzz
 from tests.synthetic import fill, spec_of
-from workers.system import TWO_MASS
+from workers.model.system import TWO_MASS
 
 GOOD: dict[str, dict[str, str]] = {
     "": {"system": '"two-mass"'},

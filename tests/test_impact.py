@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests import naive
-from workers.flight import dot
-from workers.impact import (
+from workers.kernel.flight import dot
+from workers.kernel.impact import (
     LEAVE,
     REBOUND,
     REST,
@@ -22,8 +22,8 @@ from workers.impact import (
     stop_position,
     to_held,
 )
-from workers.oscillator import Oscillator, mass_spring
-from workers.section import blocks_to_physical, motion_at
+from workers.kernel.stroboscopic import blocks_to_physical, motion_at
+from workers.model.oscillator import Oscillator, mass_spring
 
 
 def three_masses(R: float = 0.7) -> Oscillator:

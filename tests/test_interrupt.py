@@ -20,8 +20,8 @@ tile = [1]
 """
 STRUCK = """
 import os, signal, sys
-from atlas import progress
-from atlas.cli import cli
+from atlas.service import progress
+from atlas.cli.commands import cli
 
 class Striking(progress.LogReporter):
     struck = False

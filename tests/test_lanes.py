@@ -5,13 +5,13 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.lyapunov import no_averages
-from workers.oscillator import Oscillator
+from workers.kernel.averages import no_averages
+from workers.kernel.stroboscopic import EVALUATIONS, FREE, RUNNING, STATUS, WORK, Motion, motion_from
+from workers.model.oscillator import Oscillator
+from workers.model.system import find_system
 from workers.results import UNDETERMINED
-from workers.section import EVALUATIONS, FREE, RUNNING, STATUS, WORK, Motion, motion_from
 from workers.solve import with_frame
 from workers.stretch import Stretch, ended, follow, follow_together
-from workers.system import find_system
 from workers.tile import solve_cells
 
 KEPT = 5

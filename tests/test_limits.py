@@ -9,9 +9,9 @@ from distributed import Client
 
 import atlas
 import workers
-from atlas.axes import MAX_POINTS
 from atlas.errors import InputError
-from atlas.plan import make_plan
+from atlas.service.plan import make_plan
+from atlas.spec.axis import MAX_POINTS
 from tests import naive
 from workers import Settings
 from workers.continuation import solve_lines

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import eigvals
 
 from tests import naive
-from workers.lyapunov import (
+from workers.kernel.averages import (
     FEWEST_BLOCKS,
     MEAN,
     add_to_blocks,
@@ -19,7 +19,7 @@ from workers.lyapunov import (
     sum_law_holds,
     sum_of_exponents,
 )
-from workers.section import SPREAD, motion_from, reset_frame
+from workers.kernel.stroboscopic import SPREAD, motion_from, reset_frame
 from workers.solve import restart_counts
 
 

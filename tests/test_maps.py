@@ -13,8 +13,8 @@ from atlas.errors import InputError
 from atlas.render import combined, error, impacts, maps, overlays, scalar, sticking
 from tests.pictures import NAN, atlas, colour, labels, pixel, plane
 from workers import solve_tile
+from workers.model.system import TWO_MASS
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
-from workers.system import TWO_MASS
 
 MAPS = [kind for kind in render.KINDS if kind not in ("sweep", "spectrum", "hysteresis")]
 

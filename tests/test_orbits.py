@@ -11,12 +11,12 @@ import pytest
 from tests import naive
 from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
-from workers.floquet import spectral_radius
 from workers.history import trace
-from workers.lyapunov import run
-from workers.orbits import corrected, recurrence
+from workers.kernel.averages import run
+from workers.kernel.stroboscopic import motion_at, motion_from, reset_frame, travel
+from workers.orbit.floquet import spectral_radius
+from workers.orbit.newton import corrected, recurrence
 from workers.results import PERIODIC
-from workers.section import motion_at, motion_from, reset_frame, travel
 from workers.settings import Settings
 from workers.tile import solve_tile
 

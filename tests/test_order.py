@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from atlas.order import Order
+from atlas.service.schedule import Order
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3,), (17,), (2, 9), (13, 11)])

@@ -9,13 +9,13 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas.beside import notes_of
-from atlas.cli import cli
+from atlas.cli.commands import cli
 from atlas.errors import InputError, NetworkError, RunError
-from atlas.job import Job, RefusedError, run_job
-from atlas.notes import notes_beside
-from atlas.place import ObjectPlace
-from atlas.store import create, done_tiles, find, open_arrays, read_header
+from atlas.store.location import ObjectPlace
+from atlas.store.notes import notes_beside
+from atlas.store.sidecar import notes_of
+from atlas.store.store import create, done_tiles, find, open_arrays, read_header
+from atlas.task.task import Job, RefusedError, run_job
 from tests.loopback import ObjectStore, Request, object_store
 from tests.planes import plane_of
 from workers.results import REGIME

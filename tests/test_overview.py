@@ -14,14 +14,15 @@ import zarr
 from distributed import Client
 
 import atlas
-from atlas import levels, overview, store
-from atlas.coarsen import coarsen, from_cells
 from atlas.errors import RunError
-from atlas.overview import Overviews, levels_of
-from atlas.place import LocalPlace
-from atlas.progress import Progress
-from atlas.query import fractions
-from atlas.view import view
+from atlas.overview.coarsen import coarsen, from_cells
+from atlas.overview.pyramid import Overviews, levels, levels_of
+from atlas.overview.pyramid import pyramid as overview
+from atlas.query.queries import fractions
+from atlas.query.resample import view
+from atlas.service.progress import Progress
+from atlas.store.location import LocalPlace
+from atlas.store.store import store
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,

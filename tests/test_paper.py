@@ -9,11 +9,10 @@ from distributed import Client
 from PIL import Image
 
 import atlas
-from atlas import paper
-from atlas.cli import main
+from atlas.cell.orbit import describe, follow
+from atlas.cli.commands import main, paper
 from atlas.errors import InputError
-from atlas.orbit import describe, follow
-from atlas.spec import Spec
+from atlas.spec.spec import Spec
 from tests import naive
 from tests.planes import plane_of
 
@@ -43,7 +42,7 @@ def test_all_figures_are_drawn_into_a_folder(tmp_path: Path, client: Client, mon
     whole = Spec.from_toml(paper.SWEEP)
     axis = whole.axes[0].values[::200]
     short = Spec(whole.system, {"omega": axis}, whole.parameters, whole.settings)
-    module = import_module("atlas.run")  # the package gives its function that name
+    module = import_module("atlas.service.run")  # the package gives its function that name
     run = module.run
     monkeypatch.setattr(paper.Spec, "from_toml", lambda _: short)
     monkeypatch.setattr(module, "run", lambda spec, store, **_: run(spec, store, client=client))

@@ -15,14 +15,14 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas import place as placing
-from atlas import store
-from atlas.cli import cli
+from atlas.check.verify import verify
+from atlas.cli.commands import cli
 from atlas.errors import InputError
-from atlas.extend import extend
-from atlas.notes import notes_beside
-from atlas.place import LocalPlace, ObjectPlace, Place, place_of
-from atlas.verify import verify
+from atlas.service.extend import extend
+from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
+from atlas.store.notes import notes_beside
+from atlas.store.store import location as placing
+from atlas.store.store import store
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
 

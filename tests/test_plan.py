@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atlas import Spec, plan
+from atlas import Spec
 from atlas.errors import InputError
+from atlas.service import plan
 from tests.faults import ROOT
 from tests.planes import plane_of
 from workers.results import result_variables
@@ -94,7 +95,7 @@ WARM = """
 import sys
 import numpy as np
 from atlas import Spec
-from atlas.warm import warm_up
+from atlas.task.compile import warm_up
 from workers.tile import solve_cells
 
 def compiled():

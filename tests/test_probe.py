@@ -9,9 +9,9 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas import probe as probing
-from atlas.plan import Probe, make_plan
-from atlas.spec import example_names
+from atlas.service import probe as probing
+from atlas.service.plan import Probe, make_plan
+from atlas.spec.spec import example_names
 from tests import naive
 from workers import Settings, solve_tile
 from workers.continuation import solve_lines

@@ -14,16 +14,16 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas import query
-from atlas.cli import cli
-from atlas.extend import extend
-from atlas.retry import Retry
-from atlas.status import read_status
-from atlas.store import read_header
-from atlas.verify import verify
+from atlas.check.verify import verify
+from atlas.cli.commands import cli
+from atlas.query.queries import queries as query
+from atlas.service.extend import extend
+from atlas.service.status import read_status
+from atlas.store.store import read_header
+from atlas.task.retry import Retry
 from tests.planes import plane_of
 from workers import solve_tile
-from workers.oscillator import mass_spring
+from workers.model.oscillator import mass_spring
 from workers.results import (
     BEYOND_STOP,
     COUPLED_DAMPING,

@@ -12,7 +12,7 @@ from PIL import Image
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import cell_edges
+from atlas.query.queries import cell_edges
 from atlas.render import exponent, period, style
 from tests.pictures import EVERY, NAN, atlas, colour, every_regime, labels, pixel, section, sweep
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, REGIMES, UNDETERMINED

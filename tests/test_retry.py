@@ -9,16 +9,16 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas import apart
-from atlas import store as storing
-from atlas.beside import notes_of
-from atlas.chunks import read_tile
-from atlas.cli import cli
+from atlas.cli.commands import cli
 from atlas.errors import InputError
-from atlas.job import Job, run_job
-from atlas.plan import make_plan
-from atlas.retry import Retry, checked_retry
-from atlas.store import add_budget, done_tiles, read_header, write_tile
+from atlas.service.plan import make_plan
+from atlas.store.sidecar import notes_of
+from atlas.store.store import add_budget, done_tiles, read_header, write_tile
+from atlas.store.store import store as storing
+from atlas.store.tiles import read_tile
+from atlas.task import isolated as apart
+from atlas.task.retry import Retry, checked_retry
+from atlas.task.task import Job, run_job
 from workers.results import FAILED, REGIME, UNDETERMINED, result_variables
 from workers.tile import solve_cells
 

@@ -7,10 +7,8 @@ import pytest
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian, simulate
-from workers.lyapunov import run
-from workers.maps import map_with_jacobian
-from workers.oscillator import Oscillator
-from workers.section import (
+from workers.kernel.averages import run
+from workers.kernel.stroboscopic import (
     EVALUATIONS,
     LOST,
     LOWER,
@@ -25,6 +23,8 @@ from workers.section import (
     step,
     travel,
 )
+from workers.model.oscillator import Oscillator
+from workers.orbit.map import map_with_jacobian
 
 EPS = np.finfo(np.float64).eps
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests import naive
 from workers.history import trace
-from workers.lyapunov import free_exponents
+from workers.kernel.averages import free_exponents
 from workers.results import (
     CHAOTIC,
     FAILED,

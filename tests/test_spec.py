@@ -6,7 +6,7 @@ import pytest
 
 from atlas import Spec
 from atlas.errors import InputError
-from atlas.spec import example_names
+from atlas.spec.spec import example_names
 from workers import Settings
 
 OMEGA = {"start": 2.0, "stop": 4.0, "num": 5}

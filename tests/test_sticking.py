@@ -8,10 +8,10 @@ import pytest
 from tests import naive
 from tests.oracle.simulate import section_jacobian
 from tests.test_section import KINDS, differences, jacobian
-from workers.lyapunov import run
-from workers.oscillator import Oscillator, mass_spring
+from workers.kernel.averages import run
+from workers.kernel.stroboscopic import LOST, STUCK, motion_from
+from workers.model.oscillator import Oscillator, mass_spring
 from workers.results import PERIODIC
-from workers.section import LOST, STUCK, motion_from
 from workers.settings import Settings
 from workers.solve import solve_cell
 

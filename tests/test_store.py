@@ -8,9 +8,9 @@ import xarray as xr
 import zarr
 
 import atlas
-from atlas import store
 from atlas.errors import ChunkError, InputError, RunError
-from atlas.job import Job, run_job
+from atlas.store.store import store
+from atlas.task.task import Job, run_job
 from tests.planes import plane_of
 from workers.results import REGIMES, result_variables
 

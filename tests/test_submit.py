@@ -15,13 +15,13 @@ from click.testing import CliRunner, Result
 from distributed import Client, LocalCluster
 
 import atlas
-from atlas.beside import notes_of
-from atlas.claim import CLAIM, PATIENCE_SECONDS, Record
-from atlas.cli import cli
+from atlas.cli.commands import cli
 from atlas.errors import InputError
-from atlas.status import read_status, watch
-from atlas.store import create, read_header
-from atlas.submit import submit
+from atlas.service.lease import CLAIM, PATIENCE_SECONDS, Record
+from atlas.service.status import read_status, watch
+from atlas.service.submit import submit
+from atlas.store.sidecar import notes_of
+from atlas.store.store import create, read_header
 from tests.faults import attempts, environment
 from tests.planes import plane_of
 from workers import SOLVER_VERSION
@@ -146,7 +146,7 @@ def test_status_tells_of_the_run_at_work_and_cancel_stops_it(service: Service) -
 def test_watch_ends_with_the_atlas_and_counts_only_what_is_new(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from atlas import status
+    from atlas.service import status
 
     counted: list[tuple[int, ...]] = []
     whole = status.count_tiles

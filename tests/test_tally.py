@@ -11,16 +11,15 @@ import zarr
 from distributed import Client
 
 import atlas
-from atlas import tally
-from atlas.chunks import read_tile
-from atlas.job import Job, run_job
-from atlas.overview import drop
-from atlas.part import counted
-from atlas.query import fractions
-from atlas.retry import Retry
-from atlas.status import Status, read_status
-from atlas.store import Header, done_tiles, drop_tile, read_header, write_tile
-from atlas.tally import TallyKeeper
+from atlas.overview.pyramid import drop
+from atlas.query.queries import fractions
+from atlas.query.source import counted
+from atlas.service.status import Status, read_status
+from atlas.store.store import Header, done_tiles, drop_tile, read_header, tally, write_tile
+from atlas.store.tally import TallyKeeper
+from atlas.store.tiles import read_tile
+from atlas.task.retry import Retry
+from atlas.task.task import Job, run_job
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, keep, results, spec_of
 from workers.results import FAILED, GAVE_UP, REGIMES

@@ -15,19 +15,20 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas import digests, recheck, store
-from atlas.chunks import read_tile
-from atlas.cli import cli
-from atlas.consistency import law_of
+from atlas.check import reproduce as recheck
+from atlas.check.rules import law_of
+from atlas.check.verify import Fault, Report, verify
+from atlas.cli.commands import cli
 from atlas.errors import ChunkError, InputError
-from atlas.machine import Machine
-from atlas.progress import Progress
-from atlas.verify import Fault, Report, verify
-from workers.lyapunov import sum_of_exponents
+from atlas.service.progress import Progress
+from atlas.store.machine import Machine
+from atlas.store.store import digests, store
+from atlas.store.tiles import read_tile
+from workers.kernel.averages import sum_of_exponents
+from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, GAVE_UP, INVALID, NO_IMPACT, PERIODIC, result_variables
-from workers.system import find_system
 
-verifying = sys.modules["atlas.verify"]  # the package has the function of that name
+verifying = sys.modules["atlas.check.verify"]  # the package has the function of that name
 
 SPEC = atlas.Spec(
     "two-mass",

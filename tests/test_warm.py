@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from atlas import warm
-from workers import Settings, jit
+from atlas.task import compile as warm
+from workers import Settings
+from workers.kernel import jit
 
 COMPILING, LOADING = "compiling the kernels (kept for the next run)", "loading the kernels"
 

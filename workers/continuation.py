@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.model.system import System, find_system
 from workers.settings import Settings
-from workers.system import System, find_system
 from workers.tile import Solution, solve_cells
 
 Array = NDArray[np.float64]

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lyapunov import run
+from workers.kernel.averages import run
+from workers.kernel.stroboscopic import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
+from workers.model.system import find_system
 from workers.results import REASONS
-from workers.section import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
 from workers.settings import Settings, check_whole
 from workers.solve import REASON_OF, checked_start, vectors_for, with_frame
-from workers.system import find_system
 
 Array = NDArray[np.float64]
 

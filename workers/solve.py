@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.flight import derivative_bounds
-from workers.lyapunov import (
+from workers.kernel.averages import (
     COUNT,
     Averages,
     free_exponents,
@@ -19,27 +18,8 @@ from workers.lyapunov import (
     sum_law_holds,
     sum_of_exponents,
 )
-from workers.maps import energy_norm
-from workers.orbits import Orbit, closest_return, recurrence, settle
-from workers.oscillator import Oscillator
-from workers.results import (
-    BEYOND_STOP,
-    CHAOTIC,
-    COSTLY_PERIOD,
-    ENERGY_OUT_OF_DOUBLES,
-    FAILED,
-    GAVE_UP,
-    INVALID,
-    NO_IMPACT,
-    NO_REASON,
-    PERIODIC,
-    QUASIPERIODIC,
-    UNDETERMINED,
-    WORK_SPENT,
-    InvalidError,
-)
-from workers.results import NOT_FINITE as NO_LONGER_FINITE
-from workers.section import (
+from workers.kernel.flight import derivative_bounds
+from workers.kernel.stroboscopic import (
     BEYOND,
     FREE,
     LOST,
@@ -60,6 +40,26 @@ from workers.section import (
     motion_from,
     reset_frame,
 )
+from workers.model.oscillator import Oscillator
+from workers.orbit.map import energy_norm
+from workers.orbit.newton import Orbit, closest_return, recurrence, settle
+from workers.results import (
+    BEYOND_STOP,
+    CHAOTIC,
+    COSTLY_PERIOD,
+    ENERGY_OUT_OF_DOUBLES,
+    FAILED,
+    GAVE_UP,
+    INVALID,
+    NO_IMPACT,
+    NO_REASON,
+    PERIODIC,
+    QUASIPERIODIC,
+    UNDETERMINED,
+    WORK_SPENT,
+    InvalidError,
+)
+from workers.results import NOT_FINITE as NO_LONGER_FINITE
 from workers.settings import Settings
 from workers.stretch import Stretch, follow
 

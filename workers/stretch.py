@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.lanes import LANES, Batch, constants, run_lanes
-from workers.lyapunov import Averages, average, no_averages
-from workers.oscillator import Oscillator
-from workers.section import FREE, RUNNING, STATUS, WORK, Motion
+from workers.kernel.averages import Averages, average, no_averages
+from workers.kernel.batch import LANES, Batch, constants, run_lanes
+from workers.kernel.stroboscopic import FREE, RUNNING, STATUS, WORK, Motion
+from workers.model.oscillator import Oscillator
 
 FEWEST = 4
 """Stretches that are worth a batch."""

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.model.system import System, find_system
 from workers.results import (
     ARITHMETIC,
     FAILED,
@@ -21,7 +22,6 @@ from workers.results import (
 from workers.settings import Settings
 from workers.solve import Cell, Solving, solving
 from workers.stretch import Stretch, ended, follow_together
-from workers.system import System, find_system
 
 
 class Solution(NamedTuple):

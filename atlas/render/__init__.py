@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
-from atlas.grid import Window, axis_names, within
-from atlas.part import counted
-from atlas.query import fractions
+from atlas.query.queries import fractions
+from atlas.query.source import counted
+from atlas.spec.cells import Window, axis_names, within
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from atlas.orbit import Orbit
+    from atlas.cell.orbit import Orbit
     from atlas.render.style import Origin
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from atlas.errors import InputError
+from atlas.query.resample import view
 from atlas.render import axes, style
-from atlas.view import view
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
 
 HEIGHT = 4.7

@@ -16,8 +16,8 @@ from scipy import ndimage
 
 from atlas.errors import InputError
 from atlas.render import axes, maps, style
+from workers.model.system import System
 from workers.results import LARGEST, PENDING
-from workers.system import System
 
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is not outlined: dust would turn into a black cloud."""

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from atlas.orbit import Orbit, describe
+from atlas.cell.orbit import Orbit, describe
 from atlas.render import style
 from atlas.render.spectrum import color
 from workers.results import REGIME, SPECTRUM

@@ -17,9 +17,9 @@ from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
-from atlas.grid import axis_names
+from atlas.spec.cells import axis_names
+from workers.model.system import SYSTEMS, Parameter, System
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
-from workers.system import SYSTEMS, Parameter, System
 
 WIDTH = 7.0
 """Width of a figure in inches: two columns of a journal."""

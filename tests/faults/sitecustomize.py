@@ -48,7 +48,7 @@ class _Finder(importlib.abc.MetaPathFinder):
     """Lets atlas.job load as usual, then has it changed."""
 
     def find_spec(self, name, path=None, target=None):
-        if name != "atlas.job":
+        if name != "atlas.task.task":
             return None
         sys.meta_path.remove(self)
         spec = importlib.util.find_spec(name)

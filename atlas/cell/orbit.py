@@ -1,0 +1,190 @@
+"""One cell's motion in detail: its path through the impacts, its section, its exponents as they converge."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.spec.spec import checked_parameters, checked_system, digest_of
+from workers import Settings
+from workers.model.system import System
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, REGIME, REGIMES
+
+Array = NDArray[np.float64]
+
+SAMPLES = 400
+"""Points of the path per forcing period."""
+OPEN_PATH = 40
+"""Forcing periods of the path of a motion that does not close; a closed one is followed once around."""
+SECTION = 4000
+"""Section states of a motion that does not close."""
+CONVERGENCE = (8000, 1000, 100, 10)
+"""Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
+_RECORD = 4096
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """The motion of one cell on its attractor.
+
+    settings    how it was solved
+    cell        every result of solve_tile, by name; ``regime`` is a code
+    period      forcing period T
+    stops       gap coordinate at the lower and at the upper stop
+    times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
+    states      (N, 2n)  physical states along the path (displacements, then velocities)
+    impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path
+    section     (S, 2n)  section states, t = k T
+    running     (P, 2n)  means of the exponents per period over the first 1, 2, ... periods on the attractor
+    """
+
+    system: System
+    parameters: Mapping[str, float]
+    settings: Settings
+    cell: Mapping[str, Any]
+    period: float
+    stops: tuple[float, float]
+    times: Array
+    states: Array
+    impacts: Array
+    section: Array
+    running: Array
+
+    @property
+    def exact(self) -> bool:
+        """Whether the exponents are those of an orbit in closed form, and not averages."""
+        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC)
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that decides these numbers, made as a spec's."""
+        solve = asdict(self.settings)
+        return digest_of({"system": self.system.name, "parameters": dict(self.parameters), "axes": [], "solve": solve})
+
+
+def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Settings | None = None) -> Orbit:
+    """The orbit of one cell; ``given`` are the parameters that differ from the defaults.
+
+    All exponents and the section are computed whatever ``settings`` say of them; a section with fewer samples than
+    the orbit needs is filled up. Raises InputError for parameters that do not exist or are out of range, and for a
+    cell without a motion to show: invalid, failed, or given up for its cost.
+    """
+    from workers.tile import solve_cells
+
+    record = checked_system(system)
+    parameters = checked_parameters(record, given)
+    asked = replace(
+        settings or Settings(),
+        exponents="spectrum",
+        section_samples=max(SECTION, (settings or Settings()).section_samples),
+    )
+    solution = solve_cells(record.name, parameters, asked)
+    cell: dict[str, Any] = {name: array[()] for name, array in solution.arrays.items()}
+    start = cell["state"]
+    if not np.all(np.isfinite(start)):
+        raise InputError(f"this cell has no motion to show: {', '.join(solution.reasons) or 'its state is not known'}")
+    here = parameters | dict(zip(record.states, map(float, start), strict=True))
+    closes = int(cell["period"])
+    section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
+    running = _running(record, here, asked)
+    times, states, impacts = _path(record, here, closes or OPEN_PATH)
+    osc = record.build(parameters)
+    return Orbit(
+        system=record,
+        parameters=parameters,
+        settings=asked,
+        cell=cell,
+        period=osc.period,
+        stops=(-osc.b_lower, osc.b_upper),
+        times=times,
+        states=states,
+        impacts=impacts,
+        section=section[-closes:] if closes else section,
+        running=running,
+    )
+
+
+def _running(system: System, parameters: Mapping[str, float], settings: Settings) -> Array:
+    """Running means of the exponents, over as many periods as can be afforded."""
+    from workers import trace
+
+    reason = ""
+    for periods in CONVERGENCE:
+        try:
+            return trace(system.name, parameters, periods, settings).exponents
+        except ValueError as error:
+            reason = str(error)
+    raise InputError(f"this cell cannot be followed: {reason}")
+
+
+def _path(system: System, parameters: Mapping[str, float], periods: int) -> tuple[Array, Array, Array]:
+    """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
+    from workers.kernel.stroboscopic import (
+        RECORDED,
+        RUNNING,
+        STATUS,
+        WORK,
+        WORK_OF_A_TRIAL,
+        blocks_to_physical,
+        motion_from,
+        travel,
+    )
+
+    osc = system.build(parameters)
+    start = np.array([parameters[name] for name in system.states])
+    motion = motion_from(osc, start, record=_RECORD)
+    times, states, impacts = [0.0], [start], []
+    piece = osc.period / SAMPLES
+    for i in range(periods * SAMPLES):
+        # A piece of a period is a short motion from a section at another phase of the force.
+        begins = osc._replace(tau=osc.tau + (i % SAMPLES) * piece * osc.gap.omega)
+        ends = osc._replace(tau=osc.tau + (i % SAMPLES + 1) * piece * osc.gap.omega)
+        motion.tally[RECORDED], motion.tally[WORK] = 0.0, WORK_OF_A_TRIAL
+        travel(begins, motion, piece)
+        if motion.tally[STATUS] != RUNNING:
+            raise InputError(f"period {i // SAMPLES}: this cell cannot be followed")
+        found = motion.impacts[: int(motion.tally[RECORDED])].copy()
+        before, after = states[-1], blocks_to_physical(ends, motion)
+        for t, side, speed in found:
+            mean = before + (after - before) * t / piece
+            for velocity in (side * speed, -osc.R * side * speed):
+                times.append(i * piece + t)
+                states.append(_at_stop(osc, mean, side, velocity))
+        found[:, 0] += i * piece
+        impacts.append(found)
+        times.append((i + 1) * piece)
+        states.append(after)
+    return np.array(times), np.array(states), np.concatenate(impacts)
+
+
+def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
+    """The state with its gap coordinate on a stop and moving with this velocity, all else as it is."""
+    row = np.array(osc.gap_row)
+    n = row.size
+    place = osc.b_upper if side > 0 else -osc.b_lower
+    kick = np.array(osc.to_physical) @ np.array(osc.kick)[:, 1]  # what an impact changes the velocities along
+    on_stop = state.copy()
+    on_stop[:n] += row / (row @ row) * (place - row @ state[:n])
+    on_stop[n:] += kick * (velocity - row @ state[n:])
+    return on_stop
+
+
+def describe(orbit: Orbit) -> str:
+    """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``."""
+    cell = orbit.cell
+    code = int(cell[REGIME.name])
+    words = [next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")]
+    if code == PERIODIC:
+        n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
+        words.append(f"period {n}" if p < 0 else f"period {n}, impacts {p} above and {q} below")
+        words += ["symmetric"] if cell["symmetric"] else []
+    elif np.isfinite(cell["impacts_per_period"]) and cell["impacts_per_period"] > 0:
+        words.append(f"{cell['impacts_per_period']:.3g} impacts per period")
+    if cell["sticks"]:
+        words.append(f"at rest on a stop {100 * cell['stuck_fraction']:.3g} % of the time")
+    if code == CHAOTIC:
+        words.append(f"largest exponent {cell['largest']:.3g} ± {cell['error']:.1g}")
+    return ", ".join(words)

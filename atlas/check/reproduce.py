@@ -1,0 +1,83 @@
+"""Solving stored cells again and comparing: to the bit where the machine is the one that solved them, else by error."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from atlas.spec.spec import Spec
+from atlas.store.schema import BUDGET
+from workers.results import CHAOTIC, PERIODIC, REGIME, REGIMES
+
+ERRORS = 5.0
+"""So many errors of both solutions may lie between the largest exponents that two machines give."""
+ROUNDING = 1e-9
+"""What may lie between them besides, relative to them or absolutely where they are small."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A cell taken out of a stored tile: its index in the atlas, and its results, each of a one-cell block's shape."""
+
+    cell: tuple[int, ...]
+    tile: tuple[int, ...]
+    stored: Mapping[str, np.ndarray]
+
+    @property
+    def regime(self) -> int:
+        """The stored regime's code."""
+        return int(self.stored[REGIME.name].item())
+
+
+def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
+    """The results of the cell as they come out now, in the stored ones' shapes."""
+    from workers.tile import solve_cells
+
+    block = tuple(slice(i, i + 1) for i in sample.cell)
+    settings = replace(spec.settings, max_periods=int(sample.stored[BUDGET.name].item()))
+    return solve_cells(spec.system, spec.cell_params(block), settings).arrays
+
+
+def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
+    """How two solutions of a cell differ in any bit; empty where they do not."""
+    names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
+    return _told(stored, again, names)
+
+
+def beyond_error(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
+    """How two solutions of a cell by different machines differ by more than their errors allow; empty where not.
+
+    The regime has to be the same, an orbit's period and symmetry too, and the largest exponent within the errors.
+    """
+    regime = stored[REGIME.name].item()
+    names = [REGIME.name] if regime != again[REGIME.name].item() else []
+    if regime == PERIODIC:
+        names += [name for name in ("period", "sticks") if stored[name].item() != again[name].item()]
+    if "largest" in again and not names and regime <= CHAOTIC:
+        values = [(float(one["largest"].item()), float(one["error"].item())) for one in (stored, again)]
+        (first, first_error), (second, second_error) = values
+        room = ERRORS * (first_error + second_error) + ROUNDING * max(1.0, abs(first))
+        if first != second and not abs(first - second) <= room:
+            names.append("largest")
+    return _told(stored, again, names)
+
+
+def place_in(spec: Spec, cell: tuple[int, ...]) -> str:
+    """A cell by its parameters: ``omega = 2.5, b = 0.1``."""
+    pairs = zip(spec.axes, reversed(cell), strict=True)
+    return ", ".join(f"{axis.name} = {axis.values[i]!r}" for axis, i in pairs)
+
+
+def _told(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray], names: list[str]) -> str:
+    parts = [f"{name} {_text(name, stored[name])}, solved again {_text(name, again[name])}" for name in names[:3]]
+    return "; ".join(parts + ([f"and {len(names) - 3} more"] if len(names) > 3 else []))
+
+
+def _text(name: str, values: Any) -> str:
+    if name == REGIME.name:
+        return next((regime.name for regime in REGIMES if regime.code == values.item()), str(values.item()))
+    flat = values.ravel().tolist()
+    shown = [f"{value!r}" if not isinstance(value, float) or math.isfinite(value) else f"{value}" for value in flat[:4]]
+    return shown[0] if len(flat) == 1 else f"[{', '.join(shown)}{', ...' if len(flat) > 4 else ''}]"

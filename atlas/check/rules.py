@@ -1,0 +1,193 @@
+"""What the results of one cell must have to do with each other, whatever the cell: rules on a tile's arrays."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.spec.spec import Slices, Spec
+from workers.results import (
+    CHAOTIC,
+    FAILED,
+    INVALID,
+    NO_IMPACT,
+    NO_REASON,
+    PERIODIC,
+    QUASIPERIODIC,
+    REASON,
+    REASONS,
+    REGIME,
+    result_variables,
+)
+
+Arrays = Mapping[str, NDArray[Any]]
+Mask = NDArray[np.bool_]
+
+STANDARD_ERRORS = 4.0
+"""By so many is the exponent of a chaotic cell positive."""
+SUM_LAW = 1e-8
+"""By how much a sum of exponents may miss its exact value, relative to it or absolutely where that is small."""
+TORUS = 1e-3
+"""By how much besides in a quasiperiodic cell, whose first exponent is a weighted average and the others plain ones."""
+SAME = 1e-6
+"""By how much, besides five errors, averages of two kinds may give the largest exponent."""
+
+
+def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
+    """The rules that some cells of a tile break, each in words, with the mask of those cells.
+
+    ``arrays`` holds the result variables over the cells ``slices``; a rule about one that was not asked for is left
+    out. Where the spectrum is stored, its sum is held against the exact law of ``workers.lyapunov``.
+    """
+    with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
+        found = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
+        if "spectrum" in arrays:
+            found |= {text: mask for text, mask in _sum_law(spec, slices, arrays) if mask.any()}
+    return found
+
+
+def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
+    """Every rule in words, with the mask of the cells that break it."""
+    regime = arrays[REGIME.name]
+    yield "regime is none of 0 to 6", ~((regime >= NO_IMPACT) & (regime <= FAILED))
+    still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
+    known = (regime >= NO_IMPACT) & (regime <= CHAOTIC)
+
+    for variable in result_variables(spec.settings):
+        if variable.name in (REGIME.name, REASON.name, "periods_used"):
+            continue
+        values = arrays[variable.name].reshape(*regime.shape, -1)
+        empty = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
+        yield f"{variable.name} has a value in an invalid or failed cell", blank & ~empty.all(axis=-1)
+
+    if REASON.name in arrays:  # an older store has none
+        reason = arrays[REASON.name]
+        yield "reason is missing in an invalid or failed cell", blank & (reason == NO_REASON)
+        yield "reason is not one for this regime", (reason != NO_REASON) & ~_goes_with(reason, regime)
+
+    yield from _exponent_rules(arrays, known)
+
+    period, sticks = arrays["period"], arrays["sticks"]
+    yield "period is not 1 without impact", still & (period != 1)
+    yield "period is not positive in a periodic cell", periodic & (period < 1)
+    yield "period is not 0 outside orbits", ~(still | periodic) & (period != 0)
+
+    hits, mean = arrays["impacts_upper"] + arrays["impacts_lower"], arrays["impacts_per_period"]
+    for name in ("impacts_upper", "impacts_lower"):
+        yield f"{name} is not 0 outside orbits", ~periodic & (arrays[name] != 0)
+        yield f"{name} is not -1 in an orbit that sticks", periodic & sticks & (arrays[name] != -1)
+        yield f"{name} is negative", periodic & ~sticks & (arrays[name] < 0)
+    yield "impacts_per_period is not NaN where it sticks", sticks & ~np.isnan(mean)
+    yield "impacts_per_period is negative", mean < 0
+    yield "impacts_per_period is not 0 without impact", still & (mean != 0)
+    counted = np.isclose(mean * period, hits, rtol=1e-9, atol=0)
+    yield "impacts_per_period is not the orbit's impacts over its period", periodic & ~sticks & ~counted
+
+    share = arrays["stuck_fraction"]
+    yield "stuck_fraction is outside 0 to 1", (share < 0) | (share > 1 + 1e-9)
+    yield "stuck_fraction does not go with sticks", (share > 0) != sticks
+    yield "symmetric outside orbits", ~(still | periodic) & arrays["symmetric"]
+    speed = arrays["min_impact_speed"]
+    yield "min_impact_speed is negative", speed < 0
+    yield "min_impact_speed without impact", still & ~np.isnan(speed)
+    yield "periods_used is negative", arrays["periods_used"] < 0
+    yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
+
+
+def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
+    """Where a reason is one that the table has, for cells of this regime."""
+    found = np.zeros(regime.shape, dtype=bool)
+    for known in REASONS:
+        found |= (reason == known.code) & (regime == known.regime)
+    return found
+
+
+def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
+    if "largest" not in arrays:
+        return
+    regime, largest, error = arrays[REGIME.name], arrays["largest"], arrays["error"]
+    averaged = (regime == CHAOTIC) | (regime == QUASIPERIODIC)
+    yield "largest is NaN", known & np.isnan(largest)
+    yield "largest is not finite in an averaged cell", averaged & ~np.isfinite(largest)
+    yield "error is NaN", known & np.isnan(error)
+    yield "error is negative", error < 0
+    clear = largest >= STANDARD_ERRORS * error
+    yield (
+        f"chaotic, but largest is not positive by {STANDARD_ERRORS:g} errors",
+        (regime == CHAOTIC) & ~(clear & (largest > 0)),
+    )
+    yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~(largest < 0)
+    yield "largest is above zero without impact", (regime == NO_IMPACT) & (largest > 0)
+    if "average" in arrays:
+        mean = arrays["average"].reshape(*regime.shape, -1)[..., 0]
+        yield "average is NaN", known & np.isnan(mean)
+        unlike = ~(np.abs(mean - largest) <= SAME + 5.0 * error)
+        yield "average is not the largest exponent of a chaotic cell", (regime == CHAOTIC) & unlike
+    if "spectrum" not in arrays:
+        return
+    spectrum = arrays["spectrum"]
+    yield "spectrum is NaN", known & np.isnan(spectrum).any(axis=-1)
+    # The first of a quasiperiodic cell is a weighted average, the others are plain ones.
+    rises = spectrum[..., :-1] < spectrum[..., 1:]
+    yield "spectrum does not fall", rises[..., 1:].any(axis=-1) | (rises[..., 0] & (regime != QUASIPERIODIC))
+    first = spectrum[..., 0]
+    same = (first == largest) | (np.abs(first - largest) <= SAME + 5.0 * error)
+    yield "largest is not the first of the spectrum", known & ~same
+
+
+def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
+    """The sum of the exponents against the law, wherever the solver says by its defect that the law holds."""
+    regime, defect, mean = arrays[REGIME.name], arrays["sum_law_defect"], arrays["impacts_per_period"]
+    total = arrays["spectrum"].sum(axis=-1)
+    free, each = law_of(spec, slices)
+    law = free + np.where(mean == 0.0, 0.0, each * mean)
+    held = np.isfinite(defect)
+    room = SUM_LAW * np.maximum(1.0, np.abs(law))
+    yield "sum_law_defect is too large, or of no spectrum", held & ~(np.abs(defect) <= room)
+    held &= ~arrays["sticks"]  # a schedule's defect may be that of a transient, before the motion came to stick
+    room = room + np.where(regime == QUASIPERIODIC, TORUS, 0.0)
+    yield "spectrum breaks the sum law", held & ~(np.abs(total - law) <= room)
+
+
+def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The exact sum of the exponents without impact, and what each impact a period adds, over a tile's cells.
+
+    Both broadcast to the tile. NaN where there is none: no oscillator, and for the second where R = 0.
+    """
+    params = spec.cell_params(slices)
+    axes = [axis.name for axis in spec.axes]
+    middle = {name: _middle(params[name]) for name in params}
+    # An oscillator takes long to build, and often an axis has nothing to do with the sum, as the clearance has not.
+    varying = {name: params[name] for name in axes if _law_varies(spec, middle, name)}
+    grids = np.broadcast_arrays(*varying.values()) if varying else [np.zeros((1,) * len(axes))]
+    free, each = np.empty(grids[0].shape), np.empty(grids[0].shape)
+    for cell in np.ndindex(free.shape):
+        given = {name: float(grid[cell]) for name, grid in zip(varying, grids, strict=False)}
+        free[cell], each[cell] = _law(spec, middle | given)
+    return free, each
+
+
+def _law_varies(spec: Spec, middle: Mapping[str, float], name: str) -> bool:
+    values = next(axis.values for axis in spec.axes if axis.name == name)
+    laws = [_law(spec, {**middle, name: value}) for value in (values[0], values[len(values) // 2], values[-1])]
+    return any(law != laws[0] or np.isnan(law[0]) for law in laws)
+
+
+def _law(spec: Spec, values: Mapping[str, float]) -> tuple[float, float]:
+    from workers.kernel.averages import sum_of_exponents
+
+    try:
+        oscillator = spec.record.build(values)
+        free = sum_of_exponents(oscillator, 0.0)
+    except ValueError:
+        return np.nan, np.nan
+    try:
+        return free, sum_of_exponents(oscillator, 1.0) - free
+    except ValueError:  # log(0)
+        return free, np.nan
+
+
+def _middle(values: float | NDArray[np.float64]) -> float:
+    flat = np.ravel(values)
+    return float(flat[flat.size // 2])

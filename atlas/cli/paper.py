@@ -1,0 +1,66 @@
+"""The figures of Li & Tan (2011): which cells and which sweep they show, computed and drawn."""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from atlas.errors import InputError, RunError
+from atlas.service.progress import Progress
+from atlas.spec.spec import Spec
+from workers import Settings
+
+_COMMON = {"R": 0.8, "tau": math.pi}
+CELLS = {
+    "fig3": {**_COMMON, "mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "omega": 4.0, "b": 0.1},
+    "fig4": {**_COMMON, "mu_k": 4.0, "mu_m": 6.0, "zeta": 0.5, "f2": 2.0, "omega": 1.0, "b": 0.2},
+    "fig5": {**_COMMON, "mu_k": 2.0, "mu_m": 2.0, "zeta": 0.5, "f2": 5.0, "omega": 3.0, "b": 0.2},
+}
+"""The parameters of the cells in Figs 3, 4 and 5: two periodic motions and a chaotic one."""
+
+SETTINGS = Settings(tolerance=0.002, max_periods=400_000)
+"""Fig. 5's exponents to the three digits that the paper gives."""
+
+SWEEP = "fig6"
+"""The packaged spec of Fig. 6."""
+
+
+def figures(
+    folder: str | Path,
+    formats: Sequence[str] = ("png",),
+    workers: int | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> list[Path]:
+    """Draw Figs 3 to 6 of Li & Tan, Chin. Phys. B 20 (2011) 040505, into a folder, and return the files' paths.
+
+    Fig. 6 is computed into ``fig6.zarr`` there; what of it is done already is not computed again. ``workers`` is as
+    for ``atlas.run``; ``on_progress`` is called with each Progress, those of the run included.
+    Raises InputError for a folder that cannot be written and for an unknown format.
+    """
+    from atlas.cell.orbit import follow
+    from atlas.render import FORMATS, render, render_orbit
+    from atlas.service.run import run
+    from atlas.store.store import open_atlas
+
+    tell = on_progress or (lambda _: None)
+    for each in formats:
+        if each not in FORMATS:
+            raise InputError(f"unknown format {each!r}; possible: {', '.join(FORMATS)}")
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    written = []
+    for name, parameters in CELLS.items():
+        tell(Progress(f"{name}: solving and drawing"))
+        orbit = follow(parameters, settings=SETTINGS)
+        written += [render_orbit(orbit, target / f"{name}.{each}") for each in formats]
+    store = target / f"{SWEEP}.zarr"
+    tell(Progress(f"{SWEEP}: computing the sweep into {store}"))
+    summary = run(Spec.from_toml(SWEEP), store, workers=workers, on_progress=tell)
+    if summary.failures:
+        raise RunError(f"{SWEEP}: tile {summary.failures[0].index} failed: {summary.failures[0].message}")
+    tell(Progress(f"{SWEEP}: drawing"))
+    sweep = open_atlas(store)
+    written += [render(sweep, target / f"{SWEEP}.{each}") for each in formats]
+    return written

@@ -1,0 +1,212 @@
+"""Coarsening by two: what a cell of an overview says of the cells below it. Arrays in, arrays out.
+
+regime         the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
+regime_shown   the class a picture shows: failed if any cell below is, else pending if any is, else undetermined where
+               that is at least SHOWN of the area (always so up to 4 x 4 cells), else ``regime``
+regime_share   share of the area of every class
+measured numbers (exponents, errors, speeds)
+               mean over the finite values, and ``<name>_count``, their number; -inf where none is finite and some -inf
+largest_positive   share of the finite largest exponents that are positive
+period, impacts_upper, impacts_lower
+               the triple most frequent among the periodic cells, found in rounds of 2 x 2, with ``period_count`` cells
+               behind it; a tie goes to the smallest triple. No triple is made up. 0 where no cell is periodic
+other numbers (flags, costs)
+               mean over the solved cells; of a flag, the share. ``cells`` is the number of solved cells
+
+Means, counts and shares of a level are those of the cells themselves, whatever number of levels lies between.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.overview.levels import Levels
+from atlas.spec.spec import Spec
+from workers import Settings
+from workers.results import (
+    FAILED,
+    LARGEST,
+    PENDING,
+    PERIODIC,
+    REASON,
+    REGIME,
+    REGIMES,
+    UNDETERMINED,
+    Variable,
+    result_variables,
+)
+
+SHOWN = 1 / 16
+"""Share of undetermined cells from which on a picture shows a coarse cell as such."""
+
+CLASSES = ("period", "impacts_upper", "impacts_lower")
+SHARE = Variable("regime_share", "float64", 0.0, "share of the area of each regime", "1", ("class",))
+REGIME_SHOWN = Variable("regime_shown", "int8", PENDING, "regime of motion as pictures show it, doubt first", "1")
+CELLS = Variable("cells", "int32", 0, "solved cells behind a coarse cell", "1")
+POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive values among the finite ones", "1")
+PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
+CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
+"""The regime that each place along the dimension "class" stands for."""
+
+Cells = dict[str, NDArray[Any]]
+Widths = tuple[NDArray[np.float64], ...]
+
+
+def level_variables(settings: Settings) -> tuple[Variable, ...]:
+    """The variables of every level of an atlas with these settings; ``regime`` is the last, as it is the last written.
+
+    Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
+    """
+    found: list[Variable] = []
+    for variable in result_variables(settings):
+        if variable.extra or variable.name in (REASON.name, REGIME.name):
+            continue
+        if variable.name in CLASSES:
+            found.append(variable)
+        else:
+            name = "share of cells" if variable.dtype == "bool" else "mean"
+            found.append(replace(variable, dtype="float64", fill=np.nan, long_name=f"{variable.long_name}: {name}"))
+        if variable.dtype == "float64":
+            counted = f"finite values of {variable.name}"
+            found.append(Variable(count_of(variable.name), "int32", 0, counted, "1"))
+        if variable.name == LARGEST.name:
+            found.append(POSITIVE)
+    return (*found, PERIOD_COUNT, CELLS, SHARE, REGIME_SHOWN, REGIME)
+
+
+def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
+    """Bytes of all levels of an atlas, uncompressed."""
+    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.settings)]
+    return Levels(spec.shape, tile).cells() * sum(sizes)
+
+
+def count_of(name: str) -> str:
+    """The name of the count that goes with a measured number."""
+    return f"{name}_count"
+
+
+def needed(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
+    """All variables of a level that coarsening the named ones takes, in their order."""
+    wanted = {*names, SHARE.name, REGIME.name}
+    if wanted & {*CLASSES, PERIOD_COUNT.name}:
+        wanted |= {*CLASSES, PERIOD_COUNT.name}
+    if POSITIVE.name in wanted:
+        wanted.add(LARGEST.name)
+    wanted |= {name.removesuffix("_count") for name in wanted}
+    wanted |= {count_of(name) for name in wanted} | {CELLS.name}
+    return [variable.name for variable in variables if variable.name in wanted]
+
+
+def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
+    """Cells of the atlas itself in the form of a level: means of one value, shares of 0 and 1.
+
+    Without a regime a cell has no result yet, whatever a worker may have written of it.
+    """
+    codes = arrays[REGIME.name]
+    solved, periodic = codes != PENDING, codes == PERIODIC
+    made: Cells = {REGIME.name: codes, REGIME_SHOWN.name: codes}
+    for name in set(names) - made.keys():
+        if name == SHARE.name:
+            made[name] = (codes[..., None] == CODES).astype(np.float64)
+        elif name == CELLS.name:
+            made[name] = solved.astype(np.int32)
+        elif name == PERIOD_COUNT.name:
+            made[name] = periodic.astype(np.int32)
+        elif name == POSITIVE.name:
+            largest = arrays[LARGEST.name]
+            made[name] = np.where(solved & np.isfinite(largest), (largest > 0).astype(np.float64), np.nan)
+        elif name in CLASSES:
+            made[name] = np.where(periodic, arrays[name], 0).astype(np.int32)
+        elif name in arrays:
+            made[name] = np.where(solved, arrays[name], np.nan).astype(np.float64)
+        else:
+            made[name] = (solved & np.isfinite(arrays[name.removesuffix("_count")])).astype(np.int32)
+    return made
+
+
+def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cells:
+    """The next level of a block: half as many cells along the given dimensions, rounded up.
+
+    ``cells`` are closed under ``needed``. ``widths`` are those of the cells given, one array a dimension, in any unit:
+    only their ratios count.
+    """
+    area = np.ones(())
+    for width in widths:
+        area = area[..., None] * width
+    dims = [dim for dim in along if dim < area.ndim]
+    areas = _below(area, dims, 0.0)
+    share = _below(cells[SHARE.name], dims, 0.0)
+    solved = _below(cells[CELLS.name], dims, 0)
+    made: Cells = {
+        SHARE.name: (share * areas[..., None]).sum(0) / areas.sum(0)[..., None],
+        CELLS.name: solved.sum(0, dtype=np.int32),
+    }
+    if PERIOD_COUNT.name in cells:
+        made |= _most_frequent(cells, dims)
+    for name in cells.keys() - made.keys() - {REGIME.name, REGIME_SHOWN.name}:
+        if name.endswith("_count"):
+            made[name] = _below(cells[name], dims, 0).sum(0, dtype=np.int32)
+            continue
+        counted = LARGEST.name if name == POSITIVE.name else name
+        counts = _below(cells[count_of(counted)], dims, 0) if count_of(counted) in cells else solved
+        made[name] = _mean(_below(cells[name], dims, np.nan), counts)
+    made[REGIME.name] = _largest_class(made[SHARE.name])
+    made[REGIME_SHOWN.name] = _shown(made[SHARE.name], made[REGIME.name])
+    return made
+
+
+def halved(width: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The widths of the next level's cells along a dimension."""
+    return np.add.reduceat(width, np.arange(0, width.size, 2))
+
+
+def _below(values: NDArray[Any], dims: Sequence[int], fill: float) -> NDArray[Any]:
+    """The cells below each coarse cell along a new first axis: 2 for one dimension, 4 for two; ``fill`` where none."""
+    odd = [(0, n % 2 if dim in dims else 0) for dim, n in enumerate(values.shape)]
+    parts = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]
+    for dim in dims:
+        before = (slice(None),) * dim
+        parts = [part[(*before, slice(start, None, 2))] for part in parts for start in (0, 1)]
+    return np.stack(parts)
+
+
+def _mean(values: NDArray[Any], counts: NDArray[Any]) -> NDArray[np.float64]:
+    total = counts.sum(0)
+    mean = np.where(counts > 0, values, 0.0)
+    mean = (mean * counts).sum(0) / np.maximum(total, 1)
+    none = np.where((values == -np.inf).any(0), -np.inf, np.nan)
+    return np.where(total > 0, mean, none)
+
+
+def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
+    """Of the triples below, the one with the most cells behind it."""
+    counts = _below(cells[PERIOD_COUNT.name], dims, 0)
+    triples = np.stack([_below(cells[name], dims, 0) for name in CLASSES])
+    same = (triples[:, :, None] == triples[:, None, :]).all(0)
+    votes = (same * counts[None]).sum(1) * (counts > 0)
+    most = votes == votes.max(0)
+    # Of those with as many, the smallest: first by period, then by impacts.
+    for values in triples:
+        least = np.where(most, values, np.iinfo(np.int32).max).min(0)
+        most &= values == least
+    chosen = most.argmax(0)[None]
+    made: Cells = {
+        name: np.take_along_axis(values, chosen, 0)[0] for name, values in zip(CLASSES, triples, strict=True)
+    }
+    return made | {PERIOD_COUNT.name: np.take_along_axis(votes, chosen, 0)[0].astype(np.int32)}
+
+
+def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
+    # Shares that differ by rounding alone are equal; the last of the largest wins.
+    tied = share >= share.max(-1, keepdims=True) - 1e-9
+    return CODES[CODES.size - 1 - tied[..., ::-1].argmax(-1)]
+
+
+def _shown(share: NDArray[np.float64], regime: NDArray[np.int8]) -> NDArray[np.int8]:
+    part = {code: share[..., place] for place, code in enumerate(CODES.tolist())}
+    shown = np.where(part[UNDETERMINED] >= SHOWN - 1e-9, UNDETERMINED, regime)
+    shown = np.where(part[PENDING] > 0, PENDING, shown)
+    return np.where(part[FAILED] > 0, FAILED, shown).astype(np.int8)

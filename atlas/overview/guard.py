@@ -1,0 +1,110 @@
+"""A Zarr store for reading in which no chunk that is missing or damaged goes unnoticed: it raises, by its name.
+
+Zarr alone takes a missing chunk for one of nothing but fill values, and does not say which chunk a checksum belongs
+to. Here a chunk of a finished tile has to be there, and one of an overview that is marked as current; and each has its
+checksum looked at as it comes in.
+"""
+
+import asyncio
+import atexit
+import errno
+from typing import TYPE_CHECKING, Any
+
+import google_crc32c
+from zarr.storage import WrapperStore
+
+from atlas.errors import ChunkError
+from atlas.overview.coarsen import REGIME_SHOWN, level_variables
+from atlas.store.location import Place
+from atlas.store.remote import zarr_store
+from atlas.store.schema import BUDGET, OVERVIEWS, coordinates
+from workers.results import REGIME, result_variables
+
+if TYPE_CHECKING:
+    from atlas.spec.spec import Spec
+
+_CHECKSUM_BYTES = 4
+_PATIENCE_SECONDS = 10.0
+
+
+class GuardedStore(WrapperStore[Any]):
+    """Zarr's own store of a place, read only; ``get`` raises ChunkError. It counts the chunks that it gives."""
+
+    def __init__(self, place: Place, spec: "Spec") -> None:
+        super().__init__(zarr_store(place, read_only=True))
+        results, levels = result_variables(spec.settings), level_variables(spec.settings)
+        self.place, self.chunks_read = place, 0
+        self._dims = len(spec.shape)
+        self._complete = {variable.name for variable in (*results, *levels) if not variable.sparse}
+        self._checked = {variable.name for variable in results} | {BUDGET.name, *coordinates(spec)}
+
+    async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
+        """An object, None where there is none and none has to be."""
+        folder, mark, index = f"/{key}".rpartition("/c")
+        if not mark or index[:1] not in ("", "/"):
+            return await self._store.get(key, prototype, byte_range)
+        array = folder[1:]
+        try:
+            found = await self._store.get(key, prototype, byte_range)
+            if found is None and await self._must_exist(array, index):
+                # Once more: it may have been written since, and the regime, which comes last, with it.
+                found = await self._store.get(key, prototype, byte_range)
+                if found is None:
+                    raise self._error(key, "is missing")
+        except OSError as error:
+            if error.errno != errno.EIO:  # a bad sector is the chunk's fault, a lost network is not
+                raise
+            raise self._error(key, f"cannot be read ({error.strerror})") from None
+        if found is None:
+            return None
+        self.chunks_read += 1
+        if byte_range is None and self._has_checksum(array) and not _is_whole(found.to_bytes()):
+            raise self._error(key, "is damaged (its checksum is wrong)")
+        return found
+
+    async def _must_exist(self, array: str, index: str) -> bool:
+        """Whether what is written after a chunk is there."""
+        above, _, name = array.rpartition("/")
+        if name not in self._complete or name == REGIME.name:
+            return False
+        marks = (REGIME.name, REGIME_SHOWN.name) if above else (REGIME.name,)
+        place = "/".join(index.split("/")[: self._dims + 1])
+        keys = [f"{above}/{mark}/c{place}".lstrip("/") for mark in marks if mark != name]
+        return any([await self._store.exists(key) for key in keys])
+
+    def _has_checksum(self, array: str) -> bool:
+        above, _, name = array.rpartition("/")
+        return name in (self._complete if above.partition("/")[0] == OVERVIEWS else self._checked)
+
+    def _error(self, key: str, fault: str) -> ChunkError:
+        _loops.add(asyncio.get_running_loop())
+        return ChunkError(self.place, {key: fault})
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether a chunk's last bytes are the CRC32C of those before."""
+    inner, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
+    return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
+
+
+def abandon_reads() -> None:
+    """End the reads that were under way when one failed: for a process that is about to leave.
+
+    Zarr closes its event loop at exit, whatever waits there, and Python complains of each of them on stderr.
+    """
+
+    async def cancel() -> None:
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        if others:
+            await asyncio.wait(others, timeout=_PATIENCE_SECONDS)
+
+    for loop in list(_loops):
+        if loop.is_running():
+            asyncio.run_coroutine_threadsafe(cancel(), loop).result()
+
+
+_loops: set[asyncio.AbstractEventLoop] = set()
+"""Those in which a read failed; Zarr has one."""
+atexit.register(abandon_reads)  # after Zarr's own function was, which is imported above, so called before it

@@ -1,0 +1,119 @@
+"""Cells of an atlas as a file that other programs read: CSV or netCDF, chosen by the suffix."""
+
+import csv
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.spec.cells import Window, axis_names, within
+from workers.results import REASON, REASONS, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+FORMATS = (".csv", ".nc")
+NETCDF_LIMIT = 2**32 - 4
+"""Bytes that one variable may have in netCDF 3."""
+_BLOCK = 1 << 16
+"""Cells read at a time for CSV."""
+
+
+def export(ds: "xr.Dataset", path: str | Path, window: Window | None = None) -> int:
+    """Write the cells of a window to a file, in full and not coarsened, and return their number.
+
+    CSV: one row a cell, x fastest: the axes, then every variable, with a column for each component of one that has
+    several (``state_x1``, ``spectrum_1``), regime and reason by name; numbers in their shortest exact form, NaN
+    and -inf as such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed
+    parameters as scalar coordinates. The file appears whole or not at all.
+    Raises InputError for another suffix, an unknown axis, a window without a cell, and a path that cannot be written.
+    """
+    target = Path(path)
+    check_path(target)
+    part = within(ds, window)
+    count = int(np.prod([part.sizes[name] for name in axis_names(part)]))
+    write = _write_csv if target.suffix.lower() == ".csv" else _write_netcdf
+    try:
+        with _whole(target) as unfinished:
+            write(part, unfinished)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    return count
+
+
+def check_path(path: Path) -> None:
+    """InputError unless the suffix is one that ``export`` knows."""
+    if path.suffix.lower() not in FORMATS:
+        found = f"found {path.suffix!r}" if path.suffix else "found none"
+        raise InputError(f"{path.name}: the suffix chooses the format, {found}; possible: {', '.join(FORMATS)}")
+
+
+@contextmanager
+def _whole(target: Path) -> Iterator[Path]:
+    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
+    try:
+        yield unfinished
+        os.replace(unfinished, target)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _write_csv(ds: "xr.Dataset", path: Path) -> None:
+    names = axis_names(ds)
+    dims = tuple(reversed(names))
+    ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
+    columns = {str(name): _components(ds, str(name), dims) for name in ordered}
+    words = {
+        REGIME.name: {regime.code: regime.name for regime in REGIMES},
+        REASON.name: {reason.code: reason.name for reason in REASONS},
+    }
+    x, y = ds[names[0]].values.tolist(), ds[names[1]].values.tolist() if len(names) == 2 else [None]
+    rows = max(1, _BLOCK // len(x))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*names, *(column for several in columns.values() for column in several)])
+        for first in range(0, len(y), rows):
+            block = ds[ordered] if len(names) == 1 else ds[ordered].isel({names[1]: slice(first, first + rows)})
+            cells = len(x) * len(y[first : first + rows])
+            fields: list[list[Any]] = []
+            for name, several in columns.items():
+                table = block[name].transpose(*dims, ...).values.reshape(cells, len(several))
+                for i in range(len(several)):
+                    values = table[:, i].tolist()
+                    fields.append([words[name][code] for code in values] if name in words else values)
+            points = ([u] if v is None else [u, v] for v in y[first : first + rows] for u in x)
+            writer.writerows([*point, *row] for point, row in zip(points, zip(*fields, strict=True), strict=True))
+
+
+def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]:
+    """The columns of a variable: its name, or one for each component, by label where there is one, else from 1."""
+    columns = [name]
+    for dim in ds[name].dims:
+        if dim not in dims:
+            size = ds.sizes[dim]
+            labels = map(str, ds[dim].values) if dim in ds.coords else map(str, range(1, size + 1))
+            ends = list(labels)
+            columns = [f"{column}_{end}" for column in columns for end in ends]
+    return columns
+
+
+def _write_netcdf(ds: "xr.Dataset", path: Path) -> None:
+    for name in ds.data_vars:
+        if ds[name].nbytes > NETCDF_LIMIT:
+            raise InputError(
+                f"{name} has {ds[name].nbytes} bytes in this window, netCDF takes {NETCDF_LIMIT}: narrow it"
+            )
+    plain = ds.drop_encoding()
+    for array in plain.variables.values():
+        if "flag_values" in array.attrs:  # CF: of the variable's own type
+            array.attrs["flag_values"] = np.asarray(array.attrs["flag_values"], dtype=array.dtype)
+    for name in plain.coords:
+        if plain[name].dtype.kind in "OT":
+            words = np.array(plain[name].values.tolist(), dtype=str)  # netCDF 3 knows characters only
+            plain = plain.assign_coords({name: (plain[name].dims, words, plain[name].attrs)})
+    plain.to_netcdf(path, format="NETCDF3_64BIT", engine="scipy")

@@ -1,0 +1,232 @@
+"""Questions to an atlas: what is at a point, how much of a window belongs to each regime, where regimes meet.
+
+Every function takes the dataset as ``atlas.open`` returns it, keeps no state, and reads no more than it must.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, check_names
+from atlas.query.resample import regime_areas, view
+from atlas.query.source import find_part
+from atlas.spec.cells import (
+    Window,
+    axis_names,
+    axis_values,
+    cell_edges,
+    cell_widths,
+    inside,
+    is_log,
+    is_uniform,
+    known_axis,
+    within,
+)
+from workers.model.system import SYSTEMS
+from workers.results import (
+    AVERAGE,
+    ERROR,
+    LARGEST,
+    NO_REASON,
+    PENDING,
+    REASON,
+    REASONS,
+    REGIME,
+    REGIMES,
+    SPECTRUM,
+    SUM_LAW_DEFECT,
+    reason_counts,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "at",
+    "axis_names",
+    "boundary",
+    "cell_edges",
+    "codes_of",
+    "fractions",
+    "is_log",
+    "is_uniform",
+    "per_unit_time",
+    "reasons",
+    "where_regime",
+]
+
+_NAMES = {regime.code: regime.name for regime in REGIMES}
+_CODES = {regime.name: regime.code for regime in REGIMES}
+_EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
+
+BOUNDARY_CELLS = 2000
+"""Cells along each axis, about, on which boundaries are drawn where a window has more."""
+
+
+def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
+    """The cell nearest to a point: its coordinates, its distance from the point, and every number it holds.
+
+    Keys: each axis (the cell's own coordinate), ``distance`` (a dict, absolute, per axis), ``regime`` (its name),
+    ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis,
+    in the axis's own units.
+    Arguments: ``point`` gives a value for every axis, inside the grid or at most half a cell beyond its ends.
+    Raises InputError, in one line, for a missing or unknown axis and for a point outside the grid.
+    Reads one chunk of each variable.
+    """
+    names = axis_names(ds)
+    for name in point:
+        known_axis(ds, name)
+    missing = [name for name in names if name not in point]
+    if missing:
+        raise InputError(f"the point lacks {', '.join(missing)}; it needs a value for each axis: {', '.join(names)}")
+    index = {name: _nearest(ds, name, float(point[name])) for name in names}
+    whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
+    cell = ds[whole].isel(index).load()
+    found: dict[str, Any] = {name: float(cell[name]) for name in names}
+    found["distance"] = {name: abs(found[name] - float(point[name])) for name in names}
+    found[REGIME.name] = _NAMES[int(cell[REGIME.name])]
+    why = REASONS[int(cell[REASON.name])].text if REASON.name in whole else ""
+    found |= {REASON.name: why} if why else {}
+    return found | {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
+
+
+def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:
+    """The share of the area that belongs to each regime present, by name, in order of regime code; the sum is 1.
+
+    A cell belongs to the window if its centre does, ends included (as in xarray's ``sel``); an axis that the window
+    does not name is taken whole. Each cell counts with its area in the axes' own units, from edge to edge as in
+    ``cell_edges``, so that the shares of one region agree however its axes are spaced. So on a log axis too: a decade
+    counts ten times as much as the one below it, whatever the picture's scale.
+    Cells that are not solved yet are the share ``pending``.
+    Raises InputError, in one line, for an unknown axis and for a window without a cell.
+    Reads the regimes in the window and nothing else; of a large window the overviews and the store's tally, and cells
+    along its border.
+    """
+    areas = regime_areas(ds, window)
+    if areas is None:
+        areas = _areas_of_cells(within(ds, window), ds, inside(ds, window))
+    total = sum(areas.values())
+    return {name: area / total for code, name in sorted(_NAMES.items()) if (area := areas[code])}
+
+
+def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
+    """How many cells of a window have no result, by the reason in words; empty where the atlas is too old to say.
+
+    Cells and errors as in ``fractions``. Reads the store's tally, and the reasons themselves along the window's border.
+    """
+    ds = within(ds, window)
+    if REASON.name not in ds:
+        return {}
+    part = find_part(ds, [REGIME.name, REASON.name])
+    if part is None:
+        return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
+    counts = part.reasons().tolist()
+    part.tell()
+    return {each.text: n for each, n in zip(REASONS, counts, strict=True) if n and each.code != NO_REASON}
+
+
+def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
+    """The atlas with the results of all other regimes taken out (NaN); ``regime`` itself stays as it is.
+
+    Whole numbers and flags become floats, since they have no value that means none. Loads what it masks: choose
+    variables and a window first where the atlas is large.
+    """
+    kept = ds[REGIME.name].isin(codes_of(regimes))
+    numbers = {name: ds[name].astype(np.float64) if ds[name].dtype == bool else ds[name] for name in ds.data_vars}
+    cells = set(ds[REGIME.name].dims)
+    masked = {name: array.where(kept) for name, array in numbers.items() if cells <= set(array.dims)}
+    return ds.assign({name: array for name, array in masked.items() if name != REGIME.name})
+
+
+def boundary(
+    ds: "xr.Dataset", regime: str, other: str | None = None, window: Window | None = None
+) -> list[NDArray[np.float64]]:
+    """Where a regime meets another one, or any other: lines, each an array (points, 2) of (x, y) in the axes' units.
+
+    Contours half way between neighbouring cells of the one and of the other, so known to half a cell. Cells of a
+    third regime, where one is named, and pending cells bound nothing. Closed lines end where they began. Needs two
+    axes. A window of more than BOUNDARY_CELLS cells a side is traced on the overview next in size.
+    Raises InputError for an unknown regime or axis, for a window without a cell, and for an atlas with one axis.
+    """
+    import contourpy
+
+    names = axis_names(ds)
+    if len(names) != 2:
+        raise InputError(f"a boundary needs two axes, found one ({names[0]})")
+    (code,) = codes_of([regime])
+    seen = view(ds, [], window, (BOUNDARY_CELLS,) * 2, marks=False)
+    for name in names:
+        if axis_values(seen, name).size > 1 and np.any(np.diff(axis_values(seen, name)) < 0):
+            seen = seen.sortby(name)
+    codes = seen[REGIME.name].transpose(*reversed(names)).values
+    if min(codes.shape) < 2:
+        return []
+    hidden = codes == PENDING if other is None else ~np.isin(codes, codes_of([regime, other]))
+    z = np.ma.masked_array((codes == code).astype(np.float64), hidden)
+    lines = contourpy.contour_generator(z=z, corner_mask=True).lines(0.5)
+    # In numbers of cells, so that half way between two of them is the edge between them on any axis.
+    edges = [cell_edges(seen, name) for name in names]
+    along = [(edge, np.arange(edge.size) - 0.5) for edge in edges]
+    return [
+        np.stack([np.interp(line[:, i], place, edge) for i, (edge, place) in enumerate(along)], axis=1)
+        for line in map(np.asarray, lines)
+    ]
+
+
+def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
+    """The atlas with its exponents, and what is measured in their unit, per unit time and not per forcing period.
+
+    lambda_t = lambda / T with T = 2 pi / omega, omega the forcing frequency of each cell. The changed variables,
+    largest, error, spectrum and sum_law_defect, say so in their units, ``1/time``. Loads them.
+    Raises InputError where they are per unit time already, or the forcing frequency is not known.
+    """
+    present = [name for name in _EXPONENTS if name in ds]
+    if any(ds[name].attrs.get("units") != LARGEST.units for name in present):
+        raise InputError(f"the exponents are not per forcing period (units {LARGEST.units}); nothing to convert")
+    rate = ds[_frequency(ds)] / (2.0 * np.pi)
+    made = {}
+    for name in present:
+        made[name] = (ds[name] * rate).transpose(*ds[name].dims)
+        told = str(ds[name].attrs.get("long_name", name)).replace("per forcing period", "per unit time")
+        made[name].attrs = {**ds[name].attrs, "units": "1/time", "long_name": told}
+    return ds.assign(made)
+
+
+def codes_of(regimes: Iterable[str]) -> list[int]:
+    """The codes of regimes by name; InputError with the nearest known name otherwise."""
+    found = list(regimes)
+    check_names("regime", found, _CODES)
+    return [_CODES[name] for name in found]
+
+
+def _frequency(ds: "xr.Dataset") -> str:
+    """The name of the forcing frequency, as the systems tell it."""
+    meant = {p.name for system in SYSTEMS.values() for p in system.parameters if p.meaning == "forcing frequency"}
+    found = [name for name in meant if name in ds.coords]
+    if len(found) != 1:
+        raise InputError("the forcing frequency of this atlas is not known: exponents per unit time need it")
+    return found[0]
+
+
+def _areas_of_cells(part: "xr.Dataset", whole: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]) -> dict[int, float]:
+    """Areas of each regime from the cells themselves; their widths are those that they have in the whole."""
+    names = axis_names(whole)
+    widths = {name: cell_widths(whole, name)[cells[name]] for name in names}
+    codes = part[REGIME.name].values
+    first = min(_NAMES)
+    area = np.zeros(max(_NAMES) - first + 1)
+    # One row at a time: weights of a whole plane would take eight times the memory of its regimes.
+    heights = widths[names[1]] if len(names) == 2 else np.ones(1)
+    for height, row in zip(heights, codes.reshape(heights.size, -1), strict=True):
+        area += height * np.bincount(row - first, weights=widths[names[0]], minlength=area.size)
+    return {code: float(area[code - first]) for code in _NAMES}
+
+
+def _nearest(ds: "xr.Dataset", name: str, value: float) -> int:
+    values = axis_values(ds, name)
+    edges = cell_edges(ds, name)
+    if not edges[0] <= value <= edges[-1]:
+        raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
+    return int(np.argmin(np.abs(values - value)))

@@ -1,0 +1,181 @@
+"""What a picture or a query reads of an atlas: the cells in view, at the level that matches the pixels, no more.
+
+``view`` is the door: the same dataset that ``atlas.open`` gives, read, and coarsened where cells are finer than
+pixels. Data that are not what a store holds (computed, changed, put together) are taken as they are.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.overview.coarsen import (
+    CLASSES,
+    CODES,
+    REGIME_SHOWN,
+    SHARE,
+    Cells,
+    coarsen,
+    halved,
+    level_variables,
+)
+from atlas.overview.pyramid import bounds_name, centres
+from atlas.query.source import Part, find_part
+from atlas.spec.cells import LOG_SPAN, Window, axis_names, axis_values, edges_of, is_log, within
+from workers.results import (
+    ERROR,
+    FAILED,
+    INVALID,
+    LARGEST,
+    NO_IMPACT,
+    PENDING,
+    PERIODIC,
+    REGIME,
+    SUM_LAW_DEFECT,
+    UNDETERMINED,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_EXPONENTS = (LARGEST.name, ERROR.name, SUM_LAW_DEFECT.name)
+_WITHOUT = (PENDING, UNDETERMINED, INVALID, FAILED)
+"""Regimes without an exponent."""
+
+
+def view(
+    ds: "xr.Dataset",
+    names: Iterable[str],
+    window: Window | None = None,
+    pixels: Sequence[int] | None = None,
+    marks: bool = True,
+) -> "xr.Dataset":
+    """The named variables and the regimes of an atlas in a window, at the level that matches the pixels.
+
+    The level is the finest whose cells are not finer than a pixel (the widest of them, where they differ).
+    ``pixels`` is the size, (x, y), of the area that they will fill; None for the cells themselves. The answer is an
+    atlas too: the same names, dimensions and attributes; where it is coarser, its axes carry CF bounds, ends at the
+    window's, and ``encoding["level"]`` tells the level. What coarse cells say is in ``atlas.coarsen``. With ``marks``
+    their regime is ``regime_shown``, and cells shown without an exponent, a period or a result have none;
+    otherwise it is the most frequent one.
+    A name without overviews is read cell by cell. Raises InputError for an unknown axis or a window without a cell.
+    """
+    ds = within(ds, window)
+    wanted = list(dict.fromkeys([*names, REGIME.name]))
+    part = find_part(ds, wanted)
+    if part is None:
+        return ds[wanted]
+    known = {variable.name for variable in level_variables(part.header.spec.settings)}
+    steps = _steps(ds, pixels) if pixels and known.issuperset(wanted) else [0] * ds[REGIME.name].ndim
+    seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
+    part.tell(steps)
+    return seen
+
+
+def regime_areas(ds: "xr.Dataset", window: Window | None = None) -> dict[int, float] | None:
+    """The area of each regime code in a window, cells counted by their widths; None for data not read from a store.
+
+    Exact: the inside of the window is taken from the coarsest level that fits, its border from ever finer ones.
+    """
+    ds = within(ds, window)
+    part = find_part(ds, [REGIME.name])
+    if part is None:
+        return None
+    total = sum((part.areas(level, piece) for level, piece in part.pieces()), np.zeros(CODES.size))
+    part.tell()
+    return dict(zip(CODES.tolist(), total.tolist(), strict=True))
+
+
+def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
+    """How many times each dimension is to be halved until its widest cell is not finer than a pixel.
+
+    A quarter of a halving is let pass: better 1.19 cells a pixel than 0.6.
+    """
+    found = []
+    for name, size in zip(axis_names(ds), pixels, strict=False):
+        values = axis_values(ds, name)
+        log = is_log(ds, name)
+        edges = edges_of(values, log)
+        drawn = np.log(edges) if log and values[-1] / values[0] >= LOG_SPAN else edges
+        cells = (drawn[-1] - drawn[0]) / np.diff(drawn).max()  # that would fit, were all as wide as the widest
+        found.append(max(0, math.ceil(math.log2(cells / size) - 0.25)))
+    return found[::-1]
+
+
+def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":
+    read = {name: part.pyramid.read(0, name, part.cells) for name in names}
+    pending = read[REGIME.name] == PENDING
+    for name in names:
+        if pending.any() and name != REGIME.name:  # a worker may be at it: a cell without a regime has no result yet
+            read[name][pending] = part.pyramid.array(0, name).fill_value
+    arrays = {name: (ds[name].dims, values, ds[name].attrs) for name, values in read.items()}
+    return _dataset(ds, arrays, {name: ds[name] for name in axis_names(ds)}, 0)
+
+
+def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int], marks: bool) -> "xr.Dataset":
+    shown = [REGIME_SHOWN.name if marks and name == REGIME.name else name for name in names]
+    cells, cuts = _coarsened(part, shown, steps)
+    cells[REGIME.name] = cells[REGIME_SHOWN.name if marks else REGIME.name]
+    if marks:
+        _blank(cells)
+    coords: dict[str, Any] = {}
+    for axis, s, cut in zip(reversed(part.header.spec.axes), part.cells, cuts, strict=True):
+        log = axis.scale == "log"
+        edges = edges_of(np.array(axis.values), log)[np.clip(cut, s.start, s.stop)]
+        bounds = bounds_name(axis.name)
+        coords[axis.name] = (axis.name, centres(edges, log), {**ds[axis.name].attrs, "bounds": bounds})
+        coords[bounds] = ((axis.name, "bound"), np.stack([edges[:-1], edges[1:]], axis=1))
+    level = min(steps)
+    return _dataset(ds, {name: (ds[name].dims, cells[name], ds[name].attrs) for name in names}, coords, level)
+
+
+def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
+    """Variables of a part, each dimension halved so many times, and the cells of the atlas where theirs begin and end.
+
+    What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
+    one dimension, some rows at a time.
+    """
+    level = min(steps)
+    more = [count - level for count in steps]
+    whole = part.pyramid.levels.shape_of(level)
+    ends = zip(part.cells, steps, more, whole, strict=True)
+    piece = tuple(slice(s.start >> k << n, min(-(-s.stop >> k) << n, size)) for s, k, n, size in ends)
+    cuts = [np.append(np.arange(p.start, p.stop, 2**n), p.stop) << level for p, n in zip(piece, more, strict=True)]
+    if not any(more):
+        return part.read(level, piece, names), cuts
+    rows = math.lcm(part.pyramid.levels.chunk[0], 2 ** more[0])
+    made = []
+    for first in range(piece[0].start // rows * rows, piece[0].stop, rows):
+        block = (slice(max(first, piece[0].start), min(first + rows, piece[0].stop)), *piece[1:])
+        cells = part.read(level, block, part.closed(names))
+        widths = [w[p] for w, p in zip(part.widths[level], block, strict=True)]
+        for dim, count in enumerate(more):
+            for _ in range(count):
+                cells = coarsen(cells, tuple(widths), [dim])
+                widths[dim] = halved(widths[dim])
+        made.append({name: cells[name] for name in names})
+    return {name: np.concatenate([cells[name] for cells in made]) for name in names}, cuts
+
+
+def _blank(cells: Cells) -> None:
+    """Take from cells what the class they are shown as does not have."""
+    shown = cells[REGIME.name]
+    for name in cells.keys() - {REGIME.name, REGIME_SHOWN.name, SHARE.name}:
+        if name in CLASSES:
+            cells[name] = np.where(shown == PERIODIC, cells[name], 0)
+        elif cells[name].dtype == np.float64:
+            without = _WITHOUT if name in _EXPONENTS else (PENDING, FAILED)
+            cells[name] = np.where(np.isin(shown, without), np.nan, cells[name])
+    if "period" in cells:
+        cells["period"] = np.where(shown == NO_IMPACT, 1, cells["period"])  # by definition
+
+
+def _dataset(ds: "xr.Dataset", arrays: dict[str, Any], axes: dict[str, Any], level: int) -> "xr.Dataset":
+    import xarray
+
+    fixed = {name: ds[name] for name in ds.coords if ds[name].ndim == 0}
+    made = xarray.Dataset(arrays, {**axes, **fixed}, ds.attrs)
+    made.encoding["level"] = level
+    return made

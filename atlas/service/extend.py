@@ -1,0 +1,155 @@
+"""Growing an atlas: a new store of more cells, which takes over those that an old one has."""
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from atlas.errors import InputError, check_names, shown
+from atlas.service.plan import plural
+from atlas.service.progress import Progress
+from atlas.service.run import run
+from atlas.service.summary import Summary
+from atlas.spec.axis import Axis, check_count
+from atlas.spec.spec import Spec, differences
+from atlas.store.location import place_of
+from atlas.store.schema import Origin
+from atlas.store.store import Header, done_tiles, find, read_header
+from atlas.task.reuse import count_shared
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+ROUNDING = 64
+"""Units in the last place by which a value may miss an old one and still mean it: so far do two spacings differ."""
+
+
+def extend(
+    store: str | os.PathLike[str],
+    into: str | os.PathLike[str],
+    spec: Spec | None = None,
+    refine: int | Mapping[str, int] | None = None,
+    client: "Client | None" = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    probe: bool = False,
+) -> Summary:
+    """Compute a larger or finer atlas into a new store, taking over the finished cells of ``store`` to the bit.
+
+    ``spec`` is that of the new atlas: it may have other values on the same axes, and nothing else that differs. Or
+    ``refine`` says by how much each axis, or the axes by name, become finer. ``store`` stays as it is, and has to
+    stay where it is until the new one is complete. The same call again goes on where it stopped; ``client`` and what
+    follows is as in ``run``.
+    Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
+    """
+    old = read_header(store)
+    if (spec is None) == (refine is None):
+        raise InputError("give either a spec or by how much to refine")
+    grown = refined(old.spec, refine, old.tile) if spec is None else extended(old, spec)
+    place = place_of(into)
+    if place == old.place:
+        raise InputError(f"{place}: is the store to be extended; the new one needs a place of its own")
+    if old.solver_version != SOLVER_VERSION:
+        raise InputError(
+            f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
+            "their numbers do not mix: compute the new atlas by atlas run"
+        )
+    kept = count_shared(old, grown, done_tiles(old))
+    if not kept:
+        raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
+    made = find(place, grown)
+    origin = Origin(str(old.place), old.run_id)
+    if made and made.origin != origin:
+        raise InputError(f"{place}: is a store already, and not one that extends {old.place}; choose another path")
+    if on_progress:
+        total = math.prod(grown.shape)
+        on_progress(Progress(f"taking over {kept} of {plural(total, 'cell')} from {old.place}"))
+    return run(
+        grown,
+        into,
+        client=client,
+        workers=workers,
+        scheduler=scheduler,
+        on_progress=on_progress,
+        probe=probe,
+        origin=origin,
+    )
+
+
+def extended(old: Header, given: Spec) -> Spec:
+    """The given spec with the old store's own values where it means them; InputError where more than values differ.
+
+    Two ways to space the same points may differ in their last bits: a value as near to an old one as that is the old
+    one. Any other is left as it is.
+    """
+    stored = old.spec
+    if stored.continuation is not None or given.continuation is not None:
+        raise InputError(f"{old.place}: a continued sweep cannot be extended: each cell depends on those before it")
+    names = [axis.name for axis in stored.axes]
+    with_old_axes = given.resolved() | ({"axes": stored.resolved()["axes"]} if names == _names(given) else {})
+    found = differences(stored, Spec.from_resolved(with_old_axes))
+    if found:
+        raise InputError(f"{old.place}: cannot be extended by this spec: {'; '.join(found)}")
+    axes = {new.name: _taking_over(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
+    return _spec_of(stored, axes, given.tile)
+
+
+def refined(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[int, ...] | None = None) -> Spec:
+    """The spec with each axis so many times finer: new values between the old ones, which stay to the bit.
+
+    ``refine`` is one factor for all axes with more than one value, or factors by name. New values divide the step
+    between two old ones evenly, on a log axis their ratio. n values become (n - 1) factor + 1.
+    """
+    names = _names(stored)
+    if stored.continuation is not None:
+        raise InputError("refine: a continued sweep cannot be refined: each cell of it depends on those before it")
+    if isinstance(refine, Mapping):
+        check_names("axis", refine, names)
+        factors = {name: refine.get(name, 1) for name in names}
+    else:
+        factors = {axis.name: refine if len(axis) > 1 else 1 for axis in stored.axes}  # type: ignore[misc]
+    for name, factor in factors.items():
+        if isinstance(factor, bool) or not isinstance(factor, int) or factor < 1:
+            raise InputError(f"refine {name}: found {shown(factor)}, must be a whole number, 1 or more")
+    for axis in stored.axes:
+        check_count(f"refine {axis.name}", (len(axis) - 1) * factors[axis.name] + 1)
+        if len(axis) == 1 and factors[axis.name] > 1:
+            raise InputError(f"refine {axis.name}: an axis with one value has nothing in between; extend it by a spec")
+    if all(factor == 1 for factor in factors.values()):
+        raise InputError("refine: no axis would become finer; give a factor of 2 or more")
+    return _spec_of(stored, {axis.name: _finer(axis, factors[axis.name]) for axis in stored.axes}, tile)
+
+
+def _finer(axis: Axis, factor: int) -> Axis:
+    old = np.array(axis.values)
+    values = np.empty((len(old) - 1) * factor + 1)
+    values[::factor] = old
+    for k in range(1, factor):
+        share = k / factor
+        between = old[:-1] * (old[1:] / old[:-1]) ** share if axis.scale == "log" else old[:-1] + np.diff(old) * share
+        values[k::factor] = between
+    return Axis(axis.name, tuple(values.tolist()), axis.scale)
+
+
+def _taking_over(stored: Axis, given: Axis) -> Axis:
+    """The given axis, with a stored value in place of each that is it but for rounding."""
+    old, new = np.array(stored.values), np.array(given.values)
+    after = np.searchsorted(old, new)
+    below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]
+    near = np.where(np.abs(new - below) <= np.abs(new - above), below, above)
+    scale = np.abs(new) if given.scale == "log" else np.max(np.abs(np.concatenate([old, new])))
+    meant = np.abs(new - near) <= ROUNDING * np.spacing(scale)
+    return Axis(given.name, tuple(np.where(meant, near, new).tolist()), given.scale)
+
+
+def _spec_of(stored: Spec, axes: Mapping[str, Axis], tile: tuple[int, ...] | None) -> Spec:
+    store = {"tile": list(tile)} if tile else None
+    return Spec(stored.system, axes, stored.parameters, stored.settings, store)
+
+
+def _names(spec: Spec) -> list[str]:
+    return [axis.name for axis in spec.axes]

@@ -1,0 +1,322 @@
+"""Who is at work on a store: one coordinator at a time, proved by a counter that moves, never by a clock.
+
+A claim is one small note beside the store. Its holder counts a number in it up, every BEAT_SECONDS. Who finds a claim
+watches that number: it moves, and the claim is respected; it stands still for PATIENCE_SECONDS of the watcher's own
+time, or its process is seen to be gone, and the claim is taken over. All of it rests on one operation, "put this note
+if what is there is still what I read", so that a holder that was only asleep finds out at its next beat.
+
+Who only asks (status, cancel) reports a claim as silent after SILENT_SECONDS without a beat, and leaves it in place.
+"""
+
+import glob
+import json
+import os
+import shutil
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from atlas.errors import InputError, NetworkError, RunError
+from atlas.store.sidecar import Notes
+
+BEAT_SECONDS = 2.0
+"""How often a holder moves its counter."""
+SILENT_SECONDS = 2.5 * BEAT_SECONDS
+"""How long a counter must stand still until that is reported: one beat may be late, two rarely are."""
+PATIENCE_SECONDS = 20.0
+"""How long a counter must stand still until its holder counts as dead: ten beats, for a busy network disk."""
+LOOK_SECONDS = 0.2
+"""How often a watcher looks."""
+CLAIM, ENDED = "claim", "ended"
+"""Names of notes: who is at work; how the last run ended that nobody watched."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty where nothing can.
+
+    ValueError for a field that no holder writes.
+    """
+
+    token: str
+    beat: int
+    host: str
+    pid: int
+    process: str
+    cancelled: bool = False
+    progress: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        kinds = {"token": str, "beat": int, "host": str, "pid": int, "process": str, "cancelled": bool}
+        wrong = [name for name, kind in kinds.items() if type(getattr(self, name)) is not kind]
+        if wrong or not isinstance(self.progress, Mapping):
+            raise ValueError(f"wrong type of {', '.join(wrong) or 'progress'}")
+        if not 0 < self.pid < 2**31 or len(self.process.split()) not in (0, 4):
+            raise ValueError(f"no process: {self.pid}, {self.process!r}")
+
+    def pack(self) -> bytes:
+        """As the bytes of a note."""
+        return json.dumps(asdict(self)).encode()
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Record | None":
+        """The inverse, None for a damaged claim, such as that of a holder killed while it wrote it."""
+        try:
+            return cls(**json.loads(data))
+        except (ValueError, TypeError, RecursionError):
+            return None
+
+    def number(self, name: str) -> float:
+        """A number that the holder reports of its progress, 0 where it reports none."""
+        value = self.progress.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return 0
+        return value if abs(value) < 2**63 else 0  # nor is NaN
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}"
+
+
+class Claim:
+    """A claim that is held: its counter moves in a thread of its own, until ``release``."""
+
+    def __init__(self, notes: Notes, record: Record) -> None:
+        self._notes, self._record, self._data = notes, record, record.pack()
+        self._lost = ""
+        self._released = threading.Event()
+        self._progress: Mapping[str, Any] = {}
+        self._thread = threading.Thread(target=self._beat_on, name="atlas-claim", daemon=True)
+        self._thread.start()
+
+    def report(self, progress: Mapping[str, Any]) -> None:
+        """What the next beats are to tell those who ask for the status."""
+        self._progress = progress
+
+    def check(self) -> None:
+        """Raise RunError where the claim is no longer this run's, or somebody asked it to stop."""
+        if self._lost:
+            raise RunError(self._lost)
+        if self._record.cancelled:
+            raise RunError("stopped by atlas cancel; finished tiles are kept, and running it again goes on from them")
+
+    def release(self) -> None:
+        """Give the store free."""
+        self._released.set()
+        self._thread.join()
+        with suppress(OSError):
+            self._beat()  # learns of a cancellation, which changed the bytes that are to be removed
+            self._notes.remove(CLAIM, self._data)
+
+    def _beat_on(self) -> None:
+        while not self._released.wait(BEAT_SECONDS) and not self._lost:
+            with suppress(OSError):  # a disk away for a while: either it comes back, or another takes over
+                self._beat()
+
+    def _beat(self) -> None:
+        while not self._lost:
+            moved = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
+            if self._notes.put(CLAIM, moved.pack(), expected=self._data):
+                self._record, self._data = moved, moved.pack()
+                return
+            found = self._notes.read(CLAIM)
+            record = Record.unpack(found) if found is not None else None
+            if found is None:
+                self._lost = "this run's claim of the store was removed; finished tiles are kept"
+            elif record is None or record.token != self._record.token:
+                self._lost = f"another run has taken this store over ({record or 'its claim is damaged'})"
+            else:
+                self._record, self._data = record, found
+
+
+@contextmanager
+def claimed(notes: Notes, name: str, say: Callable[[str], None] = lambda _: None) -> Iterator[Claim]:
+    """Hold the claim of a store; InputError, naming ``name``, where another run that is alive holds it.
+
+    Watching a claim that nobody seems to hold takes up to PATIENCE_SECONDS, which ``say`` tells.
+    """
+    mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), _this_process())
+    try:
+        while not notes.put(CLAIM, mine.pack(), expected=None):
+            found = notes.read(CLAIM)
+            abandoned = found is not None and _is_abandoned(notes, name, found, say)
+            if abandoned and notes.put(CLAIM, mine.pack(), expected=found):
+                break
+    except NetworkError:
+        raise
+    except OSError as error:
+        raise InputError(f"{name}: cannot be written: {error.strerror or error}") from None
+    claim = Claim(notes, mine)
+    try:
+        yield claim
+    finally:
+        claim.release()
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A claim as it was last seen.
+
+    record    None for a damaged claim
+    alive     whether its holder runs, None where this machine cannot know
+    silence   seconds of the observer's own time since the counter was first seen where it stands
+    """
+
+    record: Record | None
+    alive: bool | None
+    silence: float
+
+    @property
+    def trouble(self) -> str:
+        """Why no run may be at work in spite of this claim; empty where nothing says so."""
+        if self.record is None:
+            return "the claim is damaged; the next run replaces it"
+        if self.alive is False:
+            return f"{self.record} is gone without releasing its claim; the next run replaces it"
+        if self.alive is None and self.silence >= SILENT_SECONDS:
+            return (
+                f"no sign of life of {self.record} for {self.silence:.0f} s; "
+                f"if it is dead, the next run replaces its claim after {PATIENCE_SECONDS:.0f} s"
+            )
+        return ""
+
+
+class Observer:
+    """Looks at a store's claim from outside, and measures for how long its counter stands still.
+
+    A holder that is a process of this machine is known to be alive or gone at once. Of any other a single look tells
+    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, SILENT_SECONDS at most.
+    """
+
+    def __init__(self, notes: Notes) -> None:
+        self._notes, self._mark, self._since = notes, object(), 0.0
+
+    def look(self) -> Sighting | None:
+        """The claim of now, None where there is none."""
+        found = self._notes.read(CLAIM)
+        mark = None if found is None else _mark(found)
+        if mark != self._mark:
+            self._mark, self._since = mark, time.monotonic()
+        if found is None:
+            return None
+        record = Record.unpack(found)
+        return Sighting(record, None if record is None else _is_alive(record), time.monotonic() - self._since)
+
+    def settle(self) -> Sighting | None:
+        """The claim, once it is known to move, to stand still, or to be gone."""
+        seen, first = self.look(), self._mark
+        while seen and seen.record and seen.alive is None and not seen.trouble and self._mark == first:
+            time.sleep(LOOK_SECONDS)
+            seen = self.look()
+        return seen
+
+
+def cancel(notes: Notes, name: str, wait_seconds: float, say: Callable[[str], None] = lambda _: None) -> Record:
+    """Ask the run that holds a store to stop, and wait until it has; InputError where no run holds it.
+
+    Raises RunError where the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the
+    request stands.
+    """
+    while True:
+        found = notes.read(CLAIM)
+        if found is None:
+            raise InputError(f"{name}: no run is at work on it")
+        record = Record.unpack(found)
+        if record is None:
+            raise RunError(f"{name}: {Sighting(None, None, 0.0).trouble}")
+        if _is_alive(record) is False:
+            raise InputError(f"{name}: no run is at work on it: {Sighting(record, False, 0.0).trouble}")
+        if record.cancelled or notes.put(CLAIM, replace(record, cancelled=True).pack(), expected=found):
+            break
+    say(f"asked {record} to stop")
+    observer, end = Observer(notes), time.monotonic() + wait_seconds
+    while time.monotonic() < end:
+        seen = observer.look()
+        if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
+            return record
+        if seen.trouble:
+            raise RunError(f"{name}: {seen.trouble}")
+        time.sleep(LOOK_SECONDS)
+    raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next sign of life")
+
+
+def leave_word(notes: Notes, text: str) -> None:
+    """Note how a run ended that nobody watched, for the status; the next run to end well clears it."""
+    with suppress(Exception):  # what cannot be noted must not hide what happened
+        notes.put(ENDED, text.encode(), expected=notes.read(ENDED))
+
+
+def last_word(notes: Notes) -> str:
+    """How the last run ended that nobody watched, or nothing where it ended well."""
+    return (notes.read(ENDED) or b"").decode(errors="replace")
+
+
+def remove_half_made(store: Path) -> None:
+    """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
+    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.*.partial"):
+        shutil.rmtree(leftover, ignore_errors=True)
+
+
+def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], None]) -> bool:
+    """Watch a claim: True once it is certain that nobody moves it, InputError as soon as somebody does."""
+    record = Record.unpack(found)
+    if record and _is_alive(record) is False:
+        say(f"taking over from {record}, which is gone")
+        return True
+    say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
+    end = time.monotonic() + PATIENCE_SECONDS
+    while time.monotonic() < end:
+        time.sleep(min(LOOK_SECONDS, PATIENCE_SECONDS / 4))
+        now = notes.read(CLAIM)
+        if now is None:
+            return False  # released meanwhile
+        if _mark(now) != _mark(found):
+            raise InputError(
+                f"{name}: another run is at work on it ({Record.unpack(now) or record}); wait for it to end, or stop "
+                f"it: atlas cancel {name}"
+            )
+    say("taking over: no sign of life")
+    return True
+
+
+def _mark(data: bytes) -> object:
+    """What changes in a claim only by its holder: a request to stop, which others write, is not a sign of life."""
+    record = Record.unpack(data)
+    return (record.token, record.beat) if record else data
+
+
+def _this_process() -> str:
+    """Boot, process namespace, process and the moment it began, so that nothing else ever has this name."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{boot} {os.readlink('/proc/self/ns/pid')} {os.getpid()} {_began(os.getpid())}"
+    except OSError:
+        return ""  # no such system: only the counter tells
+
+
+def _began(pid: int) -> str:
+    """Clock ticks from boot to the start of a process; "dead" for one that only waits to be collected."""
+    state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return "dead" if state in "ZX" else rest[18]
+
+
+def _is_alive(record: Record) -> bool | None:
+    """Whether the holder runs; None where this machine cannot know."""
+    here, there = _this_process().split(), record.process.split()
+    if not here or here[:2] != there[:2]:
+        return None
+    try:
+        os.kill(record.pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    try:
+        return _began(record.pid) == there[3]
+    except OSError:
+        return None

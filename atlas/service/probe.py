@@ -1,0 +1,171 @@
+"""The probe: what cells of a spec cost, measured on some that lie spread over the plane."""
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.service.plan import Probe
+from atlas.spec.spec import Spec
+from atlas.task.compile import warm_up
+from workers import Settings
+from workers.results import CHAOTIC, REGIME, UNDETERMINED
+
+if TYPE_CHECKING:
+    from workers.tile import Solution
+
+CELLS = 256
+STEPS = (4, 16, 64, CELLS)
+"""Cells solved in all after each step. A step is begun where it should keep the whole within BUDGET."""
+BUDGET = 2.0
+"""Processor seconds."""
+LONGEST = 20_000
+"""Forcing periods that a probed cell may cost; what it would cost with a larger budget is worked out from its error."""
+SEGMENT = 8
+"""Cells of a part of a line that is continued: the first, which starts as no other of its line, tells nothing."""
+STANDARD_ERRORS = 2.0
+"""By so many the range reaches beyond what was measured."""
+
+Array = NDArray[np.float64]
+
+
+class _Measured(NamedTuple):
+    """One step: processor seconds, periods simulated, the least and the most that cells (starts, cells) will take."""
+
+    seconds: float
+    simulated: float
+    least: Array
+    most: Array
+
+
+def probe(spec: Spec, tile: tuple[int, ...]) -> Probe:
+    """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, fewer where they cost much.
+
+    A first solution, which loads the kernels, is not counted. Cells are solved side by side as in a tile. Time is that
+    of this thread on its processor: a kernel has one, and other programs do not count. Cells that are continued are
+    measured in short parts of lines.
+    """
+    warm_up(spec.system, spec.settings)
+    starts, length = _starts(spec)
+    settings, share = _brief(spec.settings)
+    together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
+    steps: list[_Measured] = []
+    spent, done = 0.0, 0
+    for cells in STEPS:
+        chosen = starts[done : max(1, cells // length)]
+        if not chosen or spent * (1 + len(chosen) / max(done, 1)) > BUDGET:
+            break
+        few = math.ceil(together / _evenness(steps))
+        steps.append(_measure(spec, settings, share, chosen, length, few))
+        done, spent = done + len(chosen), spent + steps[-1].seconds
+    return _estimate(steps, done * length, math.prod(spec.shape))
+
+
+def _starts(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
+    """Distinct cells that fill the plane ever more evenly, and the length of the part of a line that each begins."""
+    from scipy.stats import qmc
+
+    room, length = list(spec.shape), 1
+    if spec.continuation is not None:
+        axis, _ = spec.continuation
+        length = min(SEGMENT, room[axis])
+        room[axis] -= length - 1
+    points = qmc.Halton(len(room), scramble=False)
+    points.fast_forward(1)  # the first is a corner
+    found = dict.fromkeys(map(tuple, (points.random(8 * CELLS) * room).astype(int).tolist()))
+    if math.prod(room) <= CELLS:
+        found |= dict.fromkeys(np.ndindex(*room))
+    return list(found)[: CELLS // length], length
+
+
+def _brief(settings: Settings) -> tuple[Settings, float]:
+    """Settings by which no cell costs more than LONGEST periods, and the share of the full budget that this is."""
+    if settings.method == "adaptive":
+        share = min(1.0, LONGEST / settings.max_periods)
+        return replace(settings, max_periods=min(LONGEST, settings.max_periods)), share
+    whole = settings.transient_periods + settings.periods
+    transient = settings.transient_periods * min(whole, LONGEST) // whole
+    periods = max(1, settings.periods * min(whole, LONGEST) // whole)
+    return replace(settings, transient_periods=transient, periods=periods), (transient + periods) / whole
+
+
+def _evenness(steps: list[_Measured]) -> float:
+    """Which share of the starts does all the work, if they do it in equal parts; 1 before the first step.
+
+    The cells of a tile cost alike, so that a costly one is solved together with as many as costly. Of starts spread
+    over the plane it takes more for that.
+    """
+    work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
+    return float(work.sum() ** 2 / (work.size * (work**2).sum()))
+
+
+def _measure(
+    spec: Spec, settings: Settings, share: float, starts: list[tuple[int, ...]], length: int, together: int
+) -> _Measured:
+    begin = time.thread_time()
+    solved = [_solve(spec, settings, part, length) for part in _parts(starts, together)]
+    seconds = time.thread_time() - begin
+    arrays = {name: np.concatenate([one.arrays[name] for one in solved]) for name in solved[0].arrays}
+    least, most = _full_periods(arrays, spec.settings, share)
+    counted = slice(None)
+    if length > 1 and spec.continuation is not None:
+        counted = slice(None, -1) if spec.continuation[1] else slice(1, None)
+    return _Measured(seconds, float(arrays["periods_used"].sum(dtype=np.float64)), least[:, counted], most[:, counted])
+
+
+def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[int, ...]]]:
+    for first in range(0, len(starts), together):
+        yield starts[first : first + together]
+
+
+def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> "Solution":
+    """The cells from each of these starts on, as arrays (starts, length)."""
+    from workers.continuation import solve_lines
+    from workers.tile import solve_cells
+
+    along = -1 if spec.continuation is None else spec.continuation[0]
+    slices = [tuple(slice(i, i + (length if k == along else 1)) for k, i in enumerate(start)) for start in starts]
+    blocks = [spec.cell_params(block) for block in slices]
+    params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
+    if spec.continuation is None:
+        return solve_cells(spec.system, params, settings)
+    return solve_lines(spec.system, params, settings, backward=spec.continuation[1])
+
+
+def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> tuple[Array, Array]:
+    """The least and the most periods that cells solved with this share of their budget cost with all of it.
+
+    The square of a chaotic cell's error falls as one over its periods. Of one that is undetermined nothing is known.
+    """
+    used = arrays["periods_used"].astype(np.float64)
+    if settings.method == "fixed":
+        return used / share, used / share
+    short = np.zeros(used.shape)
+    if "error" in arrays:
+        with np.errstate(over="ignore"):  # a tolerance of next to nothing
+            wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
+        short = np.where((arrays[REGIME.name] == CHAOTIC) & (wanted > 1.0), wanted, 0.0)
+    least = used * np.maximum(1.0, short)
+    return least, np.where(arrays[REGIME.name] == UNDETERMINED, used / share, least)
+
+
+def _estimate(steps: list[_Measured], cells: int, of: int) -> Probe:
+    """Periods from all steps, and the time that one takes from the last, whose cells fill the processor best."""
+    last = steps[-1]
+    rate = last.seconds / (last.simulated + last.least.size)  # a cell costs something even without a period
+    least, most = (np.concatenate([getattr(step, name).mean(axis=1) for step in steps]) for name in ("least", "most"))
+    middle = 0.5 * (least + most)
+    spread = np.std(middle, ddof=1) / math.sqrt(middle.size) if middle.size > 1 else middle.mean()
+    doubt = STANDARD_ERRORS * float(spread) * math.sqrt(max(0.0, 1.0 - cells / of))
+    periods = float(middle.mean())
+    return Probe(
+        cells=cells,
+        periods_per_cell=periods,
+        seconds_per_cell=rate * (periods + 1.0),
+        low=rate * (max(float(least.mean()) - doubt, 0.0) + 1.0),
+        high=rate * (float(most.mean()) + doubt + 1.0),
+    )

@@ -1,0 +1,181 @@
+"""How far a store is, from the store alone: what is in it, and what the run at work on it says beside it."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from atlas.errors import ChunkError
+from atlas.service.lease import PATIENCE_SECONDS, Observer, Record, last_word
+from atlas.service.plan import Plan, duration
+from atlas.service.progress import Progress, reasons_told
+from atlas.store.sidecar import notes_of
+from atlas.store.store import Header, open_group
+from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, plan_of, read_tally, tile_sizes
+from workers.results import NO_REASON, REASONS, REGIMES
+
+
+@dataclass(frozen=True)
+class Status:
+    """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
+
+    ``reasons`` has the cells without a result, by the reason in words; none of a store too old to keep them.
+    ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged.
+    ``ended`` is how the last submitted run ended. Both are empty where all is well.
+    """
+
+    header: Header
+    plan: Plan
+    tiles_done: int
+    cells_done: int
+    regimes: dict[str, int]
+    reasons: dict[str, int]
+    run: Record | None
+    trouble: str
+    ended: str
+
+    @property
+    def fraction(self) -> float:
+        """Share of the cells that is done."""
+        return self.cells_done / self.plan.cells
+
+    @property
+    def progress(self) -> Progress:
+        """As the run at work would tell it; speed and time left are its own."""
+        working = f"{self.run} is at work" if self.run else "no run is at work"
+        return Progress(
+            stage=self.trouble or working,
+            plan=self.plan,
+            tiles=self.plan.tile_count,
+            cells=self.plan.cells,
+            tiles_done=self.tiles_done,
+            cells_done=self.cells_done,
+            cells_solved=int(self._reported("cells_solved")),
+            seconds=self._reported("seconds"),
+            counts=self.regimes,
+        )
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until the run at work has done what it set out to, or None."""
+        rate = self.progress.rate
+        return (self._reported("cells") - self._reported("cells_done")) / rate if rate else None
+
+    def _reported(self, name: str) -> float:
+        return self.run.number(name) if self.run else 0
+
+    def __str__(self) -> str:
+        axes = " x ".join(map(str, self.header.spec.axes))
+        lines = [
+            f"axes     {axes}",
+            f"tiles    {self.tiles_done} of {self.plan.tile_count} done",
+            f"cells    {self.cells_done} of {self.plan.cells} done ({100 * self.fraction:.1f} %)",
+            f"solver   version {self.header.solver_version}",
+            f"run      {self._run()}",
+        ]
+        total = max(1, self.cells_done)
+        lines += [f"  {name:<15}{count:>10}  {100 * count / total:6.2f} %" for name, count in self.regimes.items()]
+        lines += [f"  {line}" for line in reasons_told(self.reasons)]
+        return "\n".join(lines)
+
+    def _run(self) -> str:
+        if self.run is None:
+            ended = f"; the last one submitted ended: {self.ended}" if self.ended else ""
+            trouble = f"; {self.trouble}" if self.trouble else ""
+            return "complete" if self.fraction == 1 and not ended + trouble else f"none at work{ended}{trouble}"
+        if self.trouble:
+            return self.trouble
+        workers = int(self._reported("workers"))
+        speed = "" if self.seconds_left is None else f", {self.progress.rate:.3g} cells/s"
+        left = "" if self.seconds_left is None else f", {duration(self.seconds_left)} left"
+        asked = ", asked to stop" if self.run.cancelled else ""
+        return f"{self.run}, {workers} workers{speed}{left}{asked}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas status --json`` prints."""
+        spec = self.header.spec
+        return {
+            "store": str(self.header.place),
+            "system": spec.system,
+            "axes": [
+                {"name": a.name, "start": a.values[0], "stop": a.values[-1], "num": len(a), "scale": a.scale}
+                for a in spec.axes
+            ],
+            "parameters": spec.parameters,
+            "solve": spec.resolved()["solve"],
+            "tile": self.plan.tile,
+            "tiles": self.plan.tile_count,
+            "tiles_done": self.tiles_done,
+            "tiles_pending": self.plan.tile_count - self.tiles_done,
+            "cells": self.plan.cells,
+            "cells_done": self.cells_done,
+            "cells_pending": self.plan.cells - self.cells_done,
+            "cells_failed": self.regimes.get("failed", 0),
+            "fraction": self.fraction,
+            "regimes": self.regimes,
+            "reasons": self.reasons,
+            "run": self.run and str(self.run),
+            "trouble": self.trouble or None,
+            "ended": self.ended or None,
+            "workers": int(self._reported("workers")),
+            "cells_per_second": self.progress.rate,
+            "seconds_left": self.seconds_left,
+            "solver_version": self.header.solver_version,
+            "run_id": self.header.run_id,
+            "digest": self.header.digest,
+        }
+
+
+class Census:
+    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once."""
+
+    def __init__(self, header: Header) -> None:
+        self.header, self.plan = header, plan_of(header)
+        self.counted = np.zeros(self.plan.grid, dtype=bool)
+        self.total = np.zeros(len(COLUMNS))
+        self.notes = notes_of(header.place)
+        self.observer = Observer(self.notes)
+
+    def take(self, settled: bool = False) -> Status:
+        """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
+        new = done_mask(self.header, self.plan) & ~self.counted
+        if new.any():
+            entries, known = read_tally(open_group(self.header.place, "r"), self.plan)
+            self.total += entries[new & known].sum(axis=0)
+            for entry in count_tiles(self.header, [tuple(index) for index in np.argwhere(new & ~known).tolist()]):
+                if isinstance(entry, ChunkError):
+                    raise entry
+                self.total += entry
+            self.counted |= new
+        cells = self.total[CELLS].astype(int).tolist()
+        regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
+        found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
+        reasons = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
+        tiles, done = int(self.counted.sum()), int(tile_sizes(self.plan)[self.counted].sum())
+        seen = self.observer.settle() if settled else self.observer.look()
+        run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
+        return Status(self.header, self.plan, tiles, done, regimes, reasons, run, trouble, last_word(self.notes))
+
+
+def read_status(header: Header) -> Status:
+    """The status of a store, from one listing and its tally; reads the chunks of no tile that has an entry there.
+
+    Takes up to ``claim.SILENT_SECONDS`` where the run at work is not on this machine: that is how long it takes to see
+    whether it is alive.
+    """
+    return Census(header).take(settled=True)
+
+
+def watch(header: Header, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
+    """Statuses, one every so many seconds, until the atlas is complete or no run has been at work for a while."""
+    census, idle, beat = Census(header), 0.0, -1
+    while True:
+        status = census.take()
+        yield status
+        moved = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
+        idle, beat = 0.0 if moved else idle + seconds, status.run.beat if status.run else -1
+        if (status.fraction == 1 and not status.run) or idle > PATIENCE_SECONDS:
+            return
+        sleep(seconds)

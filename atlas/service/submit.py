@@ -1,0 +1,249 @@
+"""Leaving a run to a cluster: the coordinator is a task there, and outlives the program that submitted it."""
+
+import os
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from atlas.errors import InputError, RunError
+from atlas.service.cluster import LOST, WORKER_SECONDS, Tls, connected, count_threads, worker_threads
+from atlas.service.dispatch import Refusal
+from atlas.service.lease import leave_word
+from atlas.service.plan import plural
+from atlas.service.progress import Progress
+from atlas.service.run import run
+from atlas.spec.spec import Spec
+from atlas.store.location import place_of
+from atlas.store.sidecar import notes_of
+from atlas.store.store import find, read_header
+from atlas.task.retry import Retry
+from atlas.task.task import RefusedError
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from distributed import Client, Event, Future, Variable
+
+WAIT_SECONDS = 0.5
+"""How often it is looked whether the coordinator has begun, or ended before it did."""
+
+
+@dataclass(frozen=True)
+class Submission:
+    """All that crosses the scheduler for a coordinator.
+
+    name             of this submission, on the scheduler
+    solver_version   the submitter's: no other may coordinate
+    run_id           of the store, empty where the submitter sees none
+    refused          workers that must not coordinate, and why
+    """
+
+    spec: Spec
+    store: str
+    retry: Retry | None
+    name: str
+    solver_version: int
+    run_id: str
+    refused: Mapping[str, str] = field(default_factory=dict)
+
+    def without(self, refusal: Refusal) -> "Submission":
+        """The same for other workers than the one that refused."""
+        return replace(self, refused={**self.refused, refusal.worker: refusal.reason})
+
+
+def submit(
+    spec: Spec,
+    store: str | os.PathLike[str],
+    scheduler: str,
+    on_progress: Callable[[Progress], None] | None = None,
+    retry: Retry | None = None,
+    tls: Tls | None = None,
+) -> str:
+    """Have the cluster at an address compute an atlas, and leave: the address of the worker that coordinates it.
+
+    Returns once tiles are being solved, or the atlas is complete. The coordinator is a task next to the tiles; when its
+    worker dies, Dask starts it on another (as often as the scheduler's ``allowed-failures`` grants, by default three
+    times), and it goes on by what is stored. It takes no thread from the tiles. The workers must see the store's path;
+    one that has another solver version than this program, or sees another store there, refuses to coordinate, and
+    another takes its place.
+    Raises what ``atlas.run`` raises before its first tile, and RunError where all workers refuse.
+    """
+    from distributed import Event, Variable
+
+    tell = on_progress or (lambda _: None)
+    tell(Progress(f"connecting to {scheduler}", passing=True))
+    with connected(scheduler, tls) as client:
+        count_threads(client, lambda: tell(Progress("waiting for the scheduler's first worker")))
+        path, name = str(place_of(store)), f"atlas-{uuid.uuid4().hex[:8]}"
+        task = Submission(spec, path, retry, name, SOLVER_VERSION, _run_id(path))
+        tell(Progress("starting the coordinator on the cluster"))
+        begun, run_id = Event(name, client=client), Variable(name, client=client)
+        run_id.set("")
+        while True:
+            willing = _willing(client, task)
+            if not willing:
+                run_id.delete()
+                raise _all_refuse(task)
+            future = _start(client, task, willing)
+            refusal = _refusal(future, begun)
+            if refusal is None:
+                break
+            tell(Progress(f"{refusal.worker} cannot coordinate: {refusal.reason}; trying another worker"))
+            task = task.without(refusal)
+        where = client.who_has([future]) if future.done() else client.processing()
+        return next((worker for worker, keys in where.items() if future.key in keys), "the cluster")
+
+
+def coordinate(task: Submission) -> Refusal | None:
+    """The coordinator, as a worker runs it, or its refusal, as a value that names the worker.
+
+    As soon as tiles are under way, a variable of the scheduler by the submission's name holds the store's run id, and
+    an event is set, on which the submitter leaves. A coordinator that finds a run id follows one whose worker died: it
+    goes on with that store only, and where its own worker must not coordinate, it starts the next one itself.
+    However it ends, it leaves word of an error that no submitter waits for.
+    """
+    from distributed import Event, Variable, get_worker, worker_client
+
+    with worker_client() as client:  # gives this thread's place to the tiles
+        begun, known, unwatched = Event(task.name, client=client), Variable(task.name, client=client), False
+
+        def begin(run_id: str) -> None:
+            nonlocal unwatched
+            if not unwatched:
+                known.set(run_id)
+                begun.set()
+                unwatched = True
+
+        def forget() -> None:  # the scheduler would keep them
+            known.delete()
+            begun.clear()
+
+        try:
+            earlier = _value(known)
+            unwatched = bool(earlier)
+            task = replace(task, run_id=earlier or task.run_id)
+            try:
+                _check(task)
+            except RefusedError as error:
+                refusal = Refusal(get_worker().address, str(error))
+                if unwatched:
+                    _hand_on(client, task.without(refusal))
+                return refusal
+            _run(task, client, begin)
+        except BaseException as error:
+            if unwatched or not isinstance(error, InputError):  # of bad input the submitter tells, and nothing is left
+                _leave_word(task, error)
+            forget()
+            raise
+        forget()
+        return None
+
+
+def _check(task: Submission) -> None:
+    """Raise RefusedError where this worker must not coordinate."""
+    if task.solver_version != SOLVER_VERSION:
+        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {task.solver_version}")
+    if not task.run_id:
+        return
+    try:
+        found = read_header(task.store).run_id
+    except InputError as error:
+        raise RefusedError(f"{error}; is the path the same on all hosts?") from None
+    if found != task.run_id:
+        raise RefusedError(f"{task.store} is not the store of run {task.run_id}; is the path the same on all hosts?")
+
+
+def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:
+    run_id = task.run_id
+    if not run_id:
+        header = find(task.store, task.spec)
+        run_id = header.run_id if header else uuid.uuid4().hex
+
+    def tell(progress: Progress) -> None:
+        if progress.stage == "solving":
+            begin(run_id)
+
+    summary = run(task.spec, task.store, client=client, on_progress=tell, retry=task.retry, run_id=run_id)
+    if summary.failures:
+        first, count = summary.failures[0], plural(len(summary.failures), "tile")
+        leave_word(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
+
+
+def _leave_word(task: Submission, error: BaseException) -> None:
+    """Note the error for the status, where there is a store to ask for one."""
+    if _run_id(task.store):
+        leave_word(notes_of(task.store), _in_words(error))
+
+
+def _run_id(store: str) -> str:
+    """The run id of the store at a path, empty where this host sees none: it need not."""
+    try:
+        return read_header(store).run_id
+    except (InputError, OSError):
+        return ""
+
+
+def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Refusal | None]":
+    """Submit the coordinator to workers that may take it, to run on when this client is gone."""
+    from distributed import fire_and_forget
+
+    future = client.submit(
+        coordinate,
+        task,
+        key=f"{task.name}-{uuid.uuid4().hex[:8]}",  # a key of its own for each attempt
+        pure=False,
+        workers=willing if task.refused else None,
+        allow_other_workers=bool(task.refused),  # else it would wait for ever for workers that are gone
+    )
+    fire_and_forget(future)
+    return future
+
+
+def _hand_on(client: "Client", task: Submission) -> None:
+    """Start the coordinator on another worker, once there is one: that of the last attempt may be coming back."""
+    end = time.monotonic() + WORKER_SECONDS
+    while True:
+        time.sleep(WAIT_SECONDS)  # it may be stolen back from a busy worker, over and over
+        willing = _willing(client, task)
+        if willing:
+            break
+        if time.monotonic() > end:
+            raise _all_refuse(task)
+    _start(client, task, willing)
+
+
+def _willing(client: "Client", task: Submission) -> list[str]:
+    """Addresses of the workers that have not refused."""
+    return [worker for worker in worker_threads(client) if worker not in task.refused]
+
+
+def _all_refuse(task: Submission) -> RunError:
+    worker, reason = next(iter(task.refused.items()))
+    return RunError(f"no worker can coordinate this run: {worker}: {reason}")
+
+
+def _refusal(future: "Future[Refusal | None]", begun: "Event") -> Refusal | None:
+    """Wait until the coordinator has begun, ended well (None) or refused; raise what it raised."""
+    while not future.done():
+        if begun.wait(timeout=WAIT_SECONDS):
+            return None
+    if future.status == "error":
+        error = future.exception()
+        raise error if isinstance(error, InputError | RunError) else RunError(_in_words(error))
+    if future.status != "finished":
+        raise RunError(LOST)
+    return future.result()
+
+
+def _in_words(error: BaseException) -> str:
+    """Our own errors speak for themselves; others need their name."""
+    return str(error) if isinstance(error, InputError | RunError) else f"{type(error).__name__}: {error}".rstrip(": ")
+
+
+def _value(variable: "Variable") -> str:
+    """What a variable of the scheduler holds, nothing where it is gone."""
+    try:
+        return str(variable.get(timeout=WAIT_SECONDS))
+    except TimeoutError:
+        return ""

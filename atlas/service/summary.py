@@ -1,0 +1,170 @@
+"""What a run did: receipts added up while it goes on, and their sum at its end."""
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from atlas.service.plan import Plan, duration, plural
+from atlas.service.progress import Progress, reasons_told, shares
+from atlas.task.task import Receipt
+
+
+@dataclass(frozen=True)
+class TileFailure:
+    """A tile that ended with an exception: its index and what was raised."""
+
+    index: tuple[int, ...]
+    message: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did.
+
+    tiles, tiles_done              in all (of those to be solved again, where some are); done now
+    tiles_solved, cells_solved     by this run
+    counts, reasons                cells solved by regime; those without a result by the reason in words
+    seconds                        from the first tile to the last
+    solve_seconds, write_seconds   the workers' own inside the solver and inside the store, summed
+    processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
+    periods                        forcing periods simulated
+    peak_bytes                     most memory that the process of any worker ever had
+    failures, refused              tiles that raised; workers that would not do them, with their reasons
+    retried                        cells of finished tiles were solved again, and nothing else
+    """
+
+    store: str
+    tiles: int
+    tiles_done: int
+    tiles_solved: int
+    cells_solved: int
+    counts: Mapping[str, int]
+    reasons: Mapping[str, int]
+    seconds: float
+    solve_seconds: float
+    write_seconds: float
+    periods: int
+    workers: int
+    peak_bytes: int
+    failures: tuple[TileFailure, ...]
+    refused: Mapping[str, str]
+    retried: bool = False
+    processor_seconds: float = 0.0
+
+    @property
+    def cells_per_second(self) -> float:
+        """Cells solved a second."""
+        return self.cells_solved / self.seconds if self.seconds else 0.0
+
+    @property
+    def periods_per_second(self) -> float:
+        """Forcing periods simulated a second, by all workers together."""
+        return self.periods / self.seconds if self.seconds else 0.0
+
+    @property
+    def efficiency(self) -> float:
+        """Share of the workers' time spent solving: the rest is writing, queues and waiting for the last tile."""
+        return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
+
+    def __str__(self) -> str:
+        done = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
+        if self.retried:
+            done = f"{self.store}: cells solved again in {self.tiles_done} of {plural(self.tiles, 'tile')} that had any"
+        if not self.tiles_solved:
+            return done
+        lines = [
+            done,
+            f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
+            f"{self.cells_per_second:.3g} cells/s, {self.periods_per_second:.3g} forcing periods/s, "
+            f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "
+            f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
+            f"{duration(self.processor_seconds)} of processor time, "
+            f"at most {self.peak_bytes / 1e6:.0f} MB each",
+            shares(self.counts),
+        ]
+        return "\n".join(lines + reasons_told(self.reasons))
+
+
+class Tally:
+    """Receipts added up: the state of a run between its snapshots."""
+
+    def __init__(self, plan: Plan, tiles_done: int, cells_done: int, tiles: int, cells: int) -> None:
+        self.plan = plan
+        self.workers = plan.workers
+        self.tiles, self.cells, self.tiles_done, self.cells_done = tiles, cells, tiles_done, cells_done
+        self.tiles_solved = self.cells_solved = self.periods = self.peak_bytes = 0
+        self.counts: Counter[str] = Counter()
+        self.reasons: Counter[str] = Counter()
+        self.failures: list[TileFailure] = []
+        self.refused: Mapping[str, str] = {}
+        self.solve_seconds = self.write_seconds = self.processor_seconds = 0.0
+        self.seconds = 0.0
+        self.start()
+
+    def start(self) -> None:
+        """Let the clock begin."""
+        self.begin = time.perf_counter()
+
+    def add(self, outcome: Receipt | TileFailure) -> None:
+        """Count one tile's outcome."""
+        self.seconds = time.perf_counter() - self.begin
+        if isinstance(outcome, TileFailure):
+            self.failures.append(outcome)
+            return
+        self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.taken
+        self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
+        self.counts.update(outcome.counts)
+        self.reasons.update(outcome.reasons)
+        self.solve_seconds += outcome.solve_seconds
+        self.processor_seconds += outcome.processor_seconds
+        self.write_seconds += outcome.write_seconds
+        self.periods += outcome.periods
+        self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
+
+    def progress(self, stage: str) -> Progress:
+        """The snapshot of now."""
+        return Progress(
+            stage=stage,
+            plan=self.plan,
+            tiles=self.tiles,
+            cells=self.cells,
+            tiles_done=self.tiles_done,
+            cells_done=self.cells_done,
+            cells_solved=self.cells_solved,
+            seconds=self.seconds,
+            counts=dict(self.counts),
+            failures=len(self.failures),
+        )
+
+    def report(self, threads: int) -> dict[str, Any]:
+        """What the run's claim tells those who ask for the store's status."""
+        return {
+            "workers": threads,
+            "cells": self.cells,
+            "cells_done": self.cells_done,
+            "cells_solved": self.cells_solved,
+            "seconds": self.seconds,
+        }
+
+    def summary(self, store: str) -> Summary:
+        """The sum, for a store at that path or URL."""
+        return Summary(
+            store=store,
+            tiles=self.tiles,
+            tiles_done=self.tiles_done,
+            tiles_solved=self.tiles_solved,
+            cells_solved=self.cells_solved,
+            counts=dict(self.counts),
+            reasons=dict(self.reasons),
+            seconds=self.seconds,
+            solve_seconds=self.solve_seconds,
+            write_seconds=self.write_seconds,
+            periods=self.periods,
+            workers=self.workers,
+            peak_bytes=self.peak_bytes,
+            failures=tuple(self.failures),
+            refused=dict(self.refused),
+            processor_seconds=self.processor_seconds,
+        )

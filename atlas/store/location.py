@@ -1,0 +1,270 @@
+"""Where a store lies: a folder of this machine or a URL, and what is done there with whole objects.
+
+Zarr reads and writes arrays in any of these places by stores of its own. This is the rest: one listing, one object
+put, removed or looked for, and a write under a condition, which an object store has in place of a rename.
+"""
+
+import os
+import uuid
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from urllib.parse import unquote, urlsplit
+
+from atlas.errors import InputError
+from atlas.store.outage import BRIEF, first_line, persist
+
+if TYPE_CHECKING:
+    from obstore import PutMode, UpdateVersion
+    from obstore.store import ObjectStore
+
+SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
+"""Schemes of URLs that a store may have, besides ``file``: those that obstore speaks."""
+_ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT", "GOOGLE_BASE_URL", "AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT")
+_T = TypeVar("_T")
+
+
+class Place(Hashable, Protocol):
+    """A root that keys such as ``regime/c/0/1`` lie under. Errors of any network are OSErrors. ``str`` is its name."""
+
+    @property
+    def local(self) -> Path | None:
+        """The folder, None where it is not on this machine's disks."""
+
+    def get(self, key: str) -> bytes | None:
+        """An object's bytes, None where there is none."""
+
+    def exists(self, key: str) -> bool:
+        """Whether there is such an object."""
+
+    def put(self, key: str, data: bytes) -> None:
+        """Write an object whole, in place of any before it."""
+
+    def put_new(self, key: str, data: bytes) -> bool:
+        """Write an object if there is none of that key; False, and nothing is written, where there is."""
+
+    def remove(self, key: str) -> None:
+        """Remove an object; nothing happens where there is none."""
+
+    def list_keys(self, prefix: str = "") -> Iterator[str]:
+        """All keys, those under a prefix that ends in "/", or all, by one listing."""
+
+
+def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -> Place:
+    """The place that a user named by a path or a URL; InputError for a URL that cannot be one.
+
+    A server at a URL that does not answer is waited for ``patience`` seconds.
+    """
+    if isinstance(store, LocalPlace | ObjectPlace):
+        return store
+    if not isinstance(store, str) or "://" not in store:
+        return LocalPlace(Path(store).absolute())  # type: ignore[arg-type]
+    scheme = store.partition("://")[0]
+    if scheme == "file":
+        return LocalPlace(Path(unquote(urlsplit(store.rstrip("/")).path)).absolute())
+    if scheme not in SCHEMES:
+        raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
+    place = ObjectPlace(store.rstrip("/"), patience)
+    try:
+        _ = place.client  # a URL that cannot work is refused here
+    except ImportError as error:
+        raise InputError(f"{place}: {first_line(error)}; needs pip install 'impact-atlas[cloud]'") from None
+    except Exception as error:
+        raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
+    return place
+
+
+def waiting(place: Place, patience: float) -> Place:
+    """The same place, with another patience where it is at a URL."""
+    return replace(place, patience=patience) if isinstance(place, ObjectPlace) else place
+
+
+@dataclass(frozen=True)
+class LocalPlace:
+    """A folder."""
+
+    path: Path
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    @property
+    def local(self) -> Path:
+        """See Place."""
+        return self.path
+
+    def get(self, key: str) -> bytes | None:
+        """See Place."""
+        try:
+            return (self.path / key).read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+
+    def exists(self, key: str) -> bool:
+        """See Place."""
+        return (self.path / key).is_file()
+
+    def put(self, key: str, data: bytes) -> None:
+        """See Place."""
+        with self._written(key, data) as written:
+            os.replace(written, self.path / key)
+
+    def put_new(self, key: str, data: bytes) -> bool:
+        """See Place. A link appears with its whole content or not at all, on network disks too."""
+        with self._written(key, data) as written:
+            try:
+                os.link(written, self.path / key)
+            except FileExistsError:
+                return False
+        return True
+
+    def remove(self, key: str) -> None:
+        """See Place."""
+        (self.path / key).unlink(missing_ok=True)
+
+    def list_keys(self, prefix: str = "") -> Iterator[str]:
+        """See Place. What a killed write left behind is none."""
+        for folder, _, files in os.walk(self.path / prefix):
+            above = Path(folder).relative_to(self.path).as_posix()
+            begin = "" if above == "." else f"{above}/"
+            yield from (begin + name for name in files if not name.endswith(".partial"))
+
+    @contextmanager
+    def _written(self, key: str, data: bytes) -> Iterator[Path]:
+        target = self.path / key
+        target.parent.mkdir(parents=True, exist_ok=True)
+        written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
+        try:
+            written.write_bytes(data)
+            yield written
+        finally:
+            written.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class ObjectPlace:
+    """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...).
+
+    A server that does not answer is waited for ``patience`` seconds in each call, which then raises NetworkError.
+    """
+
+    url: str
+    patience: float = field(default=BRIEF, compare=False)
+
+    def __str__(self) -> str:
+        return self.url
+
+    @property
+    def local(self) -> None:
+        """See Place."""
+
+    @cached_property
+    def client(self) -> "ObjectStore":
+        """obstore's own object, which Zarr takes too. It tries everything once: ``persist`` knows when to try again."""
+        from obstore.store import from_url
+
+        options: dict[str, Any] = {"retry_config": {"max_retries": 0}}
+        if any(text.startswith("http://") for text in (self.url, *(os.environ.get(name, "") for name in _ENDPOINTS))):
+            options["client_options"] = {"allow_http": True}  # as it was asked for in so many words
+        return from_url(self.url, **options)
+
+    def get(self, key: str) -> bytes | None:
+        """See Place."""
+        found = self.get_tagged(key)
+        return None if found is None else found[0]
+
+    def get_tagged(self, key: str) -> "tuple[bytes, UpdateVersion] | None":
+        """An object's bytes, and the version that ``put_if`` knows this state of it by."""
+        import obstore
+
+        def once() -> "tuple[bytes, UpdateVersion] | None":
+            try:
+                found = obstore.get(self.client, key)
+            except FileNotFoundError:
+                return None
+            # S3 and Azure compare the tag, Google's store its generation, which is the version.
+            version: UpdateVersion = {}
+            if found.meta["e_tag"] is not None:
+                version["e_tag"] = found.meta["e_tag"]
+            if found.meta["version"] is not None:
+                version["version"] = found.meta["version"]
+            return bytes(found.bytes()), version
+
+        return self._persist(once)
+
+    def exists(self, key: str) -> bool:
+        """See Place."""
+        import obstore
+
+        def once() -> bool:
+            try:
+                obstore.head(self.client, key)
+            except FileNotFoundError:
+                return False
+            return True
+
+        return self._persist(once)
+
+    def put(self, key: str, data: bytes) -> None:
+        """See Place."""
+        import obstore
+
+        self._persist(lambda: obstore.put(self.client, key, data))
+
+    def put_new(self, key: str, data: bytes) -> bool:
+        """See Place. HTTP's If-None-Match: * does it: of two at once one succeeds."""
+        from obstore.exceptions import AlreadyExistsError
+
+        return self._put_under(key, data, "create", (AlreadyExistsError,))
+
+    def put_if(self, key: str, data: bytes, version: "UpdateVersion") -> bool:
+        """Replace an object that is still the one that ``get_tagged`` gave this version of (If-Match); else False."""
+        from obstore.exceptions import PreconditionError
+
+        return self._put_under(key, data, version, (PreconditionError, FileNotFoundError))
+
+    def remove(self, key: str) -> None:
+        """See Place."""
+        import obstore
+
+        def once() -> None:
+            with suppress(FileNotFoundError):
+                obstore.delete(self.client, key)
+
+        self._persist(once)
+
+    def list_keys(self, prefix: str = "") -> Iterator[str]:
+        """See Place."""
+        import obstore
+
+        def once() -> list[str]:
+            return [entry["path"] for page in obstore.list(self.client, prefix or None) for entry in page]
+
+        yield from self._persist(once)
+
+    def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
+        """Put under a condition; False where one of these errors says that it does not hold."""
+        import obstore
+        from obstore.exceptions import BaseError
+
+        failed = False
+
+        def once() -> bool:
+            nonlocal failed
+            try:
+                obstore.put(self.client, key, data, mode=mode, use_multipart=False)
+            except refusals:
+                # An attempt whose answer was lost may have written it, and so be what this one is refused for.
+                return failed and self.get(key) == data
+            except BaseError:
+                failed = True
+                raise
+            return True
+
+        return self._persist(once)
+
+    def _persist(self, call: Callable[[], _T]) -> _T:
+        return persist(call, self.url, self.patience)

@@ -1,0 +1,98 @@
+"""Zarr's own store of a place; at a URL one that waits for a server that does not answer, as the place itself does."""
+
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterable
+from typing import Any, Self, TypeVar
+
+from zarr.abc.store import ByteRequest
+from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.storage import LocalStore, ObjectStore
+
+from atlas.store.location import ObjectPlace, Place
+from atlas.store.outage import persist_async
+
+_T = TypeVar("_T")
+
+
+class RemoteStore(ObjectStore[Any]):
+    """Zarr's ObjectStore of a place. All that it does may be done twice, so that a failed call is simply repeated."""
+
+    def __init__(self, place: ObjectPlace, read_only: bool) -> None:
+        super().__init__(place.client, read_only=read_only)
+        self._place = place
+
+    def with_read_only(self, read_only: bool = False) -> Self:
+        """See Zarr's Store."""
+        return type(self)(self._place, read_only)
+
+    def __str__(self) -> str:
+        """See Zarr's Store."""
+        return str(self._place)
+
+    async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
+        """See Zarr's Store."""
+        once = super().get
+        return await self._persist(lambda: once(key, prototype, byte_range))
+
+    async def get_partial_values(
+        self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
+    ) -> list[Buffer | None]:
+        """See Zarr's Store."""
+        once, wanted = super().get_partial_values, list(key_ranges)
+        return await self._persist(lambda: once(prototype, wanted))
+
+    async def exists(self, key: str) -> bool:
+        """See Zarr's Store."""
+        once = super().exists
+        return await self._persist(lambda: once(key))
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """See Zarr's Store."""
+        once = super().set
+        await self._persist(lambda: once(key, value))
+
+    async def set_if_not_exists(self, key: str, value: Buffer) -> None:
+        """See Zarr's Store."""
+        once = super().set_if_not_exists
+        await self._persist(lambda: once(key, value))
+
+    async def delete(self, key: str) -> None:
+        """See Zarr's Store."""
+        once = super().delete
+        await self._persist(lambda: once(key))
+
+    async def delete_dir(self, prefix: str) -> None:
+        """See Zarr's Store."""
+        once = super().delete_dir
+        await self._persist(lambda: once(prefix))
+
+    def list(self) -> AsyncGenerator[str, None]:
+        """See Zarr's Store."""
+        return self._listed(super().list)
+
+    def list_prefix(self, prefix: str) -> AsyncGenerator[str, None]:
+        """See Zarr's Store."""
+        once = super().list_prefix
+        return self._listed(lambda: once(prefix))
+
+    def list_dir(self, prefix: str) -> AsyncGenerator[str, None]:
+        """See Zarr's Store."""
+        once = super().list_dir
+        return self._listed(lambda: once(prefix))
+
+    async def _listed(self, listing: Callable[[], AsyncIterator[str]]) -> AsyncGenerator[str, None]:
+        async def whole() -> "list[str]":
+            return [key async for key in listing()]
+
+        for key in await self._persist(whole):
+            yield key
+
+    async def _persist(self, call: Callable[[], Awaitable[_T]]) -> _T:
+        return await persist_async(call, self._place.url, self._place.patience)
+
+
+def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore":
+    """Zarr's store of a place."""
+    if isinstance(place, ObjectPlace):
+        return RemoteStore(place, read_only)
+    assert place.local is not None, "a place is a folder or an object store"
+    return LocalStore(place.local, read_only=read_only)

@@ -1,0 +1,98 @@
+"""What a store holds besides results: its coordinates, and the attributes by which it explains itself."""
+
+import json
+import uuid
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from atlas.spec.spec import Spec
+from atlas.store.machine import package_version
+from workers import SOLVER_VERSION
+from workers.model.system import Parameter
+from workers.results import REASON, REASONS, REGIME, REGIMES, Variable
+
+FORMAT = "impact-atlas"
+FORMAT_VERSION = 1
+OVERVIEWS = "overviews"
+"""The group of the levels of coarser cells."""
+DIMENSIONS = {"state": "component"}
+"""Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
+BUDGET = Variable(
+    "budget", "int32", 0, "forcing periods that the cell may cost; as in the spec unless retried", "1", sparse=True
+)
+"""Only in stores where cells were solved again with more than the spec's ``max_periods``, which fills it."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The store whose cells a grown one takes over, and the run that made it."""
+
+    store: str
+    run_id: str
+
+
+def extra_sizes(spec: Spec) -> dict[str, int]:
+    """Lengths of the dimensions that a variable may have after the axes."""
+    states = len(spec.record.states)
+    return {"exponent": states, "state": states, "sample": spec.settings.section_samples}
+
+
+class Coordinate(NamedTuple):
+    """A coordinate, stored whole in one chunk."""
+
+    values: Any
+    dims: tuple[str, ...]
+    attributes: dict[str, Any]
+
+
+def coordinates(spec: Spec) -> dict[str, Coordinate]:
+    """The coordinates by name: axes, fixed parameters as scalars, and the names of the states."""
+    record = spec.record
+    names: dict[str, Any] = {"long_name": "component of the physical section state"}
+    axes = {
+        axis.name: Coordinate(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
+        for axis in spec.axes
+    }
+    fixed = {
+        name: Coordinate(np.float64(value), (), _described(record.parameter(name)))
+        for name, value in spec.parameters.items()
+    }
+    return axes | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
+
+
+def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
+    """What the store as a whole says of itself; a run id is drawn where none is given."""
+    packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
+    return {
+        "Conventions": "CF-1.11",
+        "title": f"Impact atlas: {spec.record.title}",
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "solver_version": SOLVER_VERSION,
+        "run_id": run_id or uuid.uuid4().hex,
+        "digest": spec.digest,
+        # As text, since netCDF attributes cannot nest.
+        "spec": json.dumps(spec.resolved()),
+        "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
+    } | ({"origin": origin.store, "origin_run_id": origin.run_id} if origin else {})
+
+
+def variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
+    """CF attributes of a result variable."""
+    attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
+    if variable.name == REGIME.name:
+        attributes["flag_values"] = [regime.code for regime in REGIMES]
+        attributes["flag_meanings"] = " ".join(regime.name for regime in REGIMES)
+        attributes["flag_colors"] = " ".join(regime.color for regime in REGIMES)
+    if variable.name == REASON.name:
+        attributes["flag_values"] = [reason.code for reason in REASONS]
+        attributes["flag_meanings"] = " ".join(reason.name for reason in REASONS)
+    if spec.parameters:
+        attributes["coordinates"] = " ".join(spec.parameters)
+    return attributes
+
+
+def _described(parameter: Parameter) -> dict[str, Any]:
+    return {"long_name": parameter.meaning, "units": parameter.unit, "symbol": parameter.symbol}

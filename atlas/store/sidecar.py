@@ -1,0 +1,122 @@
+"""Notes beside a store: small named texts that the processes at work on it share, with a conditional write."""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Protocol
+
+from atlas.store.location import ObjectPlace, Place, place_of
+from atlas.store.notes import notes_beside
+
+
+class Notes(Protocol):
+    """Small named notes of one store that several processes share, with a conditional write.
+
+    An object store gives the same by its conditional puts: If-None-Match: * for an absent note, If-Match with the
+    entity tag that came with the expected bytes to replace one.
+    """
+
+    def read(self, name: str) -> bytes | None:
+        """A note's bytes, None where there is none."""
+
+    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+        """Write a note if it is absent (``expected`` None) or holds the expected bytes; False, unwritten, if not."""
+
+    def remove(self, name: str, expected: bytes) -> bool:
+        """Remove a note that holds the expected bytes; False where it does not."""
+
+    def clear(self, keep: str) -> None:
+        """Remove all notes but one: only for who holds that one."""
+
+
+def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
+    """The notes of a store: beside it and not in it, since a claim comes before the store, and Zarr owns its inside."""
+    place = place_of(store)
+    if isinstance(place, ObjectPlace):
+        return notes_beside(place)
+    assert place.local is not None
+    return Folder(place.local.parent / f".{place.local.name}.run")
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Notes as files of a folder. A file's own lock, held for an instant, makes a conditional write whole.
+
+    Notes are overwritten in place: that needs no room, so a full disk does not cost a run its claim.
+    """
+
+    path: Path
+
+    def read(self, name: str) -> bytes | None:
+        """See Notes."""
+        with self._locked(name, write=False) as file:
+            return None if file is None else file.read()
+
+    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+        """See Notes."""
+        if expected is None:
+            return self._create(name, data)
+        with self._locked(name, write=True) as file:
+            if file is None or file.read() != expected:
+                return False
+            os.pwrite(file.fileno(), data, 0)
+            os.ftruncate(file.fileno(), len(data))
+            return True
+
+    def remove(self, name: str, expected: bytes) -> bool:
+        """See Notes. The folder goes with its last note."""
+        with self._locked(name, write=True) as file:
+            if file is None or file.read() != expected:
+                return False
+            os.unlink(self.path / name)
+        with suppress(OSError):
+            self.path.rmdir()
+        return True
+
+    def clear(self, keep: str) -> None:
+        """See Notes."""
+        for file in self.path.glob("*"):
+            if file.name != keep:
+                file.unlink(missing_ok=True)
+
+    def _create(self, name: str, data: bytes) -> bool:
+        while True:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):  # another has just removed the folder with its last note
+                try:
+                    handle = os.open(self.path / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+                except FileExistsError:
+                    return False
+                with os.fdopen(handle, "wb", buffering=0) as file:
+                    try:
+                        file.write(data)
+                    except OSError:
+                        os.unlink(self.path / name)
+                        raise
+                return True
+
+    @contextmanager
+    def _locked(self, name: str, write: bool) -> Iterator[IO[bytes] | None]:
+        """The note's file, locked, and certainly the one of that name; None where there is none."""
+        while True:
+            try:
+                file = open(self.path / name, "r+b" if write else "rb", buffering=0)  # noqa: SIM115
+            except FileNotFoundError:
+                yield None
+                return
+            with file:
+                with suppress(OSError):  # a file system without locks: what is left is a race of microseconds
+                    fcntl.flock(file, fcntl.LOCK_EX if write else fcntl.LOCK_SH)
+                if self._is_still(file, name):
+                    yield file
+                    return
+            # Between open and lock the note was removed, and perhaps made anew: look again.
+
+    def _is_still(self, file: IO[bytes], name: str) -> bool:
+        try:
+            return os.path.samestat(os.fstat(file.fileno()), os.stat(self.path / name))
+        except FileNotFoundError:
+            return False

@@ -1,0 +1,75 @@
+"""The kernels' compilation: once on a machine, by whichever process is first."""
+
+import fcntl
+import json
+import sys
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from atlas.task.child import python
+from workers.settings import Settings
+
+SIDE_BY_SIDE = 8
+"""Cells that are enough to be solved by the kernels for many."""
+
+
+def warming(exponents: str) -> str:
+    """What compile_once is about to do, for the user who waits for it."""
+    marker = _marker(exponents)
+    return "loading the kernels" if marker and marker.exists() else "compiling the kernels (kept for the next run)"
+
+
+def compile_once(system: str, settings: Settings) -> None:
+    """See to it that all kernels that such cells may need are in the cache on disk, which other processes read.
+
+    Processes of one machine, or with one cache folder, wait for the first of them. It leaves that to a child, since
+    compiling takes twice the memory that solving does. Nothing is done without a folder.
+    """
+    marker = _marker(settings.exponents)
+    if marker is None or marker.exists():
+        return
+    with marker.with_name("compiling.lock").open("w") as lock:
+        with suppress(OSError):  # a file system without locks: each for itself
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        if not marker.exists() and warm_up_apart(system, settings):
+            marker.touch()
+
+
+def warm_up_apart(system: str, settings: Settings) -> bool:
+    """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it."""
+    given = json.dumps({"system": system, "settings": asdict(settings)})
+    return python("from atlas.task.compile import main; main()", given).returncode == 0
+
+
+def main() -> None:
+    """warm_up for what is given as JSON."""
+    given = json.loads(sys.argv[1])
+    warm_up(given["system"], Settings(**given["settings"]))
+
+
+def warm_up(system: str, settings: Settings) -> None:
+    """Compile the kernels, or load them, by solving the system's default cell.
+
+    Adaptive and on a fixed schedule, one alone and many side by side: they do not take the same kernels.
+    """
+    from workers.model.system import find_system
+    from workers.tile import solve_cells
+
+    first = find_system(system).parameters[0]
+    many = {first.name: np.full(SIDE_BY_SIDE, first.default)}
+    brief: Settings = replace(settings, max_periods=1000, transient_periods=0, periods=1)
+    for method in ("adaptive", "fixed"):
+        for cells in ({}, many):
+            solve_cells(system, cells, replace(brief, method=method))
+
+
+def _marker(exponents: str) -> Path | None:
+    """The file that says that all has been compiled, for this kind of processor; None without a folder for it."""
+    import llvmlite.binding
+
+    from workers.kernel.jit import CACHE
+
+    return CACHE and CACHE / f"compiled-{exponents}-{llvmlite.binding.get_host_cpu_name()}"

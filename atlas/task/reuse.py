@@ -1,0 +1,133 @@
+"""A tile of a grown atlas: the cells that its origin has are taken over as they are, the others solved."""
+
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, RunError
+from atlas.service.plan import make_plan
+from atlas.spec.spec import Slices, Spec
+from atlas.store.location import place_of
+from atlas.store.outage import LONG
+from atlas.store.schema import BUDGET, extra_sizes
+from atlas.store.store import Header, is_done, machines, open_arrays, read_header, record_machine
+from atlas.store.tiles import read_tile
+from atlas.task.solving import solve_block
+from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results, result_variables
+
+
+class Filled(NamedTuple):
+    """A tile's arrays, and the mask of the cells that were solved for it."""
+
+    arrays: dict[str, np.ndarray]
+    solved: NDArray[np.bool_]
+
+
+class Shared(NamedTuple):
+    """Positions along an axis of the values that two atlases have in common, to the bit."""
+
+    here: NDArray[np.intp]
+    there: NDArray[np.intp]
+
+
+def fill_tile(header: Header, slices: Slices) -> Filled:
+    """The results of a tile: solved, but for the cells that the store's origin has.
+
+    A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those taken over are
+    those it would get here. Cells that failed there are solved again. RunError where the origin is not there any more.
+    """
+    from workers.tile import solve_cells
+
+    spec = header.spec
+    arrays, unknown = known_cells(header, slices)
+    if not unknown.any():
+        return Filled(arrays, unknown)
+    if unknown.all():
+        solution = solve_block(spec, slices)
+        return Filled(solution.arrays, unknown)
+    params = spec.cell_params(slices)
+    cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
+    solution = solve_cells(spec.system, cells, spec.settings)
+    for name, values in solution.arrays.items():
+        arrays[name][unknown] = values
+    return Filled(arrays, unknown)
+
+
+def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
+    """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved."""
+    shape = tuple(part.stop - part.start for part in slices)
+    arrays = empty_results(result_variables(header.spec.settings), shape, extra_sizes(header.spec))
+    if header.origin is not None:
+        _take_over(header, slices, arrays)
+    regime = arrays[REGIME.name]
+    return arrays, (regime == PENDING) | (regime == FAILED)
+
+
+def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
+    """What two atlases of the same axes have in common, by dimension: ``here`` in the new, ``there`` in the old."""
+    pairs = zip(reversed(new.axes), reversed(old.axes), strict=True)
+    return tuple(
+        Shared(*np.intersect1d(ours.values, theirs.values, assume_unique=True, return_indices=True)[1:])
+        for ours, theirs in pairs
+    )
+
+
+def _take_over(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
+    """Put the finished cells of the origin that lie in a tile into its arrays."""
+    origin = _origin_of(header)
+    sources = None
+    for index, here, there in _meetings(shared(origin.spec, header.spec), slices, origin.tile):
+        if not is_done(origin, index):
+            continue
+        if sources is None:
+            sources = open_arrays(origin)
+            for machine in machines(origin):
+                record_machine(header, machine)
+        found = read_tile(origin, index, arrays=sources)
+        # A cell that was given more than the settings' budget is not what it would come out as here.
+        found[REGIME.name][found.pop(BUDGET.name) != origin.spec.settings.max_periods] = PENDING
+        if REASON.name not in found:  # an older store: what is invalid costs nothing, and is to have its reason here
+            found[REGIME.name][found[REGIME.name] == INVALID] = PENDING
+        for name, values in found.items():
+            arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
+
+
+def _meetings(
+    dimensions: tuple[Shared, ...], slices: Slices, tile: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, ...], list[NDArray[np.intp]], list[NDArray[np.intp]]]]:
+    """The origin's tiles that have cells of a tile here: each one's index, and the cells within both tiles."""
+    parts = []
+    for (here, there), part, length in zip(dimensions, slices, tile, strict=True):
+        inside = (here >= part.start) & (here < part.stop)
+        here, there = here[inside] - part.start, there[inside]
+        tiles, within = there // length, there % length
+        parts.append([(int(k), here[tiles == k], within[tiles == k]) for k in np.unique(tiles)])
+    for met in itertools.product(*parts):
+        yield tuple(k for k, _, _ in met), [here for _, here, _ in met], [there for _, _, there in met]
+
+
+def _origin_of(header: Header) -> Header:
+    assert header.origin is not None
+    try:
+        origin = read_header(place_of(header.origin.store, LONG))
+    except InputError as error:
+        found = str(error)
+    else:
+        if origin.run_id == header.origin.run_id:
+            return origin
+        found = f"{header.origin.store}: another store than the one that was extended"
+    raise RunError(
+        f"{found}; {header.place} takes over cells of it: put it back, or extend {header.place} into a new store"
+    )
+
+
+def count_shared(origin: Header, spec: Spec, done: set[tuple[int, ...]]) -> int:
+    """How many finished cells of the origin a grown atlas has; ``done`` are its finished tiles."""
+    plan = make_plan(origin.spec, workers=1, tile=origin.tile)
+    counts = []
+    for (_, there), cells, tile in zip(shared(origin.spec, spec), plan.shape, plan.tile, strict=True):
+        counts.append(np.bincount(there // tile, minlength=-(-cells // tile)))
+    return sum(int(np.prod([count[i] for count, i in zip(counts, index, strict=True)])) for index in done)

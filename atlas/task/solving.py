@@ -1,0 +1,28 @@
+"""A block of a spec's cells solved as the spec says: each on its own, or in whole lines where an axis is continued."""
+
+from typing import TYPE_CHECKING
+
+from atlas.errors import RunError
+from atlas.spec.spec import Slices, Spec
+
+if TYPE_CHECKING:
+    from workers.tile import Solution
+
+
+def solve_block(spec: Spec, slices: Slices) -> "Solution":
+    """Results of the cells in these slices.
+
+    Where an axis is continued a cell depends on all before it in its line: a part of a line has no results of its own,
+    and RunError is raised for one.
+    """
+    params = spec.cell_params(slices)
+    if spec.continuation is None:
+        from workers.tile import solve_cells
+
+        return solve_cells(spec.system, params, spec.settings)
+    axis, backward = spec.continuation
+    if slices[axis].indices(spec.shape[axis]) != (0, spec.shape[axis], 1):
+        raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
+    from workers.continuation import solve_lines
+
+    return solve_lines(spec.system, params, spec.settings, axis=axis, backward=backward)

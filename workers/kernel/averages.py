@@ -1,0 +1,143 @@
+"""Lyapunov exponents as averages over forcing periods, with their error bars, and the law of their sum."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.frame import log_length
+from workers.kernel.jit import inlined, kernel
+from workers.kernel.stroboscopic import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, copy_state
+from workers.model.oscillator import Oscillator
+
+LEVELS = 40
+COUNT, MEAN, SQUARES, PENDING = range(4)
+
+FEWEST_BLOCKS = 32
+"""Blocks that a level of the blocking analysis needs before its error bar counts."""
+
+
+class Averages(NamedTuple):
+    """Running averages of the growth of the first tangent vector per period.
+
+    levels   (LEVELS, 4)  count, mean, sum of squared deviations and pending value of blocks of 2^k periods
+    weighted (2,)         sum of w g and of w over the latest stretch, w the weight of Birkhoff averaging
+    """
+
+    levels: NDArray[np.float64]
+    weighted: NDArray[np.float64]
+
+
+def no_averages() -> Averages:
+    """Averages of nothing yet."""
+    return Averages(np.zeros((LEVELS, 4)), np.zeros(2))
+
+
+@inlined
+def add_to_blocks(levels, x):
+    """Add one value to the blocking analysis (Flyvbjerg & Petersen 1989): pairs move up as their mean."""
+    for k in range(LEVELS):
+        levels[k, COUNT] += 1.0
+        deviation = x - levels[k, MEAN]
+        levels[k, MEAN] += deviation / levels[k, COUNT]
+        levels[k, SQUARES] += deviation * (x - levels[k, MEAN])
+        if levels[k, COUNT] % 2.0 == 1.0:
+            levels[k, PENDING] = x
+            return
+        x = 0.5 * (levels[k, PENDING] + x)
+
+
+@kernel
+def standard_error(levels):
+    """Standard error of the mean with correlations, from the shortest blocks that are long enough.
+
+    Blocks of B = 2^k values give e_k, rising from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long
+    enough once B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). NaN with fewer than FEWEST_BLOCKS values; with no
+    such k, the largest e_k of the levels that have as many blocks.
+    """
+    error, first, count = np.nan, np.nan, levels[0, COUNT]
+    for k in range(LEVELS):
+        blocks = levels[k, COUNT]
+        if blocks < FEWEST_BLOCKS:
+            return error
+        here = math.sqrt(levels[k, SQUARES] / (blocks - 1.0) / blocks)
+        if k == 0:
+            first = here
+        error = here if not here < error else error
+        if 8.0**k > 2.0 * count * (here / first) ** 4:
+            return here
+    return error
+
+
+@inlined
+def add_growth(levels, weighted, growth, k, periods):
+    """Count the growth of the first vector in period k of a stretch of so many."""
+    u = (k + 0.5) / periods
+    weight = math.exp(-1.0 / (u * (1.0 - u)))
+    weighted[0] += weight * growth
+    weighted[1] += weight
+    add_to_blocks(levels, growth)
+
+
+@kernel
+def average(osc, motion, done, periods, averages, sections):
+    """Go on from period ``done`` of a stretch to its end, or until a period cannot be completed or no work is left.
+
+    Returns the periods completed; sections (K, n, 2) takes the last K block states, newest last; K = 0 for none.
+
+    Where there are tangent vectors the growth of the first is averaged; the frame is made orthonormal where its
+    spread asks for it. Besides the plain mean, averages.weighted takes the weighted Birkhoff sum over these periods,
+    w = exp(-1 / (u (1 - u))), which converges faster than any power of their number on a torus (Das et al. 2017).
+    """
+    first = periods - sections.shape[0]
+    vectors = motion.growth.shape[0] > 0
+    if done == 0:
+        averages.weighted[:] = 0.0
+    before = log_length(osc.gap.lam, motion.V, motion.growth) if vectors else 0.0
+    for k in range(done, periods):
+        advance(osc, motion)
+        if motion.tally[STATUS] != RUNNING:
+            return k
+        if vectors:
+            length = log_length(osc.gap.lam, motion.V, motion.growth)
+            add_growth(averages.levels, averages.weighted, length - before, k, periods)
+            before = length
+        if k >= first:
+            copy_state(motion.h, sections, k - first)
+        if motion.tally[WORK] < 0.0:
+            return k + 1
+    return periods
+
+
+def run(osc: Oscillator, motion: Motion, periods: int) -> int:
+    """Take a motion so many periods along, in place; the periods completed."""
+    return int(average(osc, motion, 0, periods, no_averages(), np.empty((0, *motion.h.shape))))
+
+
+def sum_of_exponents(osc: Oscillator, impacts_per_period: float) -> float:
+    """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) <impacts per period>; R > 0."""
+    loss = 2.0 * math.log(osc.R) * impacts_per_period if impacts_per_period else 0.0
+    return -osc.trace * osc.period + loss
+
+
+def sum_law_holds(osc: Oscillator, motion: Motion) -> bool:
+    """Whether the motion has kept its volume law: nothing stuck and no impact with R = 0 on the way."""
+    return bool(motion.tally[LOST] == 0.0 and motion.tally[STUCK] == 0.0)
+
+
+def impacts(motion: Motion) -> float:
+    """Impacts counted so far, at both stops."""
+    return float(motion.tally[UPPER] + motion.tally[LOWER])
+
+
+def free_exponents(osc: Oscillator) -> NDArray[np.float64]:
+    """Exponents (2n,) of motion without impact: -eta_j T twice per underdamped block, -(eta -+ w) T else."""
+    rates: list[float] = []
+    for eta, lam in zip(osc.gap.eta, osc.gap.lam, strict=True):
+        if eta * eta <= lam:
+            rates += [eta, eta]
+        else:
+            fast = eta + math.sqrt(eta * eta - lam)
+            rates += [lam / fast, fast]
+    return -np.sort(rates) * osc.period

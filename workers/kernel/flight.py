@@ -1,0 +1,384 @@
+"""Closed-form flight of the blocks, and the certified next crossing of a stop: no sampling in time.
+
+The step rule: with a bound K on the curvature toward a stop, a point at gap g that approaches at v cannot
+arrive before g = v s + K s^2 / 2. Bounds on the second and third derivative of the signal hold for all
+later times, so a march of such steps cannot jump over an impact, however short it would be.
+"""
+
+import math
+
+import numpy as np
+
+from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.kernel.jit import inlined, kernel
+
+ROUNDING = 4e-16
+"""Gap below which the mass is at the stop, in units of the terms that add up to y."""
+
+MAX_EVALUATIONS = 1_000_000
+"""Evaluations of one flight after which it is given up; the certified march needs about five between impacts."""
+
+LEAST_STEP = 4e-16
+"""Least step of a flight, as a share of the time it may take: rounding of time, which nothing can tell apart."""
+
+REFRESH = 8
+"""Evaluations after which the derivative bounds are renewed from the decayed state."""
+
+TRIALS = 4
+"""Trial lengths at the end of a safe step."""
+
+TINY = 1e-300
+"""Keeps a quotient finite where there is no motion at all."""
+
+ON_STOP_MOVING, ON_STOP_AT_REST, ON_STOP_RELEASED = 1, 2, 3
+"""How a flight starts on its own stop: with v away from it; with v = 0; with v = a = 0 (after sticking)."""
+
+
+@inlined
+def oscillating_flow(s, eta, lam, w, inv_w):
+    """flow_entries of an underdamped block."""
+    decay = exp_minus(eta * s)
+    sin, cos = sin_cos(w * s)
+    S = sin * inv_w
+    f12 = decay * S
+    return decay * (cos + eta * S), f12, -lam * f12, decay * (cos - eta * S)
+
+
+@inlined
+def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
+    """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
+
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S). With d = lam - eta^2 and w = sqrt|d|: C, S = cos(w s),
+    sin(w s) / w where d > 0; for d <= 0 their series in d s^2 where that is small; and else, with the decay rates
+    slow = lam / (eta + w) and fast = eta + w, the exponentials themselves, which do not cancel.
+    """
+    o11, o12, o21, o22 = oscillating_flow(s, eta, lam, w, inv_w)
+    oscillates = d > 0.0
+    e_slow = exp_minus(slow * s)
+    e_w = exp_minus(w * s)
+    x = d * s * s
+    C, sinc = cosc_sinc(x)
+    near = x > -0.1
+    S = s * sinc
+    decay = e_slow * e_w
+    ratio = e_w * e_w
+    half = 0.5 * e_slow * inv_w
+    f11 = decay * (C + eta * S) if near else half * (fast - slow * ratio)
+    f12 = decay * S if near else half * (1.0 - ratio)
+    f22 = decay * (C - eta * S) if near else half * (fast * ratio - slow)
+    return (
+        o11 if oscillates else f11,
+        o12 if oscillates else f12,
+        o21 if oscillates else -lam * f12,
+        o22 if oscillates else f22,
+    )
+
+
+@inlined
+def block_flow(block, s):
+    """flow_entries of a Block."""
+    if block.d > 0.0:
+        return oscillating_flow(s, block.eta, block.lam, block.w, block.inv_w)
+    return flow_entries(s, block.eta, block.lam, block.d, block.w, block.inv_w, block.slow, block.fast)
+
+
+@kernel
+def flow(signal, s, h):
+    """Move the block state h (n, 2) on by s, in place."""
+    for j in range(len(signal.eta)):
+        f11, f12, f21, f22 = block_flow(signal.block[j], s)
+        h0, h1 = h[j, 0], h[j, 1]
+        h[j, 0] = f11 * h0 + f12 * h1
+        h[j, 1] = f21 * h0 + f22 * h1
+
+
+@kernel
+def flow_with_tangent(signal, s, h, V):
+    """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
+    for j in range(len(signal.eta)):
+        f11, f12, f21, f22 = block_flow(signal.block[j], s)
+        h0, h1 = h[j, 0], h[j, 1]
+        h[j, 0] = f11 * h0 + f12 * h1
+        h[j, 1] = f21 * h0 + f22 * h1
+        for i in range(V.shape[0]):
+            v0, v1 = V[i, j, 0], V[i, j, 1]
+            V[i, j, 0] = f11 * v0 + f12 * v1
+            V[i, j, 1] = f21 * v0 + f22 * v1
+
+
+@kernel
+def rates(signal):
+    """The blocks' damping and stiffness as rows (n, 2) of an array: eta, lam."""
+    found = np.empty((len(signal.eta), 2))
+    for j in range(len(signal.eta)):
+        found[j, 0], found[j, 1] = signal.eta[j], signal.lam[j]
+    return found
+
+
+@kernel
+def dot(row, h):
+    """row . h over all blocks, both (n, 2)."""
+    total = 0.0
+    for j in range(len(row)):
+        total += row[j][0] * h[j, 0] + row[j][1] * h[j, 1]
+    return total
+
+
+@kernel
+def dot_vector(row, V, i):
+    """row . V[i] over all blocks."""
+    total = 0.0
+    for j in range(len(row)):
+        total += row[j][0] * V[i, j, 0] + row[j][1] * V[i, j, 1]
+    return total
+
+
+@inlined
+def forced(phase, w, sin_part, cos_part):
+    """The forced part at a phase: value and first derivative in time; the next two are -w^2 times them."""
+    sin, cos = sin_cos(phase)
+    return sin_part * sin + cos_part * cos, w * (sin_part * cos - cos_part * sin)
+
+
+@inlined
+def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
+    """A block's share q = c . (h, h') of the signal, q' = d . (h, h'), and two more: q'' = -2 eta q' - lam q."""
+    q0 = c0 * h0 + c1 * h1
+    q1 = d0 * h0 + d1 * h1
+    q2 = -2.0 * eta * q1 - lam * q0
+    return q0, q1, q2, -2.0 * eta * q2 - lam * q1
+
+
+@kernel
+def evaluate(signal, h, s, phase, offset):
+    """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
+    w = signal.omega
+    y, v = forced(phase + w * s, w, signal.sin_part, signal.cos_part)
+    a, j3, scale = -w * w * y, -w * w * v, abs(y) + abs(offset)
+    y += offset
+    for j in range(len(signal.eta)):
+        h0, h1 = h[j, 0], h[j, 1]
+        if s > 0.0:
+            f11, f12, f21, f22 = block_flow(signal.block[j], s)
+            h0, h1 = f11 * h0 + f12 * h1, f21 * h0 + f22 * h1
+        c, d = signal.row[j], signal.row1[j]
+        q0, q1, q2, q3 = block_output(h0, h1, signal.eta[j], signal.lam[j], c[0], c[1], d[0], d[1])
+        y += q0
+        v += q1
+        a += q2
+        j3 += q3
+        scale += abs(q0)
+    return y, v, a, j3, scale
+
+
+@inlined
+def forced_bounds(w, amplitude):
+    """Bounds of the forced part and of its second to fourth derivatives."""
+    w2 = w * w
+    return amplitude, w2 * amplitude, w2 * w * amplitude, w2 * w2 * amplitude
+
+
+@inlined
+def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
+    """Bounds of one block's share q of the signal and of its second to fourth derivatives, for all later times.
+
+    sqrt(q^2 + weight (q' + tilt q)^2) bounds q: with tilt = eta and weight = 1 / d it is the amplitude of the
+    oscillation, with 0 and 1 / lam the energy, which never grows. The derivatives are at most grow2...grow4 times that.
+    """
+    turned = q1 + tilt * q0
+    b0 = math.sqrt(q0 * q0 + weight * (turned * turned))
+    return b0, grow2 * b0, grow3 * b0, grow4 * b0
+
+
+@inlined
+def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
+    """amplitude_bounds where the block oscillates, d > 0; else the smaller of two.
+
+    sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows; and where well overdamped the moduli of
+    the two exponentials, |alpha| slow^k + |beta| fast^k.
+    """
+    a0, a2, a3, a4 = amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4)
+    q2 = -2.0 * eta * q1 - lam * q0
+    q3 = -2.0 * eta * q2 - lam * q1
+    q4 = -2.0 * eta * q3 - lam * q2
+    q5 = -2.0 * eta * q4 - lam * q3
+    b2 = math.sqrt(q2 * q2 + q3 * q3 * weight)
+    b3 = math.sqrt(q3 * q3 + q4 * q4 * weight)
+    b4 = math.sqrt(q4 * q4 + q5 * q5 * weight)
+    split = d < -0.5 * lam
+    alpha = 0.5 * inv_w * abs(fast * q0 + q1)
+    beta = 0.5 * inv_w * abs(slow * q0 + q1)
+    b0 = min(a0, alpha + beta) if split else a0
+    alpha, beta = alpha * slow * slow, beta * fast * fast
+    b2 = min(b2, alpha + beta) if split else b2
+    alpha, beta = alpha * slow, beta * fast
+    b3 = min(b3, alpha + beta) if split else b3
+    alpha, beta = alpha * slow, beta * fast
+    b4 = min(b4, alpha + beta) if split else b4
+    oscillates = d > 0.0
+    return b0, a2 if oscillates else b2, a3 if oscillates else b3, a4 if oscillates else b4
+
+
+@kernel
+def derivative_bounds(signal, h):
+    """Bounds M0, M2, M3, M4 of |y - offset| and of its second to fourth derivatives, for all times after h (n, 2)."""
+    M0, M2, M3, M4 = forced_bounds(signal.omega, signal.amplitude)
+    for j in range(len(signal.eta)):
+        q0 = signal.row[j][0] * h[j, 0] + signal.row[j][1] * h[j, 1]
+        q1 = signal.row1[j][0] * h[j, 0] + signal.row1[j][1] * h[j, 1]
+        eta, lam, d, _, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4 = signal.block[j]
+        b0, b2, b3, b4 = block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4)
+        M0 += b0
+        M2 += b2
+        M3 += b3
+        M4 += b4
+    return M0, M2, M3, M4
+
+
+@inlined
+def arrival(g, v, K):
+    """First s > 0 with g = v s + K s^2 / 2, infinity if there is none: no arrival before it (g >= 0)."""
+    D = v * v + 2.0 * K * g
+    r = math.sqrt(max(D, 0.0))
+    closing = v > 0.0
+    above = 2.0 * g if closing else r - v
+    below = v + r if closing else K
+    never = D < 0.0 or (K <= 0.0 and not closing)
+    return np.inf if never else above / below
+
+
+@inlined
+def curvature(a, j3, M2, M3, M4, h):
+    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h: from the bounds M2, M3, M4.
+
+    M2 itself; from the third derivative a + M3 h / 3; from the fourth a + max(0, j3 + M4 h / 4) h / 3.
+    """
+    return min(M2, a + min(M3, max(0.0, j3 + 0.25 * M4 * h)) * h * (1.0 / 3.0))
+
+
+@inlined
+def stays_open(g, v, K, h):
+    """Whether v s + K s^2 / 2 stays below g >= 0 for all s <= h: at its end and, if it has one before, at its peak."""
+    end = (v + 0.5 * K * h) * h < g
+    peaks = K < 0.0 and v + K * h < 0.0
+    return (v <= 0.0 or v * v < -2.0 * K * g) if peaks else end
+
+
+@inlined
+def bracket(g, v, a, j3, M2, M3, M4, H):
+    """(L, U): times <= H such that a gap g, closing at v with acceleration a and jerk j3, does not close before L.
+
+    No arrival before min(h, s(h)), where s(h) is the arrival under the curvature bound K(h). s falls with h, so
+    L = min(h, s(h)) of any h is certified and U = s(L) is a limit: the best h lies between.
+    """
+    L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
+    U = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, L)))
+    return max(L, min(U, arrival(g, v, curvature(a, j3, M2, M3, M4, U)))), U
+
+
+@inlined
+def close_in(L, U, g, v, a, j3, M2, M3, M4):
+    """The longest time of a few between L and U, besides L, for which the gap certainly does not close."""
+    h = math.sqrt(L * U)  # at a graze L and U can be far apart
+    for _ in range(TRIALS):
+        free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
+        L, U = h if free else L, U if free else h
+        h = 0.5 * (L + U)
+    return L
+
+
+@inlined
+def safe_step(g, v, a, j3, M2, M3, M4, H):
+    """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close."""
+    L, U = bracket(g, v, a, j3, M2, M3, M4, H)
+    return close_in(L, U, g, v, a, j3, M2, M3, M4)
+
+
+@inlined
+def safe_retreat(g, v, a, j3, M2, M3, M4, H):
+    """As safe_step for a gap that is opening, v <= 0, and seldom what ends a step: found with less effort."""
+    L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
+    return close_in(L, H, g, v, a, j3, M2, M3, M4) if L < H else H
+
+
+@inlined
+def landing(g, v, a, j3, M3, M4, tol):
+    """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
+
+    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 from its series in g / v by Halley's method; what the cubic leaves out is
+    below M4 s^4 / 24.
+    """
+    inv_v = 1.0 / v
+    first = g * inv_v
+    j6, a2, j2 = j3 * (1.0 / 6.0), 0.5 * a, 0.5 * j3
+    e = a2 * first * inv_v
+    s = first * (1.0 - e + 2.0 * (e * e) - j6 * (first * first) * inv_v)
+    for _ in range(2):
+        excess = ((j6 * s + a2) * s + v) * s - g
+        speed = (j2 * s + a) * s + v
+        s -= excess * speed / (speed * speed - 0.5 * excess * (j3 * s + a))
+    sure = v > 0.0 and M4 * (first * first * first * first) <= 12.0 * tol
+    sure = sure and (abs(a) + M3 * first) * first <= 0.25 * v and M4 * (s * s * s * s) <= 24.0 * tol
+    return s if sure else np.inf
+
+
+@inlined
+def meets(g, v, a, j3, M3, M4, tol, H):
+    """The time <= H after which a gap g, closing at v, is certain to have just closed; infinity where none is."""
+    s = landing(max(g, 0.0), v, a, j3, M3, M4, tol)
+    s = 0.0 if g <= tol and v > 0.0 else s
+    return s if s <= H else np.inf
+
+
+@kernel
+def _first_step(kind, j3, a, M3, M4):
+    """A time for which a start on a stop at rest certainly leaves it: 3|a|/M3, after a release 4|j|/M4."""
+    if kind == ON_STOP_AT_REST:
+        return 3.0 * abs(a) / max(M3, TINY)
+    return 4.0 * abs(j3) / max(M4, TINY)
+
+
+@kernel
+def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch):
+    """The first time in [0, H] at which the signal reaches ``upper`` from below or ``lower`` from above.
+
+    h (n, 2) and phase: the start; own: the stop (+1 upper, -1 lower, 0 none) that the start lies on and
+    kind how (ON_STOP_...). scratch: (n, 2) to overwrite.
+    Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
+    2 where the march needed more than MAX_EVALUATIONS.
+    """
+    M0, M2, M3, M4 = derivative_bounds(signal, h)
+    s = 0.0
+    for count in range(1, MAX_EVALUATIONS + 1):
+        reach = M0 * (1.0 + 1e-12)
+        if offset + reach < upper and offset - reach > lower:
+            return H, 0, count - 1
+        y, v, a, j3, scale = evaluate(signal, h, s, phase, offset)
+        step = H - s
+        ahead = 1 if v > 0.0 else -1
+        for side in (ahead, -ahead):
+            stop = upper if side == 1 else lower
+            if side * (offset - stop) + reach < 0.0:
+                continue
+            g, approach, push = side * (stop - y), side * v, side * a
+            if count == 1 and own == side:
+                g = 0.0
+                if kind != ON_STOP_MOVING:
+                    step = min(step, _first_step(kind, j3, a, M3, M4))
+                    continue
+            rest = meets(g, approach, push, side * j3, M3, M4, ROUNDING * (scale + abs(stop)), H - s)
+            if rest < np.inf:
+                return s + rest, side, count
+            if side == ahead:
+                step = min(step, safe_step(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
+            else:
+                step = min(step, safe_retreat(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
+        if s + step >= H:
+            return H, 0, count
+        s = max(s + step, s + LEAST_STEP * H)  # at rest but for rounding a flight would need any number of steps
+        if count % REFRESH == 0:
+            for j in range(h.shape[0]):
+                scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]
+            flow(signal, s, scratch)
+            M0, M2, M3, M4 = derivative_bounds(signal, scratch)
+    return s, 2, MAX_EVALUATIONS

@@ -1,0 +1,172 @@
+"""The tangent frame: Gram-Schmidt with the logarithms of what it takes out (Li & Tan 2011)."""
+
+import math
+
+import numpy as np
+
+from workers.kernel.jit import inlined, kernel
+
+
+@inlined
+def inner(lam, V, i, W, k):
+    """The energy product sum_j lam_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k]: undamped flight keeps it."""
+    total = 0.0
+    for j in range(len(lam)):
+        total += lam[j] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
+    return total
+
+
+@kernel
+def orthonormalise(lam, V, growth, triangle, rank):
+    """Make V (m, n, 2) orthonormal in the energy product and add the log of each norm to growth (m,).
+
+    V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others are structurally
+    lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
+    rows divided by exp(growth): it stays in range where the product itself would not.
+    """
+    m = V.shape[0]
+    for i in range(min(rank, m)):
+        norm = math.sqrt(inner(lam, V, i, V, i))
+        inverse = 1.0 / norm
+        for j in range(len(lam)):
+            V[i, j, 0] *= inverse
+            V[i, j, 1] *= inverse
+        for k in range(i + 1, m):
+            overlap = inner(lam, V, i, V, k)
+            for j in range(len(lam)):
+                V[k, j, 0] -= overlap * V[i, j, 0]
+                V[k, j, 1] -= overlap * V[i, j, 1]
+            if triangle.shape[0] > 0:
+                add_row(triangle, growth, i, k, overlap * inverse)
+        growth[i] += math.log(norm)
+    for i in range(rank, m):
+        for j in range(len(lam)):
+            V[i, j, 0] = V[i, j, 1] = 0.0
+        growth[i] = -np.inf
+
+
+@inlined
+def log_length(lam, V, growth):
+    """Log of the length of the first vector, with what was taken out of it so far."""
+    return growth[0] + 0.5 * math.log(inner(lam, V, 0, V, 0))
+
+
+@kernel
+def inner_pass(lam, U, first, second, products, count):
+    """inner of two vectors of ``count`` frames side by side; see orthonormalise_pass."""
+    for i in range(count):
+        products[i] = 0.0
+    for j in range(U.shape[1]):
+        for i in range(count):
+            products[i] += lam[j, i] * U[first, j, 0, i] * U[second, j, 0, i] + U[first, j, 1, i] * U[second, j, 1, i]
+
+
+@kernel
+def orthonormalise_pass(lam, rank, U, norms, work, count):
+    """orthonormalise for ``count`` frames side by side: the same operations, as loops over frames.
+
+    U (m, n, 2, N) the frames, lam (n, N), rank (N,); norms (m, N) takes what growth is to add the logs of; work (2, N).
+    """
+    products, inverse = work[0], work[1]
+    m, n = U.shape[0], U.shape[1]
+    for k in range(m):
+        inner_pass(lam, U, k, k, products, count)
+        for i in range(count):
+            exists = k < rank[i]
+            norm = math.sqrt(products[i])
+            norms[k, i] = norm if exists else 0.0
+            inverse[i] = 1.0 / norm if exists else 0.0
+        for j in range(n):
+            for i in range(count):
+                U[k, j, 0, i] *= inverse[i]
+                U[k, j, 1, i] *= inverse[i]
+        for later in range(k + 1, m):
+            inner_pass(lam, U, k, later, products, count)
+            for j in range(n):
+                for i in range(count):
+                    U[later, j, 0, i] -= products[i] * U[k, j, 0, i]
+                    U[later, j, 1, i] -= products[i] * U[k, j, 1, i]
+
+
+@kernel
+def add_row(triangle, growth, i, k, factor):
+    """Take into the triangle that vector k had this multiple of vector i taken off, of which exp(growth) was in it."""
+    if factor != 0.0:  # exp(...) may be infinite between blocks that never couple
+        factor *= math.exp(growth[k] - growth[i])
+        for c in range(k, triangle.shape[1]):
+            triangle[i, c] += factor * triangle[k, c]
+
+
+@kernel
+def graded_flow(blocks, s, V, growth, triangle, rank):
+    """Move the tangent vectors V (m, n, 2) on by s, however far, as V exp(growth) triangle; rows of blocks: eta, lam...
+
+    In coordinates of one decay rate each a flight is X -> D X, D = diag(exp(-rate s)) times a rotation. Gaussian
+    elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
+    growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
+    """
+    n, m = len(blocks), V.shape[0]
+    X = np.empty((2 * n, m))
+    back = np.zeros((2 * n, 2))
+    decay = np.empty(2 * n)
+    for j in range(n):
+        eta, lam = blocks[j, 0], blocks[j, 1]
+        w2 = eta * eta - lam
+        w = math.sqrt(max(w2, 0.0))
+        if w * s > 1.0:
+            fast = eta + w
+            slow = lam / fast
+            # h = a (1, -slow) + b (1, -fast)
+            for i in range(m):
+                h0, h1 = V[i, j, 0], V[i, j, 1]
+                X[2 * j, i] = (fast * h0 + h1) / (2.0 * w)
+                X[2 * j + 1, i] = -(slow * h0 + h1) / (2.0 * w)
+            decay[2 * j], decay[2 * j + 1] = slow * s, fast * s
+            back[2 * j, 0], back[2 * j, 1] = 1.0, -slow
+            back[2 * j + 1, 0], back[2 * j + 1, 1] = 1.0, -fast
+        else:
+            # exp(eta s) times the flow: C and S without their decay
+            d = -w2
+            x = d * s * s
+            if abs(x) < 1e-3:
+                C = 1.0 - x / 2.0 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0)))
+                S = s * (1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))))
+            elif d > 0.0:
+                wd = math.sqrt(d)
+                C, S = math.cos(wd * s), math.sin(wd * s) / wd
+            else:
+                C, S = math.cosh(w * s), math.sinh(w * s) / w
+            for i in range(m):
+                h0, h1 = V[i, j, 0], V[i, j, 1]
+                X[2 * j, i] = (C + eta * S) * h0 + S * h1
+                X[2 * j + 1, i] = -lam * S * h0 + (C - eta * S) * h1
+            decay[2 * j] = decay[2 * j + 1] = eta * s
+            back[2 * j, 0] = back[2 * j + 1, 1] = 1.0
+    used = np.zeros(2 * n, dtype=np.bool_)
+    V[:] = 0.0
+    for k in range(min(rank, m)):
+        pivot, best = -1, -np.inf
+        for i in range(2 * n):
+            if not used[i] and X[i, k] != 0.0:
+                norm = math.sqrt(blocks[i // 2, 1] * back[i, 0] ** 2 + back[i, 1] ** 2)
+                size = math.log(abs(X[i, k]) * norm) - decay[i]
+                if size > best:
+                    pivot, best = i, size
+        if pivot < 0:
+            break
+        used[pivot] = True
+        p = X[pivot, k]
+        gain = math.log(abs(p)) - decay[pivot]
+        for i in range(2 * n):
+            if X[i, k] != 0.0 and (i == pivot or not used[i]):
+                share = math.copysign(math.exp(math.log(abs(X[i, k])) - decay[i] - gain), X[i, k])
+                V[k, i // 2, 0] += share * back[i, 0]
+                V[k, i // 2, 1] += share * back[i, 1]
+        for later in range(k + 1, m):
+            f = X[pivot, later] / p
+            for i in range(2 * n):
+                if not used[i]:
+                    X[i, later] -= f * X[i, k]
+            if triangle.shape[0] > 0:
+                add_row(triangle, growth, k, later, f)
+        growth[k] += gain

@@ -1,0 +1,194 @@
+"""Impacts: the restitution law and its saltation matrix, chatter to rest, motion on a stop, release."""
+
+import numpy as np
+
+from workers.kernel.flight import derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing, rates
+from workers.kernel.frame import graded_flow
+from workers.kernel.jit import inlined, kernel, piece
+
+REBOUND, REST, LEAVE = range(3)
+"""What an impact leads to: a rebound; rest on the stop; v = 0 with the load pulling away (R = 0)."""
+
+EPS = float(np.finfo(np.float64).eps)
+
+COMPLETION = 1e-4
+"""Chatter is certain to complete once the load changes by less than this share until it has."""
+
+
+@inlined
+def load_at_rest(side, v, a, cA2k):
+    """side * (a - cA^2k v): the acceleration that would press the mass on the stop with v taken off."""
+    return side * (a - cA2k * v)
+
+
+@inlined
+def is_rebound(load, v, R, cA2k, scale, remaining):
+    """Whether an impact at velocity v is certain to rebound, whatever the third derivative: see outcome."""
+    w = R * abs(v)
+    negligible = w * w <= 200.0 * load * EPS * scale
+    change = 2.0 * abs(cA2k * v)
+    slow = change > COMPLETION * load or 2.0 * w > remaining * (load * (1.0 - R))
+    return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not negligible))
+
+
+@kernel
+def outcome(osc, h, side, v, a, scale, remaining):
+    """What the impact at velocity v and acceleration a, on stop ``side``, leads to.
+
+    R = 0 rests where the load presses, side (a - cA^2k v) > 0, and leaves else. For 0 < R < 1 the rebound
+    speed w = R |v| completes its chatter in t* = 2 w / (|a0| (1 - R)) to leading order; jump to rest if
+    t* M3 + 2 |cA^2k| |v| <= 1e-4 |a0| with t* inside the ``remaining`` time, or if the hop is below
+    rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
+    """
+    load = load_at_rest(side, v, a, osc.cA2k)
+    if is_rebound(load, v, osc.R, osc.cA2k, scale, remaining):
+        return REBOUND
+    if osc.R == 0.0:
+        return REST if load > 0.0 else LEAVE
+    w = osc.R * abs(v)
+    if w * w <= 200.0 * load * EPS * scale:
+        return REST
+    M3 = derivative_bounds(osc.gap, h)[2]
+    duration = 2.0 * w / (load * (1.0 - osc.R))
+    return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
+
+
+@piece
+def kick(osc, h, dv):
+    """Change the velocity of the gap coordinate by dv: z + dv k, in place."""
+    for j in range(len(osc.kick)):
+        h[j, 0] += dv * osc.kick[j][0]
+        h[j, 1] += dv * osc.kick[j][1]
+
+
+@piece
+def shift(osc, h, dy):
+    """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
+    for j in range(len(osc.kick1)):
+        h[j, 0] += dy * osc.kick1[j][0]
+        h[j, 1] += dy * osc.kick1[j][1]
+
+
+@kernel
+def saltation(row, row1, kick, kick1, R, V, ratio):
+    """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
+
+    S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
+    """
+    q = 1.0 + R
+    for i in range(V.shape[0]):
+        dy = dot_vector(row, V, i)
+        dv = dot_vector(row1, V, i)
+        along_k = -q * (dv - ratio * dy)
+        along_Ak = -q * dy
+        for j in range(len(kick)):
+            V[i, j, 0] += along_k * kick[j][0] + along_Ak * kick1[j][0]
+            V[i, j, 1] += along_k * kick[j][1] + along_Ak * kick1[j][1]
+
+
+@piece
+def rest_projection(osc, V):
+    """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
+
+    P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
+    """
+    for i in range(V.shape[0]):
+        dy = dot_vector(osc.gap.row, V, i)
+        dv = dot_vector(osc.gap.row1, V, i)
+        along_k = -(dv - osc.cA2k * dy)
+        for j in range(len(osc.kick)):
+            V[i, j, 0] += along_k * osc.kick[j][0] - dy * osc.kick1[j][0]
+            V[i, j, 1] += along_k * osc.kick[j][1] - dy * osc.kick1[j][1]
+
+
+@piece
+def stop_position(osc, side):
+    """Where the stop is: +b_upper or -b_lower."""
+    return osc.b_upper if side > 0 else -osc.b_lower
+
+
+@kernel
+def to_held(osc, h, phase, side, u):
+    """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
+    sin, cos = np.sin(phase), np.cos(phase)
+    held = osc.held
+    for i in range(len(osc.held.static)):
+        for k in range(2):
+            total = -held.forced[i][k][0] * sin - held.forced[i][k][1] * cos
+            for j in range(len(osc.kick)):
+                total += held.down[i][j] * (h[j, k] + osc.forced[j][k][0] * sin + osc.forced[j][k][1] * cos)
+            u[i, k] = total
+        u[i, 0] -= held.static[i] * stop_position(osc, side)
+
+
+@kernel
+def from_held(osc, u, phase, side, h):
+    """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
+    sin, cos = np.sin(phase), np.cos(phase)
+    held = osc.held
+    y = stop_position(osc, side)
+    for j in range(len(osc.kick)):
+        for k in range(2):
+            total = -osc.forced[j][k][0] * sin - osc.forced[j][k][1] * cos
+            for i in range(len(osc.held.static)):
+                full = u[i, k] + held.forced[i][k][0] * sin + held.forced[i][k][1] * cos
+                if k == 0:
+                    full += held.static[i] * y
+                total += held.down[i][j] * full
+            h[j, k] = total
+        h[j, 0] += osc.kick[j][1] * y
+
+
+@piece
+def tangent_to_held(osc, V, U):
+    """Write the held part U (m, n - 1, 2) of tangent vectors V (m, n, 2) with c.V = cA.V = 0."""
+    for m in range(V.shape[0]):
+        for i in range(len(osc.held.static)):
+            for k in range(2):
+                U[m, i, k] = 0.0
+                for j in range(len(osc.kick)):
+                    U[m, i, k] += osc.held.down[i][j] * V[m, j, k]
+
+
+@piece
+def tangent_from_held(osc, U, V):
+    """Write the free tangent vectors V (m, n, 2) of held ones U (m, n - 1, 2)."""
+    for m in range(V.shape[0]):
+        for j in range(len(osc.kick)):
+            for k in range(2):
+                V[m, j, k] = 0.0
+                for i in range(len(osc.held.static)):
+                    V[m, j, k] += osc.held.down[i][j] * U[m, i, k]
+
+
+@kernel
+def load_on_stop(osc, u, phase, side):
+    """side * a: the free acceleration that presses the mass on the stop while it rests there."""
+    release = osc.held.release
+    forced = release.sin_part * np.sin(phase) + release.cos_part * np.cos(phase)
+    return side * (dot(release.row, u) + forced + release.offset * stop_position(osc, side))
+
+
+@kernel
+def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
+    """Rest on a stop until the load on it falls to zero, or for H; moves h and V there, in place.
+
+    Returns (time, released, evaluations); released is 2 where the march gave up.
+    """
+    n = len(osc.held.static)
+    u, scratch = np.empty((n, 2)), np.empty((n, 2))
+    U = np.empty((V.shape[0], n, 2))
+    release = osc.held.release
+    to_held(osc, h, phase, side, u)
+    tangent_to_held(osc, V, U)
+    upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
+    offset = release.offset * stop_position(osc, side)
+    s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, 0, 0, H, scratch)
+    if growth.shape[0] > 0:
+        flow(release, s, u)
+        graded_flow(rates(release), s, U, growth, triangle, 2 * n)
+    else:
+        flow_with_tangent(release, s, u, U)
+    from_held(osc, u, phase + release.omega * s, side, h)
+    tangent_from_held(osc, U, V)
+    return s, abs(crossed), evaluations

@@ -1,0 +1,373 @@
+"""The stroboscopic map: ``advance`` takes one cell through one forcing period, the only hot kernel.
+
+Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from workers.kernel.flight import (
+    ON_STOP_AT_REST,
+    ON_STOP_MOVING,
+    ON_STOP_RELEASED,
+    TINY,
+    evaluate,
+    flow,
+    flow_with_tangent,
+    next_crossing,
+    rates,
+)
+from workers.kernel.frame import graded_flow, orthonormalise
+from workers.kernel.impact import (
+    LEAVE,
+    REST,
+    kick,
+    load_on_stop,
+    outcome,
+    rest_projection,
+    saltation,
+    shift,
+    stay_on_stop,
+    stop_position,
+    to_held,
+)
+from workers.kernel.jit import inlined, kernel, piece
+from workers.model.oscillator import Oscillator
+
+FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
+"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
+
+UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(11)
+"""What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, evaluations still
+allowed, directions lost, spread of the frame since it was last orthonormal, impacts recorded, status."""
+
+RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE = range(4)
+"""Status: fine, or why a cell cannot go on."""
+
+WORK_OF_A_TRIAL = 1_000_000
+"""Evaluations allowed to a motion that tries something out: a turn of an orbit, a Newton step."""
+
+OVERDRAFT = 1_000_000
+"""Evaluations by which a period may exceed what is left, so that motions can end at a section."""
+
+NOWHERE = (0.0, 0.0, 0.0, 0.0)
+"""In place of an arrival where a flight ends at no stop."""
+
+MAX_SPREAD = 8.0
+"""|log| of how far flights and impacts may stretch or contract the frame before it is made orthonormal again: keeps 12
+digits of the most contracted direction. One flight with its impact may go further."""
+
+
+class Motion(NamedTuple):
+    """One cell on its way, everything that ``advance`` changes.
+
+    h        (n, 2)     block coordinates, forced response taken off
+    contact  (1,)       FREE, or +-HELD, +-AT_REST with the side's sign
+    V        (m, n, 2)  tangent vectors, m = 0 for none
+    growth   (m,)       log of the growth taken out of each so far
+    triangle (m, m)     what orthonormalisation took out, see there; (0, 0) if not wanted
+    tally    (TALLIES,) counts, see UPPER...
+    impacts  (K, 3)     the first K impacts: time after the section, side, speed before it; K = 0 for none
+    scratch  (n, 2)
+    """
+
+    h: NDArray[np.float64]
+    contact: NDArray[np.int64]
+    V: NDArray[np.float64]
+    growth: NDArray[np.float64]
+    triangle: NDArray[np.float64]
+    tally: NDArray[np.float64]
+    impacts: NDArray[np.float64]
+    scratch: NDArray[np.float64]
+
+
+@register_jitable
+def motion_with(
+    h: NDArray[np.float64],
+    contact: int,
+    V: NDArray[np.float64],
+    growth: NDArray[np.float64],
+    triangle: NDArray[np.float64],
+    record: int = 0,
+) -> Motion:
+    """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
+    tally = np.zeros(TALLIES)
+    tally[MIN_SPEED] = np.inf
+    tally[WORK] = WORK_OF_A_TRIAL
+    contacts = np.full(1, contact)
+    return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), np.zeros(h.shape))
+
+
+@register_jitable
+def axes(n: int) -> NDArray[np.float64]:
+    """The 2n tangent vectors (2n, n, 2) along the block axes."""
+    return np.eye(2 * n).reshape(2 * n, n, 2)
+
+
+def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
+    frame = axes(len(h))[:vectors].copy()
+    return motion_with(h, contact, frame, np.zeros(vectors), np.zeros((0, 0)), record)
+
+
+def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at physical section state (x..., v...).
+
+    Its contact is the one that the state is: on a stop with v = 0 held or about to leave, BEYOND outside.
+    """
+    n = len(osc.gap_row)
+    h = physical_to_blocks(osc, state)
+    y, v = float(np.dot(osc.gap_row, state[:n])), float(np.dot(osc.gap_row, state[n:]))
+    return motion_at(h, _contact(osc, h, y, v), vectors, record)
+
+
+def physical_to_blocks(osc: Oscillator, state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Block coordinates (n, 2), forced response taken off, of a physical section state (2n,)."""
+    n = len(osc.gap_row)
+    full = np.array(osc.to_blocks) @ np.column_stack([state[:n], state[n:]])
+    return full - _forced_blocks(osc)
+
+
+def _forced_blocks(osc: Oscillator) -> NDArray[np.float64]:
+    """Forced response (n, 2) of the blocks at a section."""
+    return np.array(osc.forced) @ [math.sin(osc.tau), math.cos(osc.tau)]
+
+
+def blocks_to_physical(osc: Oscillator, motion: Motion) -> NDArray[np.float64]:
+    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there.
+
+    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
+    """
+    full = motion.h + _forced_blocks(osc)
+    x, v = (np.array(osc.to_physical) @ full).T
+    row = np.array(osc.gap_row)
+    row_per_unit = row / (row @ row)
+    y = float(row @ x)
+    rounding = 1e-12 * float(np.abs(row) @ np.abs(osc.to_physical) @ (np.abs(full[:, 0]) + np.abs(motion.h[:, 0])))
+    stop = min(max(y, -osc.b_lower), osc.b_upper)
+    if abs(y - stop) > rounding:
+        stop = y
+    contact = int(motion.contact[0])
+    if contact:
+        stop = osc.b_upper if contact > 0 else -osc.b_lower
+        v = v - row_per_unit * (row @ v)
+    if stop != y:
+        x = x + row_per_unit * (stop - y)
+    return np.concatenate([x, v])
+
+
+def _contact(osc: Oscillator, h: NDArray[np.float64], y: float, v: float) -> int:
+    """Contact of a bare section state with gap coordinate y and velocity v."""
+    if y > osc.b_upper or y < -osc.b_lower:
+        return BEYOND
+    if v != 0.0 or -osc.b_lower < y < osc.b_upper:
+        return FREE
+    side = 1 if y == osc.b_upper else -1
+    u = np.zeros((len(osc.held.static), 2))
+    to_held(osc, h, osc.tau, side, u)
+    return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
+
+
+@kernel
+def spread_rate(block):
+    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks."""
+    rate = 0.0
+    for j in range(len(block)):
+        rate = max(rate, block[j].fast)
+    return rate
+
+
+@piece
+def fly_far(osc, motion, s):
+    """Move the state and the frame on by s in free flight, however far that spreads the frame."""
+    rank = 2 * len(osc.kick) - int(motion.tally[LOST])
+    flow(osc.gap, s, motion.h)
+    graded_flow(rates(osc.gap), s, motion.V, motion.growth, motion.triangle, rank)
+    reset_frame(osc, motion)
+
+
+@kernel
+def reset_frame(osc, motion):
+    """Make the frame orthonormal and count its growth."""
+    n = motion.V.shape[1]
+    if motion.growth.shape[0] > 0:
+        rank = 2 * n - int(motion.tally[LOST])
+        orthonormalise(osc.gap.lam, motion.V, motion.growth, motion.triangle, rank)
+    motion.tally[SPREAD] = 0.0
+
+
+@inlined
+def needs_reset(spread, more):
+    """Whether the frame has to be made orthonormal before the next flight and impact spread it that much further."""
+    return spread > 0.0 and spread + more > MAX_SPREAD
+
+
+@piece
+def record_impact(tally, impacts, t, side, speed):
+    """Count an impact and, while there is room in impacts (K, 3), write it down."""
+    tally[UPPER if side > 0 else LOWER] += 1.0
+    tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
+    row = int(tally[RECORDED])
+    if row < impacts.shape[0]:
+        impacts[row, 0] = t
+        impacts[row, 1] = side
+        impacts[row, 2] = speed
+        tally[RECORDED] += 1.0
+
+
+@piece
+def arrive(osc, h, s, phase, side):
+    """(y, v, a, scale of rounding) at the stop that a flight of s reaches."""
+    y, v, a, _, scale = evaluate(osc.gap, h, s, phase, 0.0)
+    return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
+
+
+@piece
+def meet_stop(osc, motion, t, side, remaining, arrived, spread):
+    """The impact at time t, arrived there as told: changes state and frame; returns what follows."""
+    h, V, tally = motion.h, motion.V, motion.tally
+    y, v, a, scale = arrived
+    following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
+    if following == REST:
+        kick(osc, h, -v)
+        rest_projection(osc, V)
+        return REST
+    record_impact(tally, motion.impacts, t, side, abs(v))
+    kick(osc, h, -(1.0 + osc.R) * v)
+    shift(osc, h, stop_position(osc, side) - y)  # or rounding would add up over many impacts
+    saltation(osc.gap.row, osc.gap.row1, osc.kick, osc.kick1, osc.R, V, a / v)
+    tally[SPREAD] += spread
+    if following == LEAVE:
+        tally[LOST] = max(tally[LOST], 1.0)
+        reset_frame(osc, motion)
+    return following
+
+
+@inlined
+def impact_spread(ratio, unit, loss):
+    """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
+
+    2 ln(1 + u) - ln R, u = |ratio| unit, where unit = 1 / sqrt(lam_1); ln x < (x - 1) / sqrt(x) spares the logarithms.
+    """
+    u = abs(ratio) * unit
+    return 2.0 * u / math.sqrt(1.0 + u) + loss
+
+
+@inlined
+def loss_spread(R):
+    """The part of impact_spread that the restitution makes: at least -ln R."""
+    return (1.0 - R) / math.sqrt(max(R, TINY))
+
+
+@piece
+def spend(tally, evaluations):
+    """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
+    tally[EVALUATIONS] += evaluations
+    tally[WORK] -= max(1, evaluations)
+    if tally[WORK] < -OVERDRAFT:
+        tally[STATUS] = OUT_OF_WORK
+
+
+@piece
+def leave_stop(osc, motion, phase, contact, remaining):
+    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
+    h, V, tally = motion.h, motion.V, motion.tally
+    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
+    tally[STUCK] += s
+    spend(tally, evaluations)
+    tally[LOST] = 2.0
+    tally[MIN_SPEED] = 0.0
+    reset_frame(osc, motion)
+    if released == 0:
+        motion.contact[0] = contact
+    if released == 2:
+        tally[STATUS] = MARCH_GAVE_UP
+    return s, tally[STATUS] == RUNNING and released == 1
+
+
+@kernel
+def travel(osc, motion, duration):
+    """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
+
+    Stops early with tally[STATUS] set if it cannot be completed.
+    """
+    # Taken out once: a field of a record costs a reference count at every use.
+    h, V, tally, scratch = motion.h, motion.V, motion.tally, motion.scratch
+    contact = motion.contact[0]
+    motion.contact[0] = FREE
+    vectors = V.shape[0] > 0
+    rate = spread_rate(osc.gap.block) if vectors else 0.0
+    unit, loss = 1.0 / math.sqrt(osc.gap.lam[0]), loss_spread(osc.R)
+    own, kind = 0, ON_STOP_MOVING
+    if abs(contact) == AT_REST:
+        own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
+    t, phase = 0.0, osc.tau
+    while True:
+        if contact != FREE:
+            s, released = leave_stop(osc, motion, phase, contact, duration - t)
+            if not released:
+                return
+            t += s
+            phase += osc.gap.omega * s
+            own, kind = contact, ON_STOP_RELEASED
+        s, side, evaluations = next_crossing(
+            osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
+        )
+        spend(tally, evaluations)
+        hit = abs(side) == 1
+        arrived = arrive(osc, h, s, phase, side) if hit else NOWHERE
+        spread = impact_spread(arrived[2] / arrived[1], unit, loss) if vectors and hit else 0.0
+        if needs_reset(tally[SPREAD], s * rate + spread):
+            reset_frame(osc, motion)
+        if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
+            fly_far(osc, motion, s)
+        else:
+            flow_with_tangent(osc.gap, s, h, V)
+            tally[SPREAD] += s * rate
+        if side == 0:
+            return
+        if side == 2:
+            tally[STATUS] = MARCH_GAVE_UP
+        if tally[STATUS] != RUNNING:
+            return
+        t += s
+        phase += osc.gap.omega * s
+        following = meet_stop(osc, motion, t, side, duration - t, arrived, spread)
+        own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
+        contact = side if following == REST else FREE
+
+
+@piece
+def advance(osc, motion):
+    """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
+    travel(osc, motion, osc.period)
+
+
+@piece
+def step(osc, motion, half):
+    """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
+    travel(osc, motion, 0.5 * osc.period if half else osc.period)
+    if half:
+        mirror(motion)
+
+
+@kernel
+def mirror(motion):
+    """z -> -z, in place."""
+    motion.contact[0] = -motion.contact[0]
+    for j in range(motion.h.shape[0]):
+        for k in range(2):
+            motion.h[j, k] = -motion.h[j, k]
+            for i in range(motion.V.shape[0]):
+                motion.V[i, j, k] = -motion.V[i, j, k]
+
+
+@kernel
+def copy_state(h, sections, row):
+    """sections[row] = h."""
+    for j in range(h.shape[0]):
+        sections[row, j, 0], sections[row, j, 1] = h[j, 0], h[j, 1]

@@ -1,0 +1,122 @@
+"""The systems that can be solved: each is one frozen record, and only this file names a parameter."""
+
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from workers.model.oscillator import Oscillator, in_double_precision, mass_spring
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that a system takes: its name, symbol (mathtext), unit, meaning, default and valid range.
+
+    The range is low <= value <= high; an open end excludes its bound.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+    default: float
+    low: float = -math.inf
+    high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
+
+    @property
+    def range(self) -> str:
+        """The valid range in words, such as ``0 < b`` or ``0 <= R <= 1``."""
+        below = f"{self.low:g} {'<' if self.low_open else '<='} " if math.isfinite(self.low) else ""
+        above = f" {'<' if self.high_open else '<='} {self.high:g}" if math.isfinite(self.high) else ""
+        return f"{below}{self.name}{above}" if below or above else "any finite number"
+
+    def admits(self, value: float) -> bool:
+        """Whether a value is finite and inside the valid range."""
+        above_low = value > self.low if self.low_open else value >= self.low
+        below_high = value < self.high if self.high_open else value <= self.high
+        return math.isfinite(value) and above_low and below_high
+
+
+@dataclass(frozen=True)
+class System:
+    """A vibro-impact system: its parameters, the names of its physical state and its factory.
+
+    ``states`` names the components of the physical section state in order (displacements, then velocities);
+    each is also a parameter, the initial value at t = 0. ``build`` makes the Oscillator from all parameters, or raises
+    ValueError, in one line, for those that have none; ``in_double_precision`` sees to numbers out of range.
+    """
+
+    name: str
+    title: str
+    parameters: tuple[Parameter, ...]
+    states: tuple[str, ...]
+    build: Callable[[Mapping[str, float]], Oscillator]
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name; KeyError with the nearest known name otherwise."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        known = [parameter.name for parameter in self.parameters]
+        raise KeyError(unknown_name("parameter", name, known))
+
+
+def unknown_name(kind: str, name: str, known: list[str]) -> str:
+    """One line for a name that does not exist: the nearest known one, or all of them."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+    return f"unknown {kind} {name!r}; {hint}"
+
+
+@in_double_precision
+def _two_mass(p: Mapping[str, float]) -> Oscillator:
+    """Li & Tan (2011): M x'' + 2 zeta K x' + K x = (1 - f2, f2) sin(omega t + tau), |x1| < b."""
+    mass = np.diag([1.0, p["mu_m"]])
+    stiffness = np.array([[1.0, -1.0], [-1.0, 1.0 + p["mu_k"]]])
+    return mass_spring(
+        mass=mass,
+        damping=2.0 * p["zeta"] * stiffness,
+        stiffness=stiffness,
+        gap_row=np.array([1.0, 0.0]),
+        force=np.array([1.0 - p["f2"], p["f2"]]),
+        omega=p["omega"],
+        tau=p["tau"],
+        b_upper=p["b"],
+        b_lower=p["b"],
+        R=p["R"],
+    )
+
+
+TWO_MASS = System(
+    name="two-mass",
+    title="two-mass oscillator with symmetric rigid stops (Li & Tan 2011)",
+    parameters=(
+        Parameter("omega", r"\omega", "1", "forcing frequency", 4.0, low=0.0, low_open=True),
+        Parameter("b", "b", "1", "clearance: half the gap between the stops", 0.15, low=0.0, low_open=True),
+        Parameter("R", "R", "1", "coefficient of restitution", 0.8, low=0.0, high=1.0),
+        Parameter("zeta", r"\zeta", "1", "damping ratio", 0.05, low=0.0),
+        Parameter("mu_m", r"\mu_m", "1", "mass ratio m2/m1", 2.0, low=0.0, low_open=True),
+        Parameter("mu_k", r"\mu_k", "1", "stiffness ratio k2/k1", 5.0, low=0.0, low_open=True),
+        Parameter("f2", "f_2", "1", "share of the force on mass 2", 0.0),
+        Parameter("tau", r"\tau", "rad", "phase of the force at t = 0", math.pi),
+        Parameter("x1", "x_1(0)", "1", "initial displacement of mass 1", 0.0),
+        Parameter("x2", "x_2(0)", "1", "initial displacement of mass 2", 0.0),
+        Parameter("v1", r"\dot x_1(0)", "1", "initial velocity of mass 1", 0.0),
+        Parameter("v2", r"\dot x_2(0)", "1", "initial velocity of mass 2", 0.0),
+    ),
+    states=("x1", "x2", "v1", "v2"),
+    build=_two_mass,
+)
+
+SYSTEMS: dict[str, System] = {system.name: system for system in (TWO_MASS,)}
+
+
+def find_system(name: str) -> System:
+    """The system of that name; KeyError with the nearest known name otherwise."""
+    if name in SYSTEMS:
+        return SYSTEMS[name]
+    raise KeyError(unknown_name("system", name, list(SYSTEMS)))

@@ -1,0 +1,125 @@
+"""Floquet multipliers of an orbit without forming the product of its Jacobians, which would lose the small ones."""
+
+import math
+
+import numpy as np
+
+from workers.kernel.frame import inner
+from workers.kernel.jit import kernel, piece
+from workers.kernel.stroboscopic import LOST, RUNNING, STATUS, axes, reset_frame
+from workers.orbit.map import iterate
+
+SETTLED = 1e-13
+"""Coupling below which the Floquet frame has split into invariant subspaces."""
+
+NARROW = 2.0
+"""Log-spread of multipliers up to which their block's product may be formed: loses no digit that counts."""
+
+
+@kernel
+def moduli(matrix):
+    """|eigenvalues| of a real matrix; infinity where it is not finite."""
+    try:
+        return np.abs(np.linalg.eigvals(matrix.astype(np.complex128)))
+    except Exception:  # a kernel can catch no other
+        return np.full(len(matrix), np.inf)
+
+
+@kernel
+def spectral_radius(matrix):
+    """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
+    return np.max(moduli(matrix))
+
+
+@kernel
+def overlaps(lam, before, after):
+    """The energy products of the vectors of two frames (m, n, 2): an orthogonal matrix where both span one space."""
+    m = before.shape[0]
+    products = np.empty((m, m))
+    for i in range(m):
+        for k in range(m):
+            products[i, k] = inner(lam, before, i, after, k)
+    return products
+
+
+@kernel
+def block_ends(rotation):
+    """Where the diagonal blocks end into which an orthogonal matrix falls apart."""
+    size = len(rotation)
+    ends = np.empty(size, dtype=np.int64)
+    count = 0
+    for end in range(1, size + 1):
+        coupling = 0.0
+        for i in range(end, size):
+            for k in range(end):
+                coupling = max(coupling, abs(rotation[i, k]))
+        if coupling < SETTLED:
+            ends[count] = end
+            count += 1
+    return ends[:count]
+
+
+@kernel
+def spread_of(logs, ends):
+    """The largest difference of logarithms within one block."""
+    spread, start = 0.0, 0
+    for end in ends:
+        spread = max(spread, np.max(logs[start:end]) - np.min(logs[start:end]))
+        start = end
+    return spread
+
+
+@kernel
+def block_logs(rotation, growth, triangle, ends, size):
+    """ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest modulus of them.
+
+    Scaled so that nothing overflows. Up to ``size`` they are -infinity: directions that are lost.
+    """
+    logs = np.full(size, -np.inf)
+    largest, start = 0.0, 0
+    for end in ends:
+        top = np.max(growth[start:end])
+        product = np.zeros((end - start, end - start))
+        for i in range(start, end):
+            for k in range(start, end):
+                for j in range(start, end):
+                    product[i - start, k - start] += rotation[i, j] * math.exp(growth[j] - top) * triangle[j, k]
+        for modulus in moduli(product):
+            logs[start] = top + math.log(modulus)
+            largest = max(largest, abs(logs[start]))
+            start += 1
+    return logs, largest
+
+
+@piece
+def floquet(osc, point, steps, half, most):
+    """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``most`` < 2.
+
+    A frame is carried round the orbit until it splits into invariant subspaces; what QR took out of each is
+    kept as logarithms, so that multipliers of any spread keep their digits. Blocks that do not split have
+    multipliers of nearly one modulus, and their product can be formed. Lost directions are -infinity.
+    """
+    size = point.h.size
+    frame = axes(point.h.shape[0])
+    logs = np.full(size, -np.inf)
+    rounding = np.inf
+    turns = 0
+    for turn in range(1, most + 1):
+        m = frame.shape[0]
+        motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
+        if motion.tally[STATUS] != RUNNING:
+            break
+        reset_frame(osc, motion)
+        rank = size - int(motion.tally[LOST])
+        rotation = overlaps(osc.gap.lam, frame[:rank], motion.V[:rank])
+        frame = motion.V[:rank].copy()
+        if turn == 1:
+            continue
+        ends = block_ends(rotation)
+        spread = spread_of(motion.growth, ends)
+        if spread < NARROW or turn == most:
+            logs, largest = block_logs(rotation, motion.growth, motion.triangle, ends, size)
+            rounding = 1e-15 * (1.0 + largest) * math.exp(min(spread, 700.0))
+            turns = turn
+            break
+    return logs, rounding, turns

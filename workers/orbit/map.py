@@ -1,0 +1,81 @@
+"""The map of so many steps, whole periods P or half periods G, with its Jacobian; distances between its states.
+
+Where the gap is symmetric, G o G = P.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.jit import kernel, piece
+from workers.kernel.stroboscopic import RUNNING, STATUS, axes, motion_with, step
+
+Array = NDArray[np.float64]
+
+
+class Fixed(NamedTuple):
+    """A fixed point of so many steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
+
+    h: Array
+    image: Array
+    contact: int
+    jacobian: Array
+    residual: float
+
+
+@kernel
+def iterate(osc, h, contact, V, growth, triangle, steps, half):
+    """The motion that so many steps of the map, half periods or whole ones, make of block state h; see motion_with.
+
+    Not RUNNING where it cannot get there.
+    """
+    motion = motion_with(h, contact, V, growth, triangle)
+    for _ in range(steps):
+        step(osc, motion, half)
+        if motion.tally[STATUS] != RUNNING:
+            break
+    return motion
+
+
+@piece
+def iterate_alone(osc, h, contact, steps, half):
+    """The image of h alone, without tangent vectors."""
+    return iterate(osc, h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
+
+
+@kernel
+def jacobian_of(V):
+    """The Jacobian (2n, 2n) that has tangent vectors V (2n, n, 2) for columns."""
+    size = V.shape[0]
+    J = np.empty((size, size))
+    for i in range(size):
+        for j in range(V.shape[1]):
+            J[2 * j, i], J[2 * j + 1, i] = V[i, j, 0], V[i, j, 1]
+    return J
+
+
+@piece
+def map_with_jacobian(osc, h, contact, steps, half):
+    """The motion that so many steps of the map make of h, and the Jacobian (2n, 2n) of the map there."""
+    motion = iterate(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
+    return motion, jacobian_of(motion.V)
+
+
+@kernel
+def energy_norm(lam, h):
+    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
+    total = 0.0
+    for j in range(len(lam)):
+        total += lam[j] * h[j, 0] ** 2 + h[j, 1] ** 2
+    return math.sqrt(total)
+
+
+@kernel
+def separation(lam, h, g):
+    """The energy norm of the difference of two block states (n, 2)."""
+    total = 0.0
+    for j in range(len(lam)):
+        total += lam[j] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
+    return math.sqrt(total)
