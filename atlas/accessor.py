@@ -13,8 +13,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.queries import queries as query
-from atlas.spec.cells import Window
+from atlas.query import queries as query
+from atlas.query.window import Window
 from workers import Settings
 from workers.model.system import find_system
 
@@ -36,33 +36,33 @@ class AtlasAccessor:
     def at(self, **point: float) -> dict[str, Any]:
         """The cell nearest to a point, ``at(omega=3, b=0.15)``: all that it holds, and its distance on each axis.
 
-        See ``atlas.query.queries.at``.
+        See ``queries.at``.
         """
         return query.at(self._ds, point)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
         """The atlas with the results of all other regimes taken out, ``where_regime("chaotic")``.
 
-        See ``atlas.query.queries.where_regime``.
+        See ``queries.where_regime``.
         """
         return query.where_regime(self._ds, regimes)
 
     def fractions(self, window: Window | None = None) -> dict[str, float]:
-        """The share of the area, in the axes' own units, that belongs to each regime. See ``atlas.query.queries.fractions``."""
+        """The share of the area, in the axes' own units, that belongs to each regime. See ``queries.fractions``."""
         return query.fractions(self._ds, window)
 
     def reasons(self, window: Window | None = None) -> dict[str, int]:
-        """How many cells have no result, by the reason in words. See ``atlas.query.queries.reasons``."""
+        """How many cells have no result, by the reason in words. See ``queries.reasons``."""
         return query.reasons(self._ds, window)
 
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:
-        """Lines, arrays (points, 2) of (x, y), where a regime meets another, or any. See ``atlas.query.queries.boundary``."""
+        """Lines, arrays (points, 2) of (x, y), where a regime meets another, or any. See ``queries.boundary``."""
         return query.boundary(self._ds, regime, other, window)
 
     def per_unit_time(self) -> xr.Dataset:
-        """The atlas with its exponents per unit time, not per forcing period. See ``atlas.query.queries.per_unit_time``."""
+        """The atlas with its exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
         return query.per_unit_time(self._ds)
 
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> "Figure":

@@ -32,7 +32,7 @@ from unittest import mock
 import numpy as np
 
 import atlas
-from atlas.overview.pyramid import pyramid as overview
+from atlas.overview import pyramid as overview
 from atlas.service import dispatch as fanout
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary

@@ -11,7 +11,7 @@ import atlas
 from atlas.overview.pyramid import Overviews
 from atlas.query.resample import view
 from atlas.service.plan import make_plan
-from atlas.store.store import store
+from atlas.store import store
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]

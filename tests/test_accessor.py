@@ -11,7 +11,7 @@ import xarray as xr
 
 import atlas.accessor  # noqa: F401  registers it
 from atlas.errors import InputError
-from atlas.query.queries import queries as query
+from atlas.query import queries as query
 from tests.test_query import plane
 from workers import Settings
 from workers.results import CHAOTIC, PENDING, PERIODIC, QUASIPERIODIC

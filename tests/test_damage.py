@@ -24,7 +24,7 @@ from atlas.query.export import export
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.render import figure
-from atlas.store.store import store
+from atlas.store import store
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers.results import PENDING, result_variables
 

@@ -10,8 +10,8 @@ import xarray as xr
 import atlas
 from atlas.errors import InputError
 from atlas.query.export import export
-from atlas.spec.cells import within
-from atlas.store.store import store
+from atlas.query.window import within
+from atlas.store import store
 from tests.synthetic import fill, spec_of
 
 WINDOW = {"omega": (1.5, 2.5), "b": (0.2, 0.3)}

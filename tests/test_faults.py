@@ -14,9 +14,9 @@ from distributed import Client, LocalCluster, get_worker
 import atlas
 from atlas.errors import NetworkError, RunError
 from atlas.service import dispatch as fanout
+from atlas.store import store as storing
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, read_header
-from atlas.store.store import store as storing
 from atlas.store.tiles import read_tile
 from atlas.task import task as jobs
 from atlas.task.task import Job, RefusedError, StoreFullError, run_job

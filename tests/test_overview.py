@@ -15,14 +15,14 @@ from distributed import Client
 
 import atlas
 from atlas.errors import RunError
+from atlas.overview import pyramid as overview
 from atlas.overview.coarsen import coarsen, from_cells
 from atlas.overview.pyramid import Overviews, levels, levels_of
-from atlas.overview.pyramid import pyramid as overview
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.service.progress import Progress
+from atlas.store import store
 from atlas.store.location import LocalPlace
-from atlas.store.store import store
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,

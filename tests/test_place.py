@@ -19,10 +19,10 @@ from atlas.check.verify import verify
 from atlas.cli.commands import cli
 from atlas.errors import InputError
 from atlas.service.extend import extend
+from atlas.store import location as placing
+from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
 from atlas.store.notes import notes_beside
-from atlas.store.store import location as placing
-from atlas.store.store import store
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
 

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from atlas.errors import InputError
-from atlas.query.queries import queries as query
+from atlas.query import queries as query
 from workers.results import CHAOTIC, NO_IMPACT, PENDING, PERIODIC
 
 

@@ -16,7 +16,7 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.cli.commands import cli
-from atlas.query.queries import queries as query
+from atlas.query import queries as query
 from atlas.service.extend import extend
 from atlas.service.status import read_status
 from atlas.store.store import read_header

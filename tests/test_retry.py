@@ -12,9 +12,9 @@ import atlas
 from atlas.cli.commands import cli
 from atlas.errors import InputError
 from atlas.service.plan import make_plan
+from atlas.store import store as storing
 from atlas.store.sidecar import notes_of
 from atlas.store.store import add_budget, done_tiles, read_header, write_tile
-from atlas.store.store import store as storing
 from atlas.store.tiles import read_tile
 from atlas.task import isolated as apart
 from atlas.task.retry import Retry, checked_retry

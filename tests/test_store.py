@@ -9,7 +9,7 @@ import zarr
 
 import atlas
 from atlas.errors import ChunkError, InputError, RunError
-from atlas.store.store import store
+from atlas.store import store
 from atlas.task.task import Job, run_job
 from tests.planes import plane_of
 from workers.results import REGIMES, result_variables

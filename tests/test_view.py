@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import render
-from atlas.overview.pyramid import levels
+from atlas.overview import levels
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.query.source import counted
+from atlas.query.window import cell_edges
 from atlas.render import maps
-from atlas.spec.cells import cell_edges
-from atlas.store.store import store
+from atlas.store import store
 from scripts import bench_render
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC

@@ -297,8 +297,8 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     Shares are of the area in the axes' own units. Also see: atlas render.
     """
     from atlas.cli.output import print_table, text, to_json
+    from atlas.query import queries as questions
     from atlas.query.export import check_path, export
-    from atlas.query.queries import queries as questions
     from atlas.query.source import counted
     from atlas.service.progress import reasons_told
     from atlas.store.store import open_atlas

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.spec.cells import Window, axis_names, within
+from atlas.query.window import Window, axis_names, within
 from workers.results import REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, check_names
 from atlas.query.resample import regime_areas, view
 from atlas.query.source import find_part
-from atlas.spec.cells import (
+from atlas.query.window import (
     Window,
     axis_names,
     axis_values,
@@ -20,10 +20,10 @@ from atlas.spec.cells import (
     cell_widths,
     inside,
     is_log,
-    is_uniform,
     known_axis,
     within,
 )
+from atlas.spec.cells import is_uniform
 from workers.model.system import SYSTEMS
 from workers.results import (
     AVERAGE,

@@ -23,7 +23,8 @@ from atlas.overview.coarsen import (
 )
 from atlas.overview.pyramid import bounds_name, centres
 from atlas.query.source import Part, find_part
-from atlas.spec.cells import LOG_SPAN, Window, axis_names, axis_values, edges_of, is_log, within
+from atlas.query.window import LOG_SPAN, Window, axis_names, axis_values, is_log, within
+from atlas.spec.cells import edges_of
 from workers.results import (
     ERROR,
     FAILED,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, Widths, coarsen, from_cells, level_variables, needed
 from atlas.overview.pyramid import MARKS, Pyramid, level_widths
-from atlas.spec.cells import axis_values
+from atlas.query.window import axis_values
 from atlas.spec.spec import Slices
 from atlas.store.store import Header, read_header
 from atlas.store.tally import AREAS, BY_REASON, Entries, done_mask, plan_of, read_tally, tile_areas

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from atlas.errors import InputError
 from atlas.query.queries import fractions
 from atlas.query.source import counted
-from atlas.spec.cells import Window, axis_names, within
+from atlas.query.window import Window, axis_names, within
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
 
 if TYPE_CHECKING:

@@ -13,8 +13,9 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from atlas.query.window import LOG_SPAN, axis_names, cell_edges, is_log
 from atlas.render.style import axis_label
-from atlas.spec.cells import LOG_SPAN, axis_names, cell_edges, is_log, is_uniform
+from atlas.spec.cells import is_uniform
 
 
 @dataclass(frozen=True)

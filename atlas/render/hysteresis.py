@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.query.window import axis_names
 from atlas.render import axes, style, sweep
-from atlas.spec.cells import axis_names
 from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, REGIME, SECTION
 
 COLORS = ("#0a6ebd", "#e8701a")

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
-from atlas.spec.cells import axis_names
+from atlas.query.window import axis_names
 from workers.model.system import SYSTEMS, Parameter, System
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
 

@@ -1,0 +1,112 @@
+"""The axes of an opened atlas, its cells along them, and which of them a window holds."""
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.spec.cells import edges_of, is_uniform
+from workers.results import REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LOG_SPAN = 4.0
+"""A logarithmic axis is drawn on a log scale from this ratio of its ends on; below, log ticks say nothing."""
+
+Window = Mapping[str, tuple[float, float]]
+
+
+def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
+    """The names of an atlas's axes, x first; InputError unless there are one or two."""
+    if REGIME.name not in ds:
+        raise InputError(f"not an atlas: it has no variable {REGIME.name!r}")
+    names = tuple(str(dim) for dim in reversed(ds[REGIME.name].dims))
+    if len(names) not in (1, 2):
+        listed = f" ({', '.join(names)})" if names else ""
+        raise InputError(f"found {len(names)} axes{listed}, must be 1 or 2; pick a value of the others with .sel")
+    return names
+
+
+def known_axis(ds: "xr.Dataset", name: str) -> None:
+    """Raise InputError, telling the axes there are, unless the atlas has an axis of that name."""
+    names = axis_names(ds)
+    if name in names:
+        return
+    if name in ds.coords and ds[name].ndim == 0:
+        raise InputError(f"{name} is no axis here but fixed at {float(ds[name]):g}; the axes are: {', '.join(names)}")
+    raise InputError(f"unknown axis {name!r}; the axes are: {', '.join(names)}")
+
+
+def axis_values(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
+    """The points of an axis."""
+    return np.asarray(ds[name].values, dtype=np.float64)
+
+
+def is_log(ds: "xr.Dataset", name: str) -> bool:
+    """Whether an axis is logarithmic: as the atlas's spec says, else if its points grow by a constant factor."""
+    try:
+        scales = {axis["name"]: axis["scale"] for axis in json.loads(ds.attrs["spec"])["axes"]}
+        return bool(scales[name] == "log")
+    except (KeyError, TypeError, ValueError):
+        values = axis_values(ds, name)
+        return values.size > 2 and bool(values.min() > 0) and not is_uniform(values) and is_uniform(np.log(values))
+
+
+def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
+    """The n + 1 edges of the cells along an axis, in rising order: its bounds where it has some, else ``edges_of``."""
+    bounds = ds[name].attrs.get("bounds")
+    if bounds in ds.variables:
+        pairs = np.asarray(ds[bounds].values, dtype=np.float64)
+        return np.append(np.sort(pairs[:, 0]), pairs.max())
+    return edges_of(np.sort(axis_values(ds, name)), is_log(ds, name))
+
+
+def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
+    """The width of each cell along an axis, in its own unit, in the order of its points; 1 where all are equal."""
+    values = axis_values(ds, name)
+    if is_uniform(values) and ds[name].attrs.get("bounds") not in ds.variables:
+        return np.ones_like(values)
+    widths = np.empty_like(values)
+    widths[np.argsort(values)] = np.diff(cell_edges(ds, name))
+    return widths
+
+
+def inside(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp]]:
+    """Indices, along every axis, of the cells whose centres a window holds, ends included.
+
+    An axis that it does not name is taken whole. InputError for an unknown axis and for a window without a cell.
+    """
+    window = window or {}
+    for name in window:
+        known_axis(ds, name)
+    return {name: _between(name, axis_values(ds, name), window.get(name)) for name in axis_names(ds)}
+
+
+def within(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
+    """The part of an atlas in a window, not read yet; arguments and errors as in ``inside``."""
+    if not window:
+        return ds
+    return ds.isel({name: _as_slice(found) for name, found in inside(ds, window).items() if name in window})
+
+
+def _between(name: str, values: NDArray[np.float64], bounds: tuple[float, float] | None) -> NDArray[np.intp]:
+    if bounds is None:
+        return np.arange(values.size)
+    low, high = min(bounds), max(bounds)
+    found = np.flatnonzero((values >= low) & (values <= high))
+    if found.size == 0:
+        raise InputError(
+            f"no cell centre with {name} from {low:g} to {high:g}; "
+            f"the centres reach from {values.min():g} to {values.max():g}"
+        )
+    return found
+
+
+def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Neighbouring indices as a slice, which leaves a dataset lazy and its place in the store known."""
+    first, last = int(indices[0]), int(indices[-1])
+    return slice(first, last + 1) if last - first + 1 == indices.size else indices
