@@ -8,8 +8,8 @@
 import os
 from typing import TYPE_CHECKING
 
-from atlas.cell.point import portrait
 from atlas.check.verify import verify
+from atlas.render import portrait
 
 # Imported here and not at first use: a function must take its name back from the module of that name.
 # None of them loads Dask, Zarr, xarray or Numba before it is called.

@@ -4,7 +4,6 @@ Registered with xarray by ``atlas.open``, or by importing this module.
 """
 
 import json
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import queries as query
 from atlas.query.window import Window
+from atlas.render import figure, portrait
 from workers import Settings
 from workers.model.system import find_system
 
@@ -67,8 +67,6 @@ class AtlasAccessor:
 
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> "Figure":
         """A matplotlib Figure, for a notebook to show or ``savefig``. See ``atlas.render.figure``."""
-        from atlas.render import figure
-
         return figure(self._ds, kind, window=window, **options)
 
     def portrait(self, path: str | Path | None = None, **point: float) -> "Figure":
@@ -86,5 +84,4 @@ class AtlasAccessor:
         given = {
             name: float(cell[name] if name in cell else self._ds[name]) for name in known if name in self._ds.coords
         }
-        draw = import_module("atlas.cell.point").portrait
-        return draw(given, system=system, settings=settings, path=path)
+        return portrait(given, system=system, settings=settings, path=path)

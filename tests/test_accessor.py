@@ -144,7 +144,7 @@ def test_a_portrait_is_of_the_nearest_cell_with_the_settings_of_the_atlas(
 ) -> None:
     told: dict[str, Any] = {}
     monkeypatch.setattr(
-        import_module("atlas.cell.point"),
+        import_module("atlas.accessor"),
         "portrait",
         lambda given, **named: told.update(given=given, **named),
         raising=False,

@@ -198,6 +198,6 @@ def test_the_door_draws_and_writes(tmp_path: Path) -> None:
 
 
 def test_a_bad_suffix_is_refused_before_anything_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("atlas.cell.orbit.follow", lambda *_: pytest.fail("solved"))
+    monkeypatch.setattr("atlas.render.follow", lambda *_: pytest.fail("solved"))
     with pytest.raises(InputError, match=r"possible: \.png, \.svg, \.pdf"):
         atlas.portrait({}, path=tmp_path / "cell.gif")

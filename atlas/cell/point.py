@@ -1,16 +1,12 @@
-"""One cell, solved here and now: its results, or its portrait."""
+"""The results of one cell, solved here and now."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from atlas.spec.spec import checked_parameters, checked_system
 from workers import Settings
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def point(system: str, given: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
@@ -31,29 +27,3 @@ def point(system: str, given: Mapping[str, Any], settings: Settings) -> dict[str
     if reason.code != NO_REASON:
         found[REASON.name] = reason.text
     return {"system": record.name, "parameters": parameters, "solve": asdict(settings)} | found
-
-
-def portrait(
-    given: Mapping[str, Any] | None = None,
-    *,
-    system: str = "two-mass",
-    settings: Settings | None = None,
-    path: str | Path | None = None,
-) -> "Figure":
-    """The portrait of one cell as a matplotlib Figure; written to ``path`` too (.png, .svg or .pdf) if given.
-
-    Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
-    exponents as they converge, beside their exact values where the motion is periodic. ``given`` are the parameters
-    that differ from the defaults, initial state included: with several attractors it decides which is shown.
-    Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
-    """
-    from atlas.cell.orbit import follow
-    from atlas.render import check_path, orbit_figure, render_orbit
-
-    if path is not None:
-        check_path(path)
-    orbit = follow(given or {}, system, settings)
-    drawn = orbit_figure(orbit)
-    if path is not None:
-        render_orbit(orbit, path, drawn)
-    return drawn

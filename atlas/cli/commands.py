@@ -446,7 +446,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
 @_settings_options("exponents", "section_samples")
 def portrait(given: tuple[str, ...], system: str, out: Path, **solve: Any) -> None:
     """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
-    from atlas.cell.point import portrait as draw_portrait
+    from atlas.render import portrait as draw_portrait
     from atlas.task.compile import warming
 
     pairs, settings = _pairs("--set", given, _number), checked_settings(solve)

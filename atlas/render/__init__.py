@@ -3,16 +3,18 @@
 To add a kind: write ``figure(ds) -> Figure`` in a file of its own and name it in ``_KINDS``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from atlas.cell.orbit import follow
 from atlas.errors import InputError
 from atlas.query.queries import fractions
 from atlas.query.source import counted
 from atlas.query.window import Window, axis_names, within
+from workers import Settings
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
 
 if TYPE_CHECKING:
@@ -56,7 +58,7 @@ OVERLAYS = ("grazing", "boundaries", "isolines")
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
 
-__all__ = ["FORMATS", "KINDS", "OVERLAYS", "figure", "orbit_figure", "render", "render_orbit"]
+__all__ = ["FORMATS", "KINDS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
 
 
 def figure(
@@ -154,9 +156,9 @@ def render(
 
 def orbit_figure(orbit: "Orbit") -> "Figure":
     """A matplotlib Figure of one cell's orbit."""
-    from atlas.render import portrait
+    from atlas.render import orbit as picture
 
-    return portrait.figure(orbit)
+    return picture.figure(orbit)
 
 
 def render_orbit(orbit: "Orbit", path: str | Path, drawn: "Figure | None" = None) -> Path:
@@ -165,9 +167,32 @@ def render_orbit(orbit: "Orbit", path: str | Path, drawn: "Figure | None" = None
     ``drawn`` is the orbit's figure where there is one already.
     """
     target, suffix = _target(path)
-    from atlas.render import portrait
+    from atlas.render import orbit as picture
 
-    return _write(drawn or portrait.figure(orbit), target, suffix, portrait.origin(orbit))
+    return _write(drawn or picture.figure(orbit), target, suffix, picture.origin(orbit))
+
+
+def portrait(
+    given: Mapping[str, Any] | None = None,
+    *,
+    system: str = "two-mass",
+    settings: Settings | None = None,
+    path: str | Path | None = None,
+) -> "Figure":
+    """The portrait of one cell as a matplotlib Figure; written to ``path`` too (.png, .svg or .pdf) if given.
+
+    Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
+    exponents as they converge, beside their exact values where the motion is periodic. ``given`` are the parameters
+    that differ from the defaults, initial state included: with several attractors it decides which is shown.
+    Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
+    """
+    if path is not None:
+        check_path(path)
+    orbit = follow(given or {}, system, settings)
+    drawn = orbit_figure(orbit)
+    if path is not None:
+        render_orbit(orbit, path, drawn)
+    return drawn
 
 
 def check_path(path: str | Path) -> None:
