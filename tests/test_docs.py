@@ -1,0 +1,140 @@
+"""Claims about README.md and the pages in docs: what they name exists, what they show can be typed."""
+
+import ast
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import click
+import pytest
+
+from atlas.cli.commands import cli
+from atlas.spec.spec import Spec
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LANGUAGES = ("sh", "toml", "python")
+
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced code blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def prose(page: Path) -> str:
+    """A page without its fenced code blocks."""
+    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def spans(page: Path) -> list[str]:
+    """What the text of a page sets in backticks, each on one line."""
+    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose(page))]
+
+
+def code(page: Path) -> list[str]:
+    """Everything a page sets as code: the spans of its text and the lines of its blocks."""
+    return spans(page) + [line for name in LANGUAGES for block in blocks(page, name) for line in block.splitlines()]
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub and MyST make them."""
+    headings = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def links(page: Path) -> list[tuple[Path, str]]:
+    """The relative links and images of a page: file and anchor."""
+    found = re.findall(r"\]\(([^)\s]+)\)", prose(page))
+    parts = [target.partition("#") for target in found if "://" not in target]
+    return [((page.parent / path).resolve() if path else page, anchor) for path, _, anchor in parts]
+
+
+def parse(words: list[str]) -> None:
+    """Let click parse a command line, as far as it does so before it runs the command."""
+    group = click.Context(cli, info_name="atlas")
+    command = cli.get_command(group, words[0])
+    assert command is not None, f"no command {words[0]}"
+    command.make_context(words[0], words[1:], parent=group)
+
+
+def script_calls(page: Path) -> list[list[str]]:
+    """Calls of scripts on a page, as words: the script's path, then its arguments."""
+    calls = []
+    for line in code(page):
+        words = shlex.split(line, comments=True) if "scripts" in line else []
+        if words[:2] == ["python", "-m"] and words[2].startswith("scripts."):
+            calls.append([words[2].replace(".", "/") + ".py", *words[3:]])
+    return calls
+
+
+def test_the_readme_is_at_most_150_lines() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_the_index_leads_to_every_page() -> None:
+    assert {path for path, _ in links(ROOT / "docs/index.md")} >= {*PAGES} - {ROOT / "docs/index.md"}
+
+
+@each_page
+def test_what_a_page_links_to_exists(page: Path) -> None:
+    missing = [f"{path}#{anchor}" for path, anchor in links(page) if not path.exists()]
+    missing += [f"{path}#{anchor}" for path, anchor in links(page) if anchor and anchor not in anchors(path)]
+    assert not missing
+
+
+@each_page
+def test_files_of_the_repository_that_a_page_names_exist(page: Path) -> None:
+    named = re.findall(r"(?<![\w./])(?:atlas|workers|scripts|tests|docs)/[\w./*-]+", "\n".join(code(page)))
+    assert not [name for name in named if not list(ROOT.glob(name.rstrip("./")))]
+
+
+@each_page
+def test_scripts_that_a_page_calls_have_the_options_it_gives(page: Path) -> None:
+    calls = script_calls(page)
+    assert not [
+        call for call in calls for word in call[1:]
+        if word.startswith("--") and f'"{word}"' not in (ROOT / call[0]).read_text()
+    ]  # fmt: skip
+
+
+@each_page
+def test_command_lines_in_code_blocks_are_whole_and_valid(page: Path) -> None:
+    for line in (line for block in blocks(page, "sh") for line in block.splitlines() if line.startswith("atlas ")):
+        try:
+            parse(shlex.split(line, comments=True)[1:])
+        except click.UsageError as error:
+            pytest.fail(f"{line}: {error.format_message()}")
+
+
+@each_page
+def test_command_lines_in_the_text_name_commands_and_options_that_exist(page: Path) -> None:
+    for line in (line for line in spans(page) if line.startswith("atlas ")):
+        try:
+            parse(shlex.split(line, comments=True)[1:])
+        except click.BadParameter:
+            pass  # in the text a line may leave out its arguments, or have placeholders for them
+        except click.UsageError as error:
+            pytest.fail(f"{line}: {error.format_message()}")
+
+
+@each_page
+def test_code_in_python_is_python(page: Path) -> None:
+    for block in blocks(page, "python"):
+        ast.parse(block)
+
+
+@each_page
+def test_whole_specs_are_specs_and_parts_of_them_toml(page: Path) -> None:
+    for block in blocks(page, "toml"):
+        given = tomllib.loads(block)
+        if "system" in given:
+            Spec.from_mapping(given)
+
+
+@each_page
+def test_code_blocks_are_in_languages_that_these_tests_read(page: Path) -> None:
+    fences = re.findall(r"^```(.*)$", page.read_text(), re.MULTILINE)
+    assert {*fences[::2]} <= {*LANGUAGES} and {*fences[1::2]} <= {""}
