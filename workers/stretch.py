@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import Averages, average, no_averages
-from workers.kernel.batch import LANES, Batch, constants, run_lanes
+from workers.kernel.batch.layout import LANES
+from workers.kernel.batch.run import Batch, constants, run_batch
 from workers.kernel.stroboscopic import FREE, RUNNING, STATUS, WORK, Motion
 from workers.model.oscillator import Oscillator
 
@@ -88,7 +89,7 @@ def _side_by_side(stretches: list[Stretch], done: list[int], enough: int) -> tup
     )
     for k, stretch in enumerate(stretches):
         batch.sections[k, longest - len(stretch.sections) :] = stretch.sections
-    run_lanes(batch, enough)
+    run_batch(batch, enough)
     for k, stretch in enumerate(stretches):
         motion = stretch.motion
         motion.h[:], motion.V[:], motion.growth[:], motion.tally[:] = (

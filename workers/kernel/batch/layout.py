@@ -1,0 +1,147 @@
+"""Where the fields of a batch's lanes lie: offsets by name, which kernels see as constants.
+
+All fields are in one flat array: ``a[LANE.v + i]`` is the velocity of lane i. Constant offsets, STRIDE apart, let the
+compiler see that no two fields overlap, so that loops over lanes become vector instructions.
+"""
+
+from typing import NamedTuple
+
+LANES = 128
+"""Lanes of a batch: their fields stay in the processor's nearest caches."""
+
+VECTOR_WIDTH = 8
+"""Numbers in the longest vectors of today's processors: loops run over multiples of it, since a remainder is scalar."""
+
+STRIDE = LANES + VECTOR_WIDTH
+"""Numbers from one field to the next; a power of two would put all fields of a lane into the same few cache lines."""
+
+FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
+"""Events of a lane, besides +-1, an impact at that stop. LEFT: the scalar kernels have to go on from its section."""
+
+
+class LaneFields(NamedTuple):
+    """Fields of a lane. Velocities, accelerations and so on are those of the gap coordinate y."""
+
+    # constants of the oscillator, set by run.constants
+    omega: int
+    sin_part: int
+    cos_part: int
+    amplitude: int
+    upper: int  # position of the upper stop
+    lower: int  # position of the lower stop
+    restitution: int
+    cA2k: int
+    period: int
+    tau: int
+    forced_at_section: int  # the forced part at a section, and its derivative
+    forced_rate_at_section: int
+    spread_rate: int  # see stroboscopic.spread_rate
+    time_unit: int  # 1 / sqrt(lam_1), see stroboscopic.impact_spread
+    loss_spread: int  # see stroboscopic.loss_spread
+    # the flight under way
+    flight_start: int  # time from the section to the flight's start
+    flight_phase: int  # phase of the force at the flight's start
+    time: int  # from the flight's start; the signal is that at this time
+    flown: int  # duration of the last flight, or of the part of it that has been flown
+    event: int  # what is reached at ``time``: FLYING, AT_SECTION, LEFT, or +-1 for an impact
+    own_stop: int  # the stop that the flight starts on, +-1; 0 from its first step on
+    flight_evaluations: int
+    starts: int  # 1 where a flight starts, else 0
+    renews: int  # 1 where the bounds are to be computed anew, else 0
+    # the signal at ``time``
+    forced: int  # its forced part, and the derivative of that
+    forced_rate: int
+    y: int
+    v: int
+    a: int
+    jerk: int
+    scale: int  # sum of the moduli that add up to y, which its rounding error is measured in
+    bound0: int  # bounds of |y| and of its second to fourth derivative, for all later times
+    bound2: int
+    bound3: int
+    bound4: int
+    # an impact
+    kick: int  # change of velocity
+    shift: int  # change of position, which takes off rounding
+    ratio: int  # a / v just before it
+    impact_spread: int  # how far it spreads the frame
+    # what is counted
+    impacts_upper: int
+    impacts_lower: int
+    slowest_impact: int
+    evaluations: int
+    period_cost: int  # evaluations of this period, each flight counted as one at least
+    request: int  # the row of the batch that the lane works on
+    frame_spread: int  # see stroboscopic.SPREAD
+    log_length: int  # of the first tangent vector, at the last section
+    # the search for the next step
+    side: int  # the stop looked at, +-1
+    gap: int  # distance from it
+    contact_time: int  # after which the stop ahead is certain to be met; infinity where that is not known
+    safe_time: int  # for which the gap certainly stays open
+    step: int
+    searched: int  # 1 where a longer step is sought, else 0
+
+
+class BlockFields(NamedTuple):
+    """Fields of one block of a lane; the first twelve are those of oscillator.Block."""
+
+    eta: int
+    lam: int
+    d: int
+    w: int
+    inv_w: int
+    slow: int
+    fast: int
+    tilt: int
+    weight: int
+    grow2: int
+    grow3: int
+    grow4: int
+    c0: int  # the row c, for y
+    c1: int
+    cA0: int  # the row cA, for its derivative
+    cA1: int
+    k0: int  # the column k, which an impact kicks along
+    k1: int
+    Ak0: int  # the column A k
+    Ak1: int
+    start0: int  # its state (h, h') at the flight's start
+    start1: int
+    h0: int  # its state at LANE.time
+    h1: int
+    f11: int  # the flow from the one to the other
+    f12: int
+    f21: int
+    f22: int
+
+
+class GapFields(NamedTuple):
+    """Fields of the gaps of some lanes, gathered one after another: how a gap closes, and bounds of a safe time."""
+
+    gap: int
+    v: int  # > 0 where it closes
+    a: int
+    jerk: int
+    bound2: int
+    bound3: int
+    bound4: int
+    low: int  # a safe time
+    high: int  # a limit of it
+
+
+LANE = LaneFields(*(k * STRIDE for k in range(len(LaneFields._fields))))
+BLOCK = BlockFields(*(k * STRIDE for k in range(len(BlockFields._fields))))
+GAP = GapFields(*(k * STRIDE for k in range(len(GapFields._fields))))
+
+COLUMN = BlockFields(*range(len(BlockFields._fields)))
+"""Columns of the constants of a block in Batch.blocks."""
+
+LANE_CONSTANTS = LaneFields._fields.index("flight_start")
+BLOCK_CONSTANTS = BlockFields._fields.index("start0")
+"""Fields that the oscillator sets: the first ones of each record."""
+
+LANE_SIZE = len(LaneFields._fields) * STRIDE
+BLOCK_SIZE = len(BlockFields._fields) * STRIDE
+GAP_SIZE = len(GapFields._fields) * STRIDE
+"""Numbers that the fields of all lanes take, of one block of them, and of the gathered gaps."""

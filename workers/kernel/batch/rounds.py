@@ -1,0 +1,95 @@
+"""One round of a batch: each lane takes its next certified step, or goes through the impact or section it has reached.
+
+The arithmetic is that of flight.next_crossing and stroboscopic.propagate, operation by operation, so that the results
+are the same bits, whatever the other lanes hold.
+"""
+
+import math
+
+from workers.kernel.batch.layout import AT_SECTION, FLYING, LANE, LEFT
+from workers.kernel.batch.search import safe_steps, step_pass
+from workers.kernel.batch.signal import (
+    block_pass,
+    bounds_pass,
+    fields_of,
+    forced_pass,
+    oscillating_block_pass,
+    oscillating_bounds_pass,
+    restart_pass,
+)
+from workers.kernel.flight import REFRESH, TINY
+from workers.kernel.impact import is_rebound, load_at_rest
+from workers.kernel.jit import kernel
+
+RENEWAL = float(REFRESH)
+
+LONGEST_PERIOD = 2000.0
+"""Evaluations in one period after which a lane is left to the scalar kernels, in which every period ends."""
+
+
+@kernel
+def arrival_pass(a, n):
+    """The event that each lane has reached: an impact's kick and counts, and the start of the next flight."""
+    for i in range(n):
+        side, s, y, acceleration = a[LANE.event + i], a[LANE.time + i], a[LANE.y + i], a[LANE.a + i]
+        up, down, r, cA2k = a[LANE.upper + i], a[LANE.lower + i], a[LANE.restitution + i], a[LANE.cA2k + i]
+        hit = abs(side) == 1.0
+        event = side != FLYING
+        at_section = side == AT_SECTION
+        v = side * max(side * a[LANE.v + i], TINY)
+        before, phase, tau = a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.tau + i]
+        t = before + s
+        load = load_at_rest(side, v, acceleration, cA2k)
+        rebound = is_rebound(load, v, r, cA2k, a[LANE.scale + i] + abs(y), a[LANE.period + i] - t)
+        stop = up if side > 0.0 else down
+        a[LANE.kick + i] = -(1.0 + r) * v if hit else 0.0
+        a[LANE.shift + i] = stop - y if hit else 0.0
+        a[LANE.impacts_upper + i] += 1.0 if side == 1.0 else 0.0
+        a[LANE.impacts_lower + i] += 1.0 if side == -1.0 else 0.0
+        slowest = a[LANE.slowest_impact + i]
+        a[LANE.slowest_impact + i] = min(slowest, abs(v)) if hit else slowest
+        count = a[LANE.flight_evaluations + i]
+        cost = max(1.0, count)
+        spent = a[LANE.period_cost + i]
+        spent = spent + cost if event else spent
+        a[LANE.evaluations + i] += count if event else 0.0
+        a[LANE.period_cost + i] = spent
+        a[LANE.flight_evaluations + i] = 0.0 if event else count
+        a[LANE.starts + i] = 1.0 if event else 0.0
+        a[LANE.renews + i] = 1.0 if event or count == RENEWAL * math.floor(count / RENEWAL) else 0.0
+        phase_hit = phase + a[LANE.omega + i] * s
+        phase = phase_hit if hit else phase
+        a[LANE.flight_phase + i] = tau if at_section else phase
+        t = t if hit else before
+        a[LANE.flight_start + i] = 0.0 if at_section else t
+        a[LANE.own_stop + i] = side if hit else 0.0
+        a[LANE.flown + i] = s
+        a[LANE.time + i] = 0.0 if event else s
+        y_force, v_force = a[LANE.forced + i], a[LANE.forced_rate + i]
+        y_tau, v_tau = a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i]
+        a[LANE.forced + i] = y_tau if at_section else y_force
+        a[LANE.forced_rate + i] = v_tau if at_section else v_force
+        a[LANE.event + i] = LEFT if hit and (not rebound or spent > LONGEST_PERIOD) else side
+
+
+@kernel
+def take_round(a, blocks, oscillates, n, chosen, c):
+    """One round of the first n lanes, a multiple of VECTOR_WIDTH.
+
+    oscillates (blocks,) says which blocks are underdamped in all cells; chosen and c are overwritten.
+    """
+    restart_pass(a, n)
+    for j in range(blocks):
+        if oscillates[j]:
+            oscillating_bounds_pass(a, fields_of(a, j), n)
+        else:
+            bounds_pass(a, fields_of(a, j), n)
+    safe_steps(a, n, chosen, c)
+    step_pass(a, n)
+    forced_pass(a, n)
+    for j in range(blocks):
+        if oscillates[j]:
+            oscillating_block_pass(a, fields_of(a, j), n)
+        else:
+            block_pass(a, fields_of(a, j), n)
+    arrival_pass(a, n)
