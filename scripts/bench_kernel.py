@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from workers import Settings, solve_tile
-from workers.kernel.averages import run
 from workers.kernel.stroboscopic import EVALUATIONS, motion_from
 from workers.model.system import find_system
+from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
 
@@ -242,9 +242,9 @@ def counts(params: dict[str, float], periods: int = 1000) -> tuple[float, float]
     system = find_system("two-mass")
     osc = system.build({parameter.name: parameter.default for parameter in system.parameters} | params)
     motion = motion_from(osc, np.zeros(len(system.states)))
-    run(osc, motion, periods)
+    run_periods(osc, motion, periods)
     before = float(motion.tally[EVALUATIONS])
-    run(osc, motion, periods)
+    run_periods(osc, motion, periods)
     count = (float(motion.tally[EVALUATIONS]) - before) / periods
     return count, count * (2 + sum(3 if block.d > 0.0 else 5 for block in osc.gap.block))
 

@@ -24,7 +24,7 @@ from workers.kernel.stroboscopic import (
     blocks_to_physical,
     motion_at,
     motion_from,
-    travel,
+    propagate,
 )
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
@@ -114,7 +114,7 @@ def _flights(found: Findings, number: int, params: Params, osc: Oscillator, star
         rows = motion.impacts[: int(motion.tally[RECORDED])].copy()
         for time, side, speed in rows:
             there = motion_at(section.h, int(section.contact[0]))
-            travel(osc, there, float(time))
+            propagate(osc, there, float(time))
             beyond = side * _gap(osc, there.h, float(time)) - osc.b_upper
             found.checked["impact positions"] += 1
             rounding = 2e-15 * _scale(osc, there.h)
@@ -142,7 +142,7 @@ def _stuck_until(osc: Oscillator, section: Motion, t: float) -> float:
     if t == 0.0:
         return 0.0
     there = motion_at(section.h, int(section.contact[0]))
-    travel(osc, there, t)
+    propagate(osc, there, t)
     return float(there.tally[STUCK])
 
 

@@ -16,7 +16,7 @@ import pytest
 from workers.kernel.stroboscopic import FREE, blocks_to_physical, motion_at, motion_from
 from workers.model.oscillator import Oscillator
 from workers.model.system import TWO_MASS
-from workers.orbit.map import Fixed
+from workers.orbit.map import FixedPoint
 from workers.orbit.newton import newton
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
 from workers.solve import scale_of
@@ -69,7 +69,7 @@ def oscillator(omega: float) -> Oscillator:
     return TWO_MASS.build({p.name: p.default for p in TWO_MASS.parameters} | {"omega": omega})
 
 
-def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> Fixed | None:
+def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> FixedPoint | None:
     """The orbit at omega, stable or not, by Newton's method from a block state; None where there is none."""
     osc = oscillator(omega)
     scale = scale_of(osc, motion_at(h))
@@ -77,14 +77,14 @@ def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> Fixed |
     return found if math.isfinite(found.residual) else None
 
 
-def multiplier(orbit: Fixed) -> complex:
+def multiplier(orbit: FixedPoint) -> complex:
     """The largest multiplier of an orbit's map."""
     values = np.linalg.eigvals(orbit.jacobian)
     return complex(values[np.argmax(np.abs(values))])
 
 
 @cache
-def followed(bifurcation: Bifurcation) -> tuple[float, Fixed]:
+def followed(bifurcation: Bifurcation) -> tuple[float, FixedPoint]:
     """The orbit, followed from its seed to 1e-4 before the end of its branch or just past the bifurcation."""
     found = solve_tile("two-mass", {"omega": bifurcation.seed})
     assert (int(found["regime"]), int(found["period"])) == (PERIODIC, bifurcation.stable[0])

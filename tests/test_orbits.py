@@ -12,12 +12,12 @@ from tests import naive
 from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
 from workers.history import trace
-from workers.kernel.averages import run
-from workers.kernel.stroboscopic import motion_at, motion_from, reset_frame, travel
+from workers.kernel.stroboscopic import motion_at, motion_from, propagate, reset_frame
 from workers.orbit.floquet import spectral_radius
 from workers.orbit.newton import corrected, recurrence
 from workers.results import PERIODIC
 from workers.settings import Settings
+from workers.stretch import run_periods
 from workers.tile import solve_tile
 
 REFERENCE: list[dict[str, Any]] = json.loads((Path(__file__).parent / "data" / "periodic_orbits.json").read_text())
@@ -196,12 +196,12 @@ def sliced_exponents(params: dict[str, float], slices: int) -> np.ndarray:
     """Exponents of a settled period-1 motion from a frame made orthonormal after each slice of the period."""
     osc, start = naive.two_mass(**params)
     motion = motion_from(osc, start)
-    run(osc, motion, 50)
+    run_periods(osc, motion, 50)
     motion = motion_at(motion.h, int(motion.contact[0]), vectors=4)
     for _ in range(3):
         motion.growth[np.isfinite(motion.growth)] = 0.0
         for k in range(slices):
-            travel(osc._replace(tau=osc.tau + 2 * math.pi * k / slices), motion, osc.period / slices)
+            propagate(osc._replace(tau=osc.tau + 2 * math.pi * k / slices), motion, osc.period / slices)
             reset_frame(osc, motion)
     return np.sort(motion.growth)[::-1]
 

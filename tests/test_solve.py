@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests import naive
+from workers.exponents import free_exponents
 from workers.history import trace
-from workers.kernel.averages import free_exponents
 from workers.results import (
     CHAOTIC,
     FAILED,

@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from tests.test_section import KINDS, differences, jacobian
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian
-from tests.test_section import KINDS, differences, jacobian
-from workers.kernel.averages import run
 from workers.kernel.stroboscopic import LOST, STUCK, motion_from
 from workers.model.oscillator import Oscillator, mass_spring
 from workers.results import PERIODIC
 from workers.settings import Settings
 from workers.solve import solve_cell
+from workers.stretch import run_periods
 
 START = {"x1": 0.01, "x2": -0.02, "v1": 0.05, "v2": 0.03}
 
@@ -49,9 +49,9 @@ def test_a_mass_that_is_always_pressed_on_a_stop_rests_there_for_ever() -> None:
     """Nothing waits for a release: the time at rest is all the time once it has begun."""
     osc, start = preloaded()
     motion = motion_from(osc, start)
-    assert run(osc, motion, 50) == 50
+    assert run_periods(osc, motion, 50) == 50
     before = motion.tally[STUCK]
-    assert run(osc, motion, 50) == 50
+    assert run_periods(osc, motion, 50) == 50
     assert motion.tally[STUCK] - before == pytest.approx(50 * osc.period, rel=1e-13)
     assert motion.contact[0] == -1
     assert motion.tally[LOST] == 2

@@ -21,10 +21,10 @@ from atlas.check.verify import Fault, Report, verify
 from atlas.cli.commands import cli
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
+from atlas.store import digests, store
 from atlas.store.machine import Machine
-from atlas.store.store import digests, store
 from atlas.store.tiles import read_tile
-from workers.kernel.averages import sum_of_exponents
+from workers.exponents import sum_of_exponents
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, GAVE_UP, INVALID, NO_IMPACT, PERIODIC, result_variables
 

@@ -1,6 +1,6 @@
 """The numerics of impact-atlas: what Dask's workers run. Depends on numpy, scipy and numba only.
 
-Two doors: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history.
+Two functions: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history.
 """
 
 from importlib import import_module
@@ -17,11 +17,11 @@ SOLVER_VERSION = 5
 
 __all__ = ["SOLVER_VERSION", "Settings", "solve_tile", "trace"]
 
-_DOORS = {"solve_tile": "workers.tile", "trace": "workers.history"}
+_HOMES = {"solve_tile": "workers.tile", "trace": "workers.history"}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a door at its first use, so that reading a spec does not wait for numba."""
-    if name in _DOORS:
-        return getattr(import_module(_DOORS[name]), name)
+    """Import a function at its first use, so that reading a spec does not wait for numba."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""The door for continuation: lines of cells, each cell started from the attractor of the one before it."""
+"""``solve_lines``, continuation: lines of cells, each cell started from the attractor of the one before it."""
 
 from collections.abc import Mapping
 

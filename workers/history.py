@@ -1,4 +1,4 @@
-"""The door for one orbit's history: section states, every impact, exponents as they converge."""
+"""``trace``: one orbit's history: section states, every impact, exponents as they converge."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.averages import run
 from workers.kernel.stroboscopic import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
 from workers.model.system import find_system
 from workers.results import REASONS
 from workers.settings import Settings, check_whole
 from workers.solve import REASON_OF, checked_start, vectors_for, with_frame
+from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     motion = with_frame(checked_start(osc, start, RECORD), vectors_for(settings, osc))
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
-        run(osc, motion, 1)
+        run_periods(osc, motion, 1)
         if motion.tally[STATUS] != RUNNING:
             raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")
         reset_frame(osc, motion)

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
 from workers.kernel.averages import (
     COUNT,
+    MEAN,
     Averages,
-    free_exponents,
-    impacts,
     no_averages,
-    run,
     standard_error,
-    sum_law_holds,
-    sum_of_exponents,
 )
 from workers.kernel.flight import derivative_bounds
 from workers.kernel.stroboscopic import (
@@ -42,7 +39,7 @@ from workers.kernel.stroboscopic import (
 )
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import energy_norm
-from workers.orbit.newton import Orbit, closest_return, recurrence, settle
+from workers.orbit.newton import PeriodicOrbit, closest_return, recurrence, settle
 from workers.results import (
     BEYOND_STOP,
     CHAOTIC,
@@ -61,7 +58,7 @@ from workers.results import (
 )
 from workers.results import NOT_FINITE as NO_LONGER_FINITE
 from workers.settings import Settings
-from workers.stretch import Stretch, follow
+from workers.stretch import Stretch, run_periods, run_stretch
 
 Array = NDArray[np.float64]
 
@@ -122,7 +119,7 @@ class Cell:
 
 
 Solving = Generator[Stretch, int, Cell]
-"""A cell being solved: gives each stretch that its motion is to be taken along, is sent the periods completed."""
+"""A cell being solved: yields each stretch that its motion has to go through, is sent the periods completed."""
 
 
 def solve_cell(osc: Oscillator, start: Array, settings: Settings) -> Cell:
@@ -131,13 +128,13 @@ def solve_cell(osc: Oscillator, start: Array, settings: Settings) -> Cell:
     done = None
     while True:
         try:
-            done = follow(cell.send(done))  # type: ignore[arg-type]
+            done = run_stretch(cell.send(done))  # type: ignore[arg-type]
         except StopIteration as end:
             return end.value
 
 
 def solving(osc: Oscillator, start: Array, settings: Settings) -> Solving:
-    """As solve_cell, one stretch at a time, so that many cells can be taken along side by side."""
+    """As solve_cell, one stretch at a time, so that many cells can share a batch."""
     try:
         motion = checked_start(osc, start)
     except InvalidError as error:
@@ -303,7 +300,7 @@ def _stopped(osc: Oscillator, motion: Motion, settings: Settings, used: int, ave
 
 def _settled(
     osc: Oscillator, motion: Motion, sections: Array, settings: Settings, budget: int
-) -> tuple[Orbit | None, int]:
+) -> tuple[PeriodicOrbit | None, int]:
     """The stable orbit that the motion falls into, if its last sections recur, and the periods spent to see."""
     scale = scale_of(osc, motion)
     symmetric_gap = osc.b_upper == osc.b_lower
@@ -322,7 +319,8 @@ def _settled(
 
 def _mean(averages: Averages) -> tuple[float, float, int]:
     """Mean growth per period of the first vector, its standard error, periods averaged."""
-    return float(averages.levels[0, 1]), float(standard_error(averages.levels)), int(averages.levels[0, 0])
+    levels = averages.levels
+    return float(levels[0, MEAN]), float(standard_error(levels)), int(levels[0, COUNT])
 
 
 def _clearly_positive(mean: float, error: float, count: int) -> bool:
@@ -347,12 +345,12 @@ def _no_impact(osc: Oscillator, motion: Motion, settings: Settings, used: int) -
     )
 
 
-def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> Cell:
+def _periodic(osc: Oscillator, orbit: PeriodicOrbit, settings: Settings, used: int) -> Cell:
     """A proved orbit: one turn of it counts impacts and rest; its exponents are the Floquet exponents."""
     turn = motion_at(orbit.h, orbit.contact)
-    run(osc, turn, orbit.period)
+    run_periods(osc, turn, orbit.period)
     sticks = bool(turn.tally[STUCK] > 0.0)
-    hits = impacts(turn) / orbit.period
+    hits = impact_count(turn) / orbit.period
     if not hits and not sticks:
         return _no_impact(osc, turn, settings, used + orbit.period)
     exponents = orbit.exponents
@@ -379,7 +377,7 @@ def _periodic(osc: Oscillator, orbit: Orbit, settings: Settings, used: int) -> C
 
 
 def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, averages: Averages | None) -> Cell:
-    """What averages tell of a motion, its class left open. Counts and growth must span the same periods."""
+    """What averages show of a motion, its class left open. Counts and growth must span the same periods."""
     cell = Cell(periods_used=used, state=blocks_to_physical(osc, motion))
     count = 0
     if averages is not None and motion.growth.size and averages.levels[0, COUNT] > 0.0:
@@ -393,10 +391,12 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
         sticks = bool(motion.tally[STUCK] > 0.0)
         cell.sticks = sticks
         cell.stuck_fraction = float(motion.tally[STUCK]) / (count * osc.period)
-        cell.impacts_per_period = math.nan if sticks else impacts(motion) / count
+        cell.impacts_per_period = math.nan if sticks else impact_count(motion) / count
         cell.min_impact_speed = _slowest(motion)
         if motion.growth.size == motion.h.size and sum_law_holds(osc, motion):
-            cell.sum_law_defect = float(np.sum(motion.growth)) / count - sum_of_exponents(osc, impacts(motion) / count)
+            cell.sum_law_defect = float(np.sum(motion.growth)) / count - sum_of_exponents(
+                osc, impact_count(motion) / count
+            )
     cell.section = _sections(osc, motion, settings, 0)
     return cell
 
@@ -447,5 +447,5 @@ def _sections(osc: Oscillator, motion: Motion, settings: Settings, period: int) 
         reached = ahead.tally[STATUS] == RUNNING
         states.append(blocks_to_physical(osc, ahead) if reached else np.full(ahead.h.size, math.nan))
         if reached:
-            run(osc, ahead, 1)
+            run_periods(osc, ahead, 1)
     return np.array([states[k % len(states)] for k in range(K)])

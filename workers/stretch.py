@@ -1,4 +1,4 @@
-"""Taking motions along a stretch of periods: one by one, or many side by side with the same result."""
+"""Motions along stretches of periods: one by one, or many in a batch with the same result."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ FEWEST = 4
 
 
 class Stretch(NamedTuple):
-    """Periods that a motion is to be taken along, in place.
+    """Periods that a motion has to go through, in place.
 
     averages   takes the averages of the frame's growth; None for none
     sections   (K, n, 2) takes the last K block states
@@ -29,7 +29,12 @@ class Stretch(NamedTuple):
     sections: NDArray[np.float64]
 
 
-def follow(stretch: Stretch, done: int = 0) -> int:
+def run_periods(osc: Oscillator, motion: Motion, periods: int) -> int:
+    """Take a motion through so many periods, in place; the periods completed."""
+    return run_stretch(Stretch(osc, motion, periods, None, np.empty((0, *motion.h.shape))))
+
+
+def run_stretch(stretch: Stretch, done: int = 0) -> int:
     """Go on from period ``done`` of a stretch; the periods completed, fewer where the motion ends or its work does."""
     osc, motion, periods, averages, sections = stretch
     return int(average(osc, motion, done, periods, averages or no_averages(), sections))
@@ -41,11 +46,13 @@ def ended(stretch: Stretch, done: int) -> bool:
     return done == stretch.periods or bool(tally[STATUS] != RUNNING or tally[WORK] < 0.0)
 
 
-def follow_together(stretches: list[Stretch], done: list[int], *, all_the_way: bool = True) -> list[int]:
-    """As follow, for each of many stretches: side by side as far as that goes, the same bits in any company.
+def run_stretches(
+    stretches: list[Stretch], done: list[int], *, to_end: bool = True, lanes: int = LANES, fewest: int = FEWEST
+) -> list[int]:
+    """As run_stretch, for each of many stretches: ``fewest`` or more of one shape in a batch of ``lanes`` <= LANES.
 
-    Not all the way, it returns once half of those side by side are through, for others to take their place; the rest
-    has not ended.
+    Each has the same bits as alone. Unless it is to run to the end, it returns once half of a batch is through, so that
+    others can take their place; the rest has not ended.
     """
     done = list(done)
     groups: dict[tuple[int, ...], list[int]] = {}
@@ -54,21 +61,21 @@ def follow_together(stretches: list[Stretch], done: list[int], *, all_the_way: b
             groups.setdefault(stretch.motion.V.shape, []).append(k)
     alone = set(range(len(stretches)))
     for members in groups.values():
-        if len(members) < FEWEST:
+        if len(members) < fewest:
             continue
-        enough = 0 if all_the_way else min(LANES, len(members)) // 2
-        counts, left = _side_by_side([stretches[k] for k in members], [done[k] for k in members], enough)
+        enough = 0 if to_end else min(lanes, len(members)) // 2
+        counts, left = _run_in_batch([stretches[k] for k in members], [done[k] for k in members], enough, lanes)
         for k, count in zip(members, counts, strict=True):
             done[k] = count
         alone -= {k for k, out in zip(members, left, strict=True) if not out}
     for k in alone:
         if not ended(stretches[k], done[k]):
-            done[k] = follow(stretches[k], done[k])
+            done[k] = run_stretch(stretches[k], done[k])
     return done
 
 
-def _side_by_side(stretches: list[Stretch], done: list[int], enough: int) -> tuple[list[int], list[bool]]:
-    """The periods that run_lanes has completed of each, and whether it leaves the rest to ``follow``."""
+def _run_in_batch(stretches: list[Stretch], done: list[int], enough: int, lanes: int) -> tuple[list[int], list[bool]]:
+    """The periods that run_batch has completed of each, and whether it leaves the rest to run_stretch."""
     motions = [stretch.motion for stretch in stretches]
     averages = [stretch.averages or no_averages() for stretch in stretches]
     heads, blocks = zip(*(constants(stretch.osc) for stretch in stretches), strict=True)
@@ -89,7 +96,7 @@ def _side_by_side(stretches: list[Stretch], done: list[int], enough: int) -> tup
     )
     for k, stretch in enumerate(stretches):
         batch.sections[k, longest - len(stretch.sections) :] = stretch.sections
-    run_batch(batch, enough)
+    run_batch(batch, enough, lanes)
     for k, stretch in enumerate(stretches):
         motion = stretch.motion
         motion.h[:], motion.V[:], motion.growth[:], motion.tally[:] = (

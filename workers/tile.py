@@ -1,4 +1,4 @@
-"""The door for results: every cell of a tile solved on its own, from arrays of parameters to arrays of results."""
+"""``solve_tile``: every cell of a tile solved on its own, from arrays of parameters to arrays of results."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from workers.results import (
 )
 from workers.settings import Settings
 from workers.solve import Cell, Solving, solving
-from workers.stretch import Stretch, ended, follow_together
+from workers.stretch import Stretch, ended, run_stretches
 
 
 class Solution(NamedTuple):
@@ -81,7 +81,7 @@ def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings
 
 
 def _solve_together(record: System, cells: Iterable[dict[str, float]], settings: Settings) -> list[Cell]:
-    """Every cell from its parameters, all taken along side by side; whatever happens is a value of the cell."""
+    """Every cell from its parameters, all of them in batches; whatever happens is a value of the cell."""
     started = [_start(record, values, settings) for values in cells]
     running = {k: one for k, one in enumerate(started) if not isinstance(one, Cell)}
     solved = {k: one for k, one in enumerate(started) if isinstance(one, Cell)}
@@ -97,7 +97,7 @@ def _solve_together(record: System, cells: Iterable[dict[str, float]], settings:
                 solved[k] = end.value
             except (ArithmeticError, np.linalg.LinAlgError):
                 solved[k] = Cell(regime=FAILED, reason=ARITHMETIC)
-        counts = follow_together(list(waiting.values()), [done[k] for k in waiting], all_the_way=False)
+        counts = run_stretches(list(waiting.values()), [done[k] for k in waiting], to_end=False)
         done.update(zip(waiting, counts, strict=True))
         ready = {k: done[k] for k, stretch in waiting.items() if ended(stretch, done[k])}
         for k in ready:

@@ -130,7 +130,7 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
         WORK_OF_A_TRIAL,
         blocks_to_physical,
         motion_from,
-        travel,
+        propagate,
     )
 
     osc = system.build(parameters)
@@ -143,7 +143,7 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
         begins = osc._replace(tau=osc.tau + (i % SAMPLES) * piece * osc.gap.omega)
         ends = osc._replace(tau=osc.tau + (i % SAMPLES + 1) * piece * osc.gap.omega)
         motion.tally[RECORDED], motion.tally[WORK] = 0.0, WORK_OF_A_TRIAL
-        travel(begins, motion, piece)
+        propagate(begins, motion, piece)
         if motion.tally[STATUS] != RUNNING:
             raise InputError(f"period {i // SAMPLES}: this cell cannot be followed")
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()

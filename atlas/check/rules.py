@@ -175,7 +175,7 @@ def _law_varies(spec: Spec, middle: Mapping[str, float], name: str) -> bool:
 
 
 def _law(spec: Spec, values: Mapping[str, float]) -> tuple[float, float]:
-    from workers.kernel.averages import sum_of_exponents
+    from workers.exponents import sum_of_exponents
 
     try:
         oscillator = spec.record.build(values)

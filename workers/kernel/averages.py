@@ -1,4 +1,4 @@
-"""Lyapunov exponents as averages over forcing periods, with their error bars, and the law of their sum."""
+"""Running averages of the tangent growth per forcing period, Lyapunov exponents, with their standard errors."""
 
 import math
 from typing import NamedTuple
@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 
 from workers.kernel.frame import log_length
 from workers.kernel.jit import inlined, kernel
-from workers.kernel.stroboscopic import LOST, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, Motion, advance, copy_state
-from workers.model.oscillator import Oscillator
+from workers.kernel.stroboscopic import RUNNING, STATUS, WORK, advance, copy_state
 
 LEVELS = 40
-COUNT, MEAN, SQUARES, PENDING = range(4)
+"""Levels of the blocking analysis: enough for 2^40 periods."""
+
+COUNT, MEAN, SQUARES, UNPAIRED = range(4)
+"""Columns of Averages.levels."""
 
 FEWEST_BLOCKS = 32
 """Blocks that a level of the blocking analysis needs before its error bar counts."""
@@ -21,7 +23,8 @@ FEWEST_BLOCKS = 32
 class Averages(NamedTuple):
     """Running averages of the growth of the first tangent vector per period.
 
-    levels   (LEVELS, 4)  count, mean, sum of squared deviations and pending value of blocks of 2^k periods
+    levels   (LEVELS, 4)  count, mean and sum of squared deviations of blocks of 2^k periods, and the
+                          newest one while it has no partner: COUNT, MEAN, SQUARES, UNPAIRED
     weighted (2,)         sum of w g and of w over the latest stretch, w the weight of Birkhoff averaging
     """
 
@@ -43,9 +46,9 @@ def add_to_blocks(levels, x):
         levels[k, MEAN] += deviation / levels[k, COUNT]
         levels[k, SQUARES] += deviation * (x - levels[k, MEAN])
         if levels[k, COUNT] % 2.0 == 1.0:
-            levels[k, PENDING] = x
+            levels[k, UNPAIRED] = x
             return
-        x = 0.5 * (levels[k, PENDING] + x)
+        x = 0.5 * (levels[k, UNPAIRED] + x)
 
 
 @kernel
@@ -108,36 +111,3 @@ def average(osc, motion, done, periods, averages, sections):
         if motion.tally[WORK] < 0.0:
             return k + 1
     return periods
-
-
-def run(osc: Oscillator, motion: Motion, periods: int) -> int:
-    """Take a motion so many periods along, in place; the periods completed."""
-    return int(average(osc, motion, 0, periods, no_averages(), np.empty((0, *motion.h.shape))))
-
-
-def sum_of_exponents(osc: Oscillator, impacts_per_period: float) -> float:
-    """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) <impacts per period>; R > 0."""
-    loss = 2.0 * math.log(osc.R) * impacts_per_period if impacts_per_period else 0.0
-    return -osc.trace * osc.period + loss
-
-
-def sum_law_holds(osc: Oscillator, motion: Motion) -> bool:
-    """Whether the motion has kept its volume law: nothing stuck and no impact with R = 0 on the way."""
-    return bool(motion.tally[LOST] == 0.0 and motion.tally[STUCK] == 0.0)
-
-
-def impacts(motion: Motion) -> float:
-    """Impacts counted so far, at both stops."""
-    return float(motion.tally[UPPER] + motion.tally[LOWER])
-
-
-def free_exponents(osc: Oscillator) -> NDArray[np.float64]:
-    """Exponents (2n,) of motion without impact: -eta_j T twice per underdamped block, -(eta -+ w) T else."""
-    rates: list[float] = []
-    for eta, lam in zip(osc.gap.eta, osc.gap.lam, strict=True):
-        if eta * eta <= lam:
-            rates += [eta, eta]
-        else:
-            fast = eta + math.sqrt(eta * eta - lam)
-            rates += [lam / fast, fast]
-    return -np.sort(rates) * osc.period

@@ -12,14 +12,14 @@ import numpy as np
 from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
 from workers.kernel.jit import inlined, kernel
 
-ROUNDING = 4e-16
+GAP_ROUNDING = 4e-16
 """Gap below which the mass is at the stop, in units of the terms that add up to y."""
 
 MAX_EVALUATIONS = 1_000_000
 """Evaluations of one flight after which it is given up; the certified march needs about five between impacts."""
 
 LEAST_STEP = 4e-16
-"""Least step of a flight, as a share of the time it may take: rounding of time, which nothing can tell apart."""
+"""Least step of a flight, as a share of the time it may take: rounding of time."""
 
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
@@ -279,7 +279,7 @@ def bracket(g, v, a, j3, M2, M3, M4, H):
 @inlined
 def close_in(L, U, g, v, a, j3, M2, M3, M4):
     """The longest time of a few between L and U, besides L, for which the gap certainly does not close."""
-    h = math.sqrt(L * U)  # at a graze L and U can be far apart
+    h = math.sqrt(L * U)  # at a graze L and U can differ by orders of magnitude
     for _ in range(TRIALS):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
         L, U = h if free else L, U if free else h
@@ -366,9 +366,9 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
                 if kind != ON_STOP_MOVING:
                     step = min(step, _first_step(kind, j3, a, M3, M4))
                     continue
-            rest = meets(g, approach, push, side * j3, M3, M4, ROUNDING * (scale + abs(stop)), H - s)
-            if rest < np.inf:
-                return s + rest, side, count
+            contact = meets(g, approach, push, side * j3, M3, M4, GAP_ROUNDING * (scale + abs(stop)), H - s)
+            if contact < np.inf:
+                return s + contact, side, count
             if side == ahead:
                 step = min(step, safe_step(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
             else:

@@ -53,7 +53,7 @@ def log_length(lam, V, growth):
 
 @kernel
 def inner_pass(lam, U, first, second, products, count):
-    """inner of two vectors of ``count`` frames side by side; see orthonormalise_pass."""
+    """inner of two vectors of ``count`` frames at once; see orthonormalise_pass."""
     for i in range(count):
         products[i] = 0.0
     for j in range(U.shape[1]):
@@ -63,7 +63,7 @@ def inner_pass(lam, U, first, second, products, count):
 
 @kernel
 def orthonormalise_pass(lam, rank, U, norms, work, count):
-    """orthonormalise for ``count`` frames side by side: the same operations, as loops over frames.
+    """orthonormalise for ``count`` frames at once: the same operations, as loops over frames.
 
     U (m, n, 2, N) the frames, lam (n, N), rank (N,); norms (m, N) takes what growth is to add the logs of; work (2, N).
     """

@@ -228,7 +228,7 @@ def arrive(osc, h, s, phase, side):
 
 @piece
 def meet_stop(osc, motion, t, side, remaining, arrived, spread):
-    """The impact at time t, arrived there as told: changes state and frame; returns what follows."""
+    """The impact at time t, ``arrived`` as arrive returns it: changes state and frame; returns what follows."""
     h, V, tally = motion.h, motion.V, motion.tally
     y, v, a, scale = arrived
     following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
@@ -290,7 +290,7 @@ def leave_stop(osc, motion, phase, contact, remaining):
 
 
 @kernel
-def travel(osc, motion, duration):
+def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 
     Stops early with tally[STATUS] set if it cannot be completed.
@@ -344,13 +344,13 @@ def travel(osc, motion, duration):
 @piece
 def advance(osc, motion):
     """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
-    travel(osc, motion, osc.period)
+    propagate(osc, motion, osc.period)
 
 
 @piece
 def step(osc, motion, half):
     """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
-    travel(osc, motion, 0.5 * osc.period if half else osc.period)
+    propagate(osc, motion, 0.5 * osc.period if half else osc.period)
     if half:
         mirror(motion)
 

@@ -44,7 +44,7 @@ def overlaps(lam, before, after):
 
 @kernel
 def block_ends(rotation):
-    """Where the diagonal blocks end into which an orthogonal matrix falls apart."""
+    """Where the diagonal blocks end into which an orthogonal matrix splits."""
     size = len(rotation)
     ends = np.empty(size, dtype=np.int64)
     count = 0

@@ -15,7 +15,7 @@ from workers.kernel.stroboscopic import RUNNING, STATUS, axes, motion_with, step
 Array = NDArray[np.float64]
 
 
-class Fixed(NamedTuple):
+class FixedPoint(NamedTuple):
     """A fixed point of so many steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
 
     h: Array

@@ -14,7 +14,7 @@ from workers.kernel.jit import kernel, piece
 from workers.kernel.stroboscopic import RUNNING, STATUS, Motion
 from workers.model.oscillator import Oscillator
 from workers.orbit.floquet import floquet, spectral_radius
-from workers.orbit.map import Fixed, iterate_alone, map_with_jacobian, separation
+from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
 
 Array = NDArray[np.float64]
 
@@ -30,14 +30,14 @@ RESERVED_TURNS = 6
 error of the multipliers, one last count."""
 
 
-class Orbit(NamedTuple):
-    """A closed orbit of m steps of the map, with all that its multipliers tell.
+class PeriodicOrbit(NamedTuple):
+    """A closed orbit of m steps of the map, with what its multipliers show.
 
     h (n, 2), contact   section state on it
     steps, half         m, and whether a step is half a period (map G)
     exponents           (2n,) ln|mu| / period, largest first; -infinity where structurally lost
     residual            |F(h) - h| in the energy norm
-    digits              error of the exponents as far as rounding tells
+    digits              rounding error of the exponents
     """
 
     h: Array
@@ -100,7 +100,7 @@ def newton(osc, start, contact, steps, half, scale, most):
     h = start.copy()
     lam = osc.gap.lam
     size = h.size
-    best = Fixed(h, h, contact, np.zeros((size, size)), np.inf)
+    best = FixedPoint(h, h, contact, np.zeros((size, size)), np.inf)
     spent = 0
     while spent < most:
         spent += 1
@@ -109,12 +109,12 @@ def newton(osc, start, contact, steps, half, scale, most):
         arrived = motion.tally[STATUS] == RUNNING and motion.contact[0] == contact
         if not (arrived and residual <= 0.5 * best.residual):
             break
-        best = Fixed(h, motion.h, contact, J, residual)
+        best = FixedPoint(h, motion.h, contact, J, residual)
         if residual > 0.3 * scale or residual < 1e-15 * scale or not spectral_radius(J) < HOPELESS:
             break
         h = corrected(h, motion.h, J)
     if best.residual >= 1e-10 * scale:
-        best = Fixed(h, h, contact, np.zeros((size, size)), np.inf)
+        best = FixedPoint(h, h, contact, np.zeros((size, size)), np.inf)
     return best, spent
 
 
@@ -137,12 +137,12 @@ def closes_earlier(osc, point, steps, half, scale):
 
 @kernel
 def find_orbit(osc, h, contact, steps, half, scale, budget):
-    """(found, Orbit with its exponents in any order, steps spent): see settle."""
+    """(found, PeriodicOrbit with its exponents in any order, steps spent): see settle."""
     lam = osc.gap.lam
     turns_left = budget // steps - RESERVED_TURNS
     point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
     spent = tried * steps
-    orbit = Orbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
+    orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
     if point.residual == np.inf:
         return False, orbit, spent
     radius = spectral_radius(point.jacobian)
@@ -168,13 +168,13 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     if again.tally[STATUS] == RUNNING:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / max(radius, 1e-300) - 1.0))
     periods = 0.5 * steps if half else 1.0 * steps
-    orbit = Orbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
-    return largest < -rounding, orbit, spent  # else too near a bifurcation for these digits to tell
+    orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
+    return largest < -rounding, orbit, spent  # else too near a bifurcation for these digits
 
 
 def settle(
     osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float, budget: int
-) -> tuple[Orbit | None, int]:
+) -> tuple[PeriodicOrbit | None, int]:
     """The stable orbit of so many steps that the motion is falling into, if any, and the steps spent.
 
     Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and

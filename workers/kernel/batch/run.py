@@ -140,10 +140,11 @@ def park(a, i):
 
 
 @kernel
-def run_batch(batch, enough):
+def run_batch(batch, enough, lanes):
     """Advance every request of a batch by its periods, or to a section from which the scalar kernels have to go on.
 
-    Changes the arrays of the batch, see there. Once fewer than ``enough`` are under way each stops at its next section.
+    Changes the arrays of the batch, see there. At most ``lanes`` <= LANES requests are under way at a time; once fewer
+    than ``enough`` are, each stops at its next section.
     """
     # Taken out once: a field of a record costs a reference count at every use.
     head, blocks, periods, done, left, h, V, growth, tally, levels, weighted, sections = batch
@@ -167,7 +168,7 @@ def run_batch(batch, enough):
         park(a, i)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     while True:
-        while active < LANES and queued < N:
+        while active < lanes and queued < N:
             load(a, active, queued, head, blocks, h, tally)
             copy_frame(V, growth, queued, frames, growths, active)
             if m > 0:

@@ -7,7 +7,7 @@ without is done only for those that need it, gathered in c (see GapFields).
 import numpy as np
 
 from workers.kernel.batch.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
-from workers.kernel.flight import LEAST_STEP, ROUNDING, arrival, bracket, close_in, curvature, meets
+from workers.kernel.flight import GAP_ROUNDING, LEAST_STEP, arrival, bracket, close_in, curvature, meets
 from workers.kernel.jit import inlined, kernel
 
 LONGEST_MARCH = 64
@@ -26,7 +26,7 @@ def approach_pass(a, n):
         g = ahead * (stop - a[LANE.y + i])
         g = 0.0 if a[LANE.own_stop + i] == ahead else g
         v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
-        tolerance = ROUNDING * (a[LANE.scale + i] + abs(stop))
+        tolerance = GAP_ROUNDING * (a[LANE.scale + i] + abs(stop))
         contact = meets(g, v, push, jerk, a[LANE.bound3 + i], a[LANE.bound4 + i], tolerance, room)
         contact = contact if reach - ahead * stop >= 0.0 else np.inf
         a[LANE.side + i] = ahead

@@ -1,4 +1,4 @@
-"""Cells side by side against one cell alone: the same bits, whatever the company."""
+"""Cells in a batch against one cell alone: the same bits, whatever else the batch holds."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.results import UNDETERMINED
 from workers.solve import with_frame
-from workers.stretch import Stretch, ended, follow, follow_together
+from workers.stretch import Stretch, ended, run_stretch, run_stretches
 from workers.tile import solve_cells
 
 KEPT = 5
@@ -23,7 +23,7 @@ def stretch(osc: Oscillator, start: np.ndarray, vectors: int, periods: int) -> S
 
 
 def family(figure: int, vectors: int, count: int, periods: int) -> list[Stretch]:
-    """Cells beside that of a figure, each with a b of its own."""
+    """Cells near that of a figure, each with a b of its own."""
     params = naive.FIGURES[figure]
     cells = (naive.two_mass(**params | {"b": params["b"] * (1.0 + 1e-3 * k)}) for k in range(count))
     return [stretch(osc, start, vectors, periods) for osc, start in cells]
@@ -71,10 +71,10 @@ def random_cells(seed: int, count: int, vectors: int, periods: int) -> list[Stre
 
 @pytest.mark.parametrize("vectors", [0, 1, 4])
 @pytest.mark.parametrize("figure", [3, 4, 5])
-def test_side_by_side_is_bit_for_bit_one_by_one(figure: int, vectors: int) -> None:
+def test_a_batch_is_bit_for_bit_one_by_one(figure: int, vectors: int) -> None:
     together = family(figure, vectors, 150, 40)
     alone = copies(together)
-    assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
+    assert run_stretches(together, [0] * len(together)) == [run_stretch(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
 
 
@@ -83,36 +83,36 @@ def test_cells_of_every_kind_have_the_bits_of_one_by_one(vectors: int) -> None:
     """Those that rest on a stop or chatter leave their lane on the way."""
     together = random_cells(7, 200, vectors, 30)
     alone = copies(together)
-    assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
+    assert run_stretches(together, [0] * len(together)) == [run_stretch(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
     rest = sum(one.motion.contact[0] != FREE for one in together)
     assert 10 < rest < 150
 
 
-def test_company_and_place_do_not_matter() -> None:
+def test_the_other_cells_and_the_order_do_not_matter() -> None:
     """A shuffled part of the cells, with stretches of other lengths between them, gives the same bits."""
     whole = family(5, 1, 140, 60)
     order = np.random.default_rng(3).permutation(140)[:77]
     part = copies([whole[k] for k in order])
     others = [one._replace(periods=7 + k) for k, one in enumerate(family(4, 1, 77, 7))]
-    follow_together(whole, [0] * 140)
+    run_stretches(whole, [0] * 140)
     mixed = [one for pair in zip(part, others, strict=True) for one in pair]
-    follow_together(mixed, [0] * 154)
+    run_stretches(mixed, [0] * 154)
     assert all(same_bits(whole[k], one) for k, one in zip(order, part, strict=True))
 
 
 def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits() -> None:
-    """Stretches of 10 to 400 periods, taken along until all have ended: each return leaves fewer of them under way."""
-    together = [one._replace(periods=10 + 3 * k) for k, one in enumerate(family(5, 1, 130, 1))]
+    """Stretches of 10 to 350 periods in 16 lanes until all have ended: each return leaves fewer of them under way."""
+    together = [one._replace(periods=10 + 20 * k) for k, one in enumerate(family(5, 1, 18, 1))]
     alone = copies(together)
-    done, rounds = [0] * 130, []
+    done, rounds = [0] * 18, []
     while any(not ended(one, count) for one, count in zip(together, done, strict=True)):
-        done = follow_together(together, done, all_the_way=False)
+        done = run_stretches(together, done, to_end=False, lanes=16)
         rounds.append(sum(not ended(one, count) for one, count in zip(together, done, strict=True)))
-    assert done == [follow(one) for one in alone]
+    assert done == [run_stretch(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
     assert len(rounds) > 3
-    assert all(after <= before / 2 + 2 for before, after in zip([128, *rounds], rounds, strict=False))
+    assert all(after <= before / 2 + 2 for before, after in zip([16, *rounds], rounds, strict=False))
 
 
 def test_a_motion_that_is_out_of_work_stops_where_it_would_alone() -> None:
@@ -120,20 +120,20 @@ def test_a_motion_that_is_out_of_work_stops_where_it_would_alone() -> None:
     for k, one in enumerate(together):
         one.motion.tally[WORK] = 40.0 * k
     alone = copies(together)
-    done = follow_together(together, [0] * len(together))
-    assert done == [follow(one) for one in alone]
+    done = run_stretches(together, [0] * len(together))
+    assert done == [run_stretch(one) for one in alone]
     assert 1 == done[0] < done[4] < 50
     assert all(one.motion.tally[STATUS] == RUNNING for one in together)
 
 
 def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
-    """R = 1 and a gap of 1e-5 of the response: 10^5 impacts a period, with rests of the budget alone and together."""
+    """R = 1 and a gap of 1e-5 of the response: 10^5 impacts a period."""
     cells = [
         naive.two_mass(**naive.FIGURES[3] | {"R": 1.0, "b": 1e-6 * (1.0 + 0.01 * k), "omega": 0.1}) for k in range(4)
     ]
     together = [stretch(osc, start, 0, 3) for osc, start in cells]
     alone = copies(together)
-    assert follow_together(together, [0] * len(together)) == [follow(one) for one in alone]
+    assert run_stretches(together, [0] * len(together)) == [run_stretch(one) for one in alone]
     assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
     assert max(one.motion.tally[EVALUATIONS] for one in together) > 100_000
 

@@ -7,17 +7,14 @@ import pytest
 from scipy.linalg import eigvals
 
 from tests import naive
+from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
 from workers.kernel.averages import (
     FEWEST_BLOCKS,
     MEAN,
     add_to_blocks,
     average,
-    free_exponents,
-    impacts,
     no_averages,
     standard_error,
-    sum_law_holds,
-    sum_of_exponents,
 )
 from workers.kernel.stroboscopic import SPREAD, motion_from, reset_frame
 from workers.solve import restart_counts
@@ -136,9 +133,9 @@ def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
     average(osc, motion, 0, 2000, no_averages(), none)
     reset_frame(osc, motion)
     trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
-    exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impacts(motion) / 2000
+    exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impact_count(motion) / 2000
     assert sum_law_holds(osc, motion)
-    assert sum_of_exponents(osc, impacts(motion) / 2000) == pytest.approx(exact, rel=1e-13)
+    assert sum_of_exponents(osc, impact_count(motion) / 2000) == pytest.approx(exact, rel=1e-13)
     assert abs(motion.growth.sum() / 2000 - exact) < 1e-11
 
 

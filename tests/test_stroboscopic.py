@@ -7,7 +7,6 @@ import pytest
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian, simulate
-from workers.kernel.averages import run
 from workers.kernel.stroboscopic import (
     EVALUATIONS,
     LOST,
@@ -19,12 +18,13 @@ from workers.kernel.stroboscopic import (
     advance,
     blocks_to_physical,
     motion_from,
+    propagate,
     reset_frame,
     step,
-    travel,
 )
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import map_with_jacobian
+from workers.stretch import run_periods
 
 EPS = np.finfo(np.float64).eps
 
@@ -32,7 +32,7 @@ EPS = np.finfo(np.float64).eps
 def after(osc: Oscillator, state: np.ndarray, periods: int) -> np.ndarray:
     """Physical section state so many periods after another."""
     motion = motion_from(osc, state)
-    assert run(osc, motion, periods) == periods
+    assert run_periods(osc, motion, periods) == periods
     return blocks_to_physical(osc, motion)
 
 
@@ -121,7 +121,7 @@ def test_the_jacobian_through_one_impact_is_that_of_a_plain_simulation() -> None
     osc, _ = naive.two_mass(**p)
     state, end = np.array([p["b"] - 0.02, 0.03, 0.5, -0.2]), 0.12
     motion = motion_from(osc, state, vectors=4)._replace(triangle=np.eye(4))
-    travel(osc, motion, end)
+    propagate(osc, motion, end)
     assert motion.tally[UPPER] == 1
     reset_frame(osc, motion)
     P = physical(osc)
@@ -204,7 +204,7 @@ def test_the_kinds_include_what_their_names_say() -> None:
         osc, state = naive.two_mass(**params)
         motion = motion_from(osc, state)
         contact = int(motion.contact[0])
-        run(osc, motion, 10)
+        run_periods(osc, motion, 10)
         assert ("stick" in kind or "held" in kind or "chatter" in kind or "pressed" in kind) == (
             motion.tally[STUCK] > 0
         ), kind
@@ -259,7 +259,7 @@ def test_an_inelastic_impact_that_leaves_at_once_costs_one_rank() -> None:
 def test_a_cell_held_at_its_section_lies_on_the_stop_at_rest() -> None:
     osc, state = naive.two_mass(**KINDS["held at the section"])
     motion = motion_from(osc, state)
-    run(osc, motion, 10)
+    run_periods(osc, motion, 10)
     x1, _, v1, _ = blocks_to_physical(osc, motion)
     assert (abs(x1), v1) == (osc.b_upper, 0.0)
     again = motion_from(osc, blocks_to_physical(osc, motion))
@@ -301,7 +301,7 @@ def test_tangent_vectors_do_not_disturb_the_motion() -> None:
         osc, state = naive.two_mass(**params)
         bare, framed = motion_from(osc, state), motion_from(osc, state, vectors=4)
         for motion in (bare, framed):
-            run(osc, motion, 5)
+            run_periods(osc, motion, 5)
         # A heavily damped flight is taken in pieces for the frame, which rounds differently.
         assert framed.h == pytest.approx(bare.h, abs=1e-13)
 
@@ -310,6 +310,6 @@ def test_evaluations_per_flight_stay_few_over_whole_orbits() -> None:
     for figure in (3, 4, 5):
         osc, state = naive.two_mass(**naive.FIGURES[figure])
         motion = motion_from(osc, state)
-        run(osc, motion, 1000)
+        run_periods(osc, motion, 1000)
         flights = 1000 + motion.tally[UPPER] + motion.tally[LOWER]
         assert motion.tally[EVALUATIONS] < 7 * flights
