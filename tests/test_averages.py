@@ -1,13 +1,11 @@
-"""Averages over periods, their error bars and the law of the exponents' sum."""
+"""Averages over periods and their error bars."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy.linalg import eigvals
 
 from tests import naive
-from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
 from workers.kernel.averages import (
     FEWEST_BLOCKS,
     MEAN,
@@ -17,7 +15,6 @@ from workers.kernel.averages import (
     standard_error,
 )
 from workers.kernel.stroboscopic import SPREAD, motion_from, reset_frame
-from workers.solve import restart_counts
 
 
 def blocking(values: np.ndarray) -> np.ndarray:
@@ -116,44 +113,3 @@ def test_a_stretch_ends_with_its_last_sections() -> None:
     average(osc, other, 0, 10, no_averages(), expected)
     assert kept == pytest.approx(expected, abs=1e-15)
     assert kept[-1] == pytest.approx(one.h, abs=0)
-
-
-# The sum
-
-
-@pytest.mark.parametrize("figure", [3, 4, 5])
-def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
-    """sum = -trace(M^-1 C) T + 2 ln R (impacts per period), with M and C written out."""
-    p = naive.FIGURES[figure]
-    osc, start = naive.two_mass(**p)
-    motion = motion_from(osc, start, vectors=4)
-    none = np.empty((0, 2, 2))
-    average(osc, motion, 0, 200, no_averages(), none)
-    restart_counts(osc, motion)
-    average(osc, motion, 0, 2000, no_averages(), none)
-    reset_frame(osc, motion)
-    trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
-    exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impact_count(motion) / 2000
-    assert sum_law_holds(osc, motion)
-    assert sum_of_exponents(osc, impact_count(motion) / 2000) == pytest.approx(exact, rel=1e-13)
-    assert abs(motion.growth.sum() / 2000 - exact) < 1e-11
-
-
-def test_the_sum_law_is_not_claimed_where_a_direction_is_lost() -> None:
-    for params in (naive.STICKING, naive.FIGURES[3] | {"R": 0.0, "omega": 1.93, "b": 0.52}):
-        osc, start = naive.two_mass(**params)
-        motion = motion_from(osc, start, vectors=4)
-        average(osc, motion, 0, 20, no_averages(), np.empty((0, 2, 2)))
-        assert not sum_law_holds(osc, motion)
-
-
-@pytest.mark.parametrize("zeta", [0.0, 0.05, 0.5, 1.0 / math.sqrt(2.0 - math.sqrt(1.5)), 5.0, 50.0])
-def test_exponents_without_impact_are_the_real_parts_of_the_eigenvalues(zeta: float) -> None:
-    """Truth: the eigenvalues of the first-order matrix; at critical damping they are known to 1e-8 only."""
-    p = naive.FIGURES[3] | {"zeta": zeta}
-    osc, _ = naive.two_mass(**p)
-    rates = np.sort(eigvals(naive.first_order(p)[:4, :4]).real)[::-1]
-    exact = rates * 2 * math.pi / p["omega"]
-    assert free_exponents(osc) == pytest.approx(exact, rel=1e-9, abs=3e-7)
-    assert np.all(np.diff(free_exponents(osc)) <= 0)
-    assert free_exponents(osc).sum() == pytest.approx(sum_of_exponents(osc, 0.0), rel=1e-12, abs=1e-15)

@@ -20,6 +20,8 @@ EXACT = {
     "4": [-0.475914135412643, -2.614830482264854, -2.614830482264854, -7.598746373733903],
     "5": [1.123, -1.577, -1.582, -4.38],
 }
+# Flights in a period: one more than impacts, of which Figs 3 and 4 have two and four, Fig. 5 2.63 on average.
+FLIGHTS = {"3": 3.0, "4": 5.0, "5": 3.63}
 ROOM = {"3": 2e-3, "4": 5e-3, "5": 0.08}
 
 
@@ -44,8 +46,9 @@ def test_light_mode_reports_the_right_exponents_at_every_figure() -> None:
     printed = subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, text=True).stdout
     rows = json.loads(printed)
     assert [(row["figure"], row["exponents"]) for row in rows] == [(f, n) for f in "345" for n in (0, 1, 4)]
-    assert [round(row["evaluations_per_period"]) for row in rows[::3]] == [8, 18, 12]
     for row in rows:
+        # Each flight is evaluated at least once, and the certified march needs few evaluations: 2.7 to 3.6 on average.
+        assert 1.0 < row["evaluations_per_period"] / FLIGHTS[row["figure"]] < 5.0
         if row["exponents"] == 0:
             continue
         exact = EXACT[row["figure"]][: row["exponents"]]

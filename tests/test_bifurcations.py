@@ -1,4 +1,4 @@
-"""Just beside the bifurcations of the sweep of Fig. 6, omega 2..4: classified rightly, or left undetermined.
+"""Just next to the bifurcations of the sweep of Fig. 6, omega 2..4: classified rightly, or left undetermined.
 
 The bifurcations were located by ``locate``: the orbit is followed by Newton's method, stable or not, and omega is
 bisected until its leading multiplier is -1, or stepped towards the end of its branch where the multiplier is +1
@@ -144,7 +144,7 @@ def locate(bifurcation: Bifurcation) -> float:
     return 0.5 * (stable + unstable)
 
 
-def beside(bifurcation: Bifurcation, distance: float) -> dict[str, float]:
+def near(bifurcation: Bifurcation, distance: float) -> dict[str, float]:
     """Parameters of a cell at this distance from the bifurcation that starts a thousandth from the orbit."""
     _, orbit = followed(bifurcation)
     omega = bifurcation.omega + distance
@@ -175,25 +175,25 @@ def test_the_bifurcation_is_where_the_multiplier_crosses(bifurcation: Bifurcatio
 
 @pytest.mark.parametrize("distance", [1e-3, -1e-3], ids=["+1e-3", "-1e-3"])
 @pytest.mark.parametrize("bifurcation", KNOWN, ids=str)
-def test_a_thousandth_beside_a_bifurcation_the_class_is_right(bifurcation: Bifurcation, distance: float) -> None:
-    found = solve_tile("two-mass", beside(bifurcation, distance))
+def test_a_thousandth_from_a_bifurcation_the_class_is_right(bifurcation: Bifurcation, distance: float) -> None:
+    found = solve_tile("two-mass", near(bifurcation, distance))
     right = bifurcation.stable if distance * bifurcation.stable_side > 0 else bifurcation.beyond
-    told = (int(found["period"]), bool(found["symmetric"]))
+    shown = (int(found["period"]), bool(found["symmetric"]))
     if right is None:
-        assert found["regime"] == CHAOTIC or told != bifurcation.stable
+        assert found["regime"] == CHAOTIC or shown != bifurcation.stable
     else:
-        assert (int(found["regime"]), *told) == (PERIODIC, *right)
+        assert (int(found["regime"]), *shown) == (PERIODIC, *right)
 
 
 @pytest.mark.parametrize("distance", [1e-5, -1e-5], ids=["+1e-5", "-1e-5"])
 @pytest.mark.parametrize("bifurcation", KNOWN, ids=str)
-def test_a_hundred_thousandth_beside_a_bifurcation_the_class_is_never_wrong(
+def test_a_hundred_thousandth_from_a_bifurcation_the_class_is_never_wrong(
     bifurcation: Bifurcation, distance: float
 ) -> None:
-    found = solve_tile("two-mass", beside(bifurcation, distance))
+    found = solve_tile("two-mass", near(bifurcation, distance))
     right = bifurcation.stable if distance * bifurcation.stable_side > 0 else bifurcation.beyond
-    told = (int(found["period"]), bool(found["symmetric"]))
+    shown = (int(found["period"]), bool(found["symmetric"]))
     if right is None:
-        assert found["regime"] in (CHAOTIC, UNDETERMINED) or told != bifurcation.stable
+        assert found["regime"] in (CHAOTIC, UNDETERMINED) or shown != bifurcation.stable
     else:
-        assert found["regime"] == UNDETERMINED or (int(found["regime"]), *told) == (PERIODIC, *right)
+        assert found["regime"] == UNDETERMINED or (int(found["regime"]), *shown) == (PERIODIC, *right)

@@ -14,7 +14,7 @@ EPS = 2.0**-52
 
 
 def angles(count: int) -> np.ndarray:
-    """Angles of every size up to the largest, and doubles beside multiples of pi / 2, where sin or cos is tiny."""
+    """Angles of every size up to the largest, and doubles next to multiples of pi / 2, where sin or cos is tiny."""
     rng = np.random.default_rng(1)
     random = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-8, math.log10(LARGEST_ANGLE), count)
     return np.concatenate([[0.0], random, rng.integers(1, 1.9e7, count) * (math.pi / 2)])
@@ -29,7 +29,7 @@ def test_sine_and_cosine_are_right_to_an_ulp_of_one_up_to_the_largest_angle() ->
 
 
 def test_small_sines_keep_their_digits() -> None:
-    """Also just beside the multiples of pi, where the reduction has to carry three parts of pi / 2."""
+    """Also just next to the multiples of pi, where the reduction has to carry three parts of pi / 2."""
     with mp.workdps(40):
         for k in (0, 1, 2, 1000, 123_456, 9_000_001):
             for x in (k * math.pi + 1e-9, k * math.pi + 1e-3):

@@ -61,13 +61,13 @@ def test_the_mirrored_orbit_lies_behind_a_chaotic_transient() -> None:
     """At omega = 1.7539, b = 0.2107 two mirror images attract, and which one is reached is decided by rounding.
 
     Two multiprecision runs, 30 digits and a start moved by 1e-15 (the rounding of one period in double precision),
-    are of order one apart after 44 periods. So (3, 2) and (2, 3) impacts are both right answers in double precision.
+    differ by order one after 44 periods. So (3, 2) and (2, 3) impacts are both right answers in double precision.
     """
     params = parameters(next(r for r in REFERENCE if mirrored(r)))
     ends = [simulate(params | {"x1": x1}, 44, digits=30).sections for x1 in (0.0, 1e-15)]
-    apart = [max(abs(float(a - b)) for a, b in zip(*states, strict=True)) for states in zip(*ends, strict=True)]
-    assert apart[4] < 1e-13
-    assert max(apart[36:]) > 1e-3
+    differences = [max(abs(float(a - b)) for a, b in zip(*states, strict=True)) for states in zip(*ends, strict=True)]
+    assert differences[4] < 1e-13
+    assert max(differences[36:]) > 1e-3
 
 
 CLOSED = [

@@ -8,13 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
-from workers.kernel.averages import (
-    COUNT,
-    MEAN,
-    Averages,
-    no_averages,
-    standard_error,
-)
+from workers.kernel.averages import COUNT, MEAN, Averages, no_averages, standard_error
 from workers.kernel.flight import derivative_bounds
 from workers.kernel.stroboscopic import (
     BEYOND,
@@ -391,12 +385,11 @@ def _averaged(osc: Oscillator, motion: Motion, settings: Settings, used: int, av
         sticks = bool(motion.tally[STUCK] > 0.0)
         cell.sticks = sticks
         cell.stuck_fraction = float(motion.tally[STUCK]) / (count * osc.period)
-        cell.impacts_per_period = math.nan if sticks else impact_count(motion) / count
+        hits = impact_count(motion) / count
+        cell.impacts_per_period = math.nan if sticks else hits
         cell.min_impact_speed = _slowest(motion)
         if motion.growth.size == motion.h.size and sum_law_holds(osc, motion):
-            cell.sum_law_defect = float(np.sum(motion.growth)) / count - sum_of_exponents(
-                osc, impact_count(motion) / count
-            )
+            cell.sum_law_defect = float(np.sum(motion.growth)) / count - sum_of_exponents(osc, hits)
     cell.section = _sections(osc, motion, settings, 0)
     return cell
 

@@ -79,14 +79,11 @@ def gather(a, chosen, count, c):
         i = chosen[e]
         side = a[LANE.side + i]
         c[GAP.gap + e] = a[LANE.gap + i]
-        c[GAP.v + e] = side * a[LANE.v + i]
-        c[GAP.a + e] = side * a[LANE.a + i]
-        c[GAP.jerk + e] = side * a[LANE.jerk + i]
-        c[GAP.bound2 + e] = a[LANE.bound2 + i]
-        c[GAP.bound3 + e] = a[LANE.bound3 + i]
-        c[GAP.bound4 + e] = a[LANE.bound4 + i]
-        c[GAP.low + e] = a[LANE.safe_time + i]
-        c[GAP.high + e] = a[LANE.step + i]
+        v, push, jerk = side * a[LANE.v + i], side * a[LANE.a + i], side * a[LANE.jerk + i]
+        bound2, bound3, bound4 = a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i]
+        c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e] = v, push, jerk
+        c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e] = bound2, bound3, bound4
+        c[GAP.low + e], c[GAP.high + e] = a[LANE.safe_time + i], a[LANE.step + i]
     return padded(count)
 
 
