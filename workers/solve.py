@@ -352,7 +352,7 @@ def _periodic(osc: Oscillator, orbit: PeriodicOrbit, settings: Settings, used: i
     start = motion_at(orbit.h, orbit.contact)
     return Cell(
         largest=float(exponents[0]),
-        error=orbit.digits,
+        error=orbit.error,
         spectrum=exponents,
         sum_law_defect=float(np.sum(exponents)) - sum_of_exponents(osc, hits) if holds else math.nan,
         regime=PERIODIC,

@@ -38,7 +38,7 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     """The rules that some cells of a tile break, each in words, with the mask of those cells.
 
     ``arrays`` holds the result variables over the cells ``slices``; a rule about one that was not asked for is left
-    out. Where the spectrum is stored, its sum is held against the exact law of ``workers.lyapunov``.
+    out. Where the spectrum is stored, its sum is held against the exact law of ``workers.exponents``.
     """
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
         found = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}

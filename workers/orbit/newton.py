@@ -37,7 +37,7 @@ class PeriodicOrbit(NamedTuple):
     steps, half         m, and whether a step is half a period (map G)
     exponents           (2n,) ln|mu| / period, largest first; -infinity where structurally lost
     residual            |F(h) - h| in the energy norm
-    digits              rounding error of the exponents
+    error               rounding error of the exponents
     """
 
     h: Array
@@ -46,7 +46,7 @@ class PeriodicOrbit(NamedTuple):
     half: bool
     exponents: Array
     residual: float
-    digits: float
+    error: float
 
     @property
     def period(self) -> int:

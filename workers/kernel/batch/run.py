@@ -22,6 +22,7 @@ from workers.kernel.batch.layout import (
     LANES,
     LEFT,
     STRIDE,
+    LaneFields,
 )
 from workers.kernel.batch.rounds import take_round
 from workers.kernel.batch.search import list_lanes, padded
@@ -70,13 +71,27 @@ class Batch(NamedTuple):
 
 
 def constants(osc: Oscillator) -> tuple[Array, Array]:
-    """The rows of Batch.head and Batch.blocks of an oscillator, in the order of LaneFields and BlockFields."""
+    """The rows of Batch.head and Batch.blocks of an oscillator."""
     gap = osc.gap
     y, v = forced(osc.tau, gap.omega, gap.sin_part, gap.cos_part)
-    head = np.array([
-        gap.omega, gap.sin_part, gap.cos_part, gap.amplitude, osc.b_upper, -osc.b_lower, osc.R, osc.cA2k,
-        osc.period, osc.tau, y, v, spread_rate(gap.block), 1.0 / math.sqrt(gap.lam[0]), loss_spread(osc.R),
-    ])  # fmt: skip
+    values = {
+        "omega": gap.omega,
+        "sin_part": gap.sin_part,
+        "cos_part": gap.cos_part,
+        "amplitude": gap.amplitude,
+        "upper": osc.b_upper,
+        "lower": -osc.b_lower,
+        "restitution": osc.R,
+        "cA2k": osc.cA2k,
+        "period": osc.period,
+        "tau": osc.tau,
+        "forced_at_section": y,
+        "forced_rate_at_section": v,
+        "spread_rate": spread_rate(gap.block),
+        "time_unit": 1.0 / math.sqrt(gap.lam[0]),
+        "loss_spread": loss_spread(osc.R),
+    }
+    head = np.array([values[name] for name in LaneFields._fields[:LANE_CONSTANTS]])
     rows = zip(gap.block, gap.row, gap.row1, osc.kick, osc.kick1, strict=True)
     return head, np.array([[x for part in row for x in part] for row in rows])
 
