@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tests.test_section import KINDS, differences, jacobian
+from tests.test_stroboscopic import KINDS, differences, jacobian
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian
