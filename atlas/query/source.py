@@ -175,7 +175,9 @@ class Part:
         mark = next(mark.name for mark in MARKS if mark.name in names)
         try:
             if self.pyramid.made:
-                made = {name: self.pyramid.read(level, name, piece) for name in names}
+                # The mark first: what was there before it is there, though a run may be writing all of it right now.
+                ordered = dict.fromkeys((mark, *names))
+                made = {name: self.pyramid.read(level, name, piece) for name in ordered}
                 missing = [b for b in blocks if not self._is_current(level, _within(piece, b), made[mark][b])]
                 return made, missing
         except ChunkError:
@@ -212,7 +214,7 @@ class Part:
         yield from itertools.product(*along)
 
     def undone(self, level: int, place: Slices) -> list[tuple[int, ...]]:
-        """The tiles below a place of a level that are not done, counted from the first below it."""
+        """The tiles below a place of a level that are not done."""
         tile = self.pyramid.levels.tile
         first = [(s.start << level) // t for s, t in zip(place, tile, strict=True)]
         return [tuple(np.add(first, at).tolist()) for at in np.argwhere(~self._below(level, place))]
