@@ -22,7 +22,7 @@ from atlas.service.status import read_status
 from atlas.store.store import read_header
 from atlas.task.retry import Retry
 from tests.planes import plane_of
-from workers import solve_tile
+from workers import solve, solve_tile
 from workers.model.oscillator import mass_spring
 from workers.results import (
     BEYOND_STOP,
@@ -70,7 +70,6 @@ def call(*args: object) -> Result:
     return CliRunner().invoke(cli, [str(arg) for arg in args])
 
 
-@pytest.mark.filterwarnings("ignore:Consolidated metadata")
 def test_codes_are_the_places_in_the_table_and_their_names_differ() -> None:
     assert [reason.code for reason in REASONS] == list(range(len(REASONS)))
     assert len({reason.name for reason in REASONS}) == len({reason.text for reason in REASONS}) == len(REASONS)
@@ -91,6 +90,13 @@ def test_a_cell_says_by_its_code_why_it_is_invalid(params: dict[str, float], rea
     found = solve_tile("two-mass", params)
     assert (found["reason"], found["reason"].dtype) == (reason, np.int8)
     assert (found["regime"] == INVALID) == (reason != NO_REASON)
+
+
+def test_a_cell_given_up_for_its_cost_is_undetermined_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solve, "LEAST_WORK", 1)
+    monkeypatch.setattr(solve, "WORK_PER_PERIOD", 0)
+    found = solve_tile("two-mass", {})
+    assert (found["regime"], found["reason"]) == (UNDETERMINED, WORK_SPENT)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +201,7 @@ def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path,
     zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
     assert atlas.run(plane_of(x1=0.25), older, client=client, retry=Retry((FAILED,))).cells_solved == 1
     assert not (older / "reason").exists()
+    assert read_status(read_header(older)).reasons == {}
     assert verify(older, sample=35).fine
 
 

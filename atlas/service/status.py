@@ -14,7 +14,7 @@ from atlas.service.progress import Progress, reasons_told
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, open_group
 from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, plan_of, read_tally, tile_sizes
-from workers.results import NO_REASON, REASONS, REGIMES
+from workers.results import NO_REASON, REASON, REASONS, REGIMES
 
 
 @dataclass(frozen=True)
@@ -137,12 +137,15 @@ class Census:
         self.total = np.zeros(len(COLUMNS))
         self.notes = notes_of(header.place)
         self.observer = Observer(self.notes)
+        self.explained = False
 
     def take(self, settled: bool = False) -> Status:
         """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
         new = done_mask(self.header, self.plan) & ~self.counted
         if new.any():
-            entries, known = read_tally(open_group(self.header.place, "r"), self.plan)
+            root = open_group(self.header.place, "r")
+            entries, known = read_tally(root, self.plan)
+            self.explained = REASON.name in root
             self.total += entries[new & known].sum(axis=0)
             for entry in count_tiles(self.header, [tuple(index) for index in np.argwhere(new & ~known).tolist()]):
                 if isinstance(entry, ChunkError):
@@ -152,7 +155,8 @@ class Census:
         cells = self.total[CELLS].astype(int).tolist()
         regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
         found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
-        reasons = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
+        told = ((reason.text, count) for reason, count in found if count and reason.code != NO_REASON)
+        reasons = dict(told) if self.explained else {}  # an older store knows those of the newest tiles at best
         tiles, done = int(self.counted.sum()), int(tile_sizes(self.plan)[self.counted].sum())
         seen = self.observer.settle() if settled else self.observer.look()
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")

@@ -126,9 +126,11 @@ def solve_and_write(job: Job) -> Receipt:
             begin, busy = time.perf_counter(), time.thread_time()
             arrays, solved = solve_again(spec, cells, stored, job.retry)
         middle, processor = time.perf_counter(), time.thread_time() - busy
-        # Another attempt may have finished meanwhile: what is stored is then the same, and stays.
+        # Another attempt may have finished meanwhile: what is stored then stays.
         if solved.any() if job.retry is not None else not is_done(header, job.index):
             write_tile(header, job.index, arrays)
+        else:
+            arrays = _stored(header, job.index)
         receipt = _receipt(header, job.index, arrays, solved)
         taken = int((~solved).sum()) if job.retry is None else 0
         return replace(
