@@ -150,6 +150,8 @@ def test_json_writes_infinity_as_text_and_nan_as_null() -> None:
     assert json.loads(to_json(value)) == {"a": "-inf", "b": [None, "inf"], "c": [1, 2], "d": True}
 
 
+FAR = 'system = "two-mass"\naxes.x1 = { start = -1e308, stop = 1e308, num = 9 }\n'
+
 BAD_SPECS = {
     "unknown parameter": ("R = 0.7", "RR = 0.7", "unknown parameter 'RR'; did you mean 'R'?"),
     "R above 1": ("R = 0.7", "R = 1.2", "R = 1.2: must satisfy 0 <= R <= 1"),
@@ -163,6 +165,8 @@ BAD_SPECS = {
     "no axes": (SPEC, 'system = "two-mass"\n[axes]\n', "axes: found none"),
     "parameter that is an axis": ("R = 0.7", "omega = 1.0", "omega is both a parameter and an axis"),
     "not TOML": (SPEC, "{]", "not a TOML file"),
+    "nested": (SPEC, "a = " + "[" * 5000, "nested too deeply"),
+    "too far": (SPEC, FAR, "from start -1e+308 to stop 1e+308 is farther than a float can hold"),
     "unknown key": ("max_periods", "max_perods", "did you mean 'max_periods'?"),
 }
 
@@ -253,6 +257,12 @@ def test_an_unreachable_scheduler_is_refused(
         (("query", "OUT", "--at", "omega=3", "--at", "b=.2", "-o", "x.csv"), "--out writes a window; give one"),
         (("query", "OUT", "-o", "window.txt"), "window.txt: the suffix chooses the format, found '.txt'"),
         (("status", "NONE"), "no such store"),
+        (("statsu", "OUT"), "No such command 'statsu'"),
+        (("--jason",), "No such option '--jason'"),
+        (("plan", "tiny", "--workers", "few"), "Invalid value for '--workers': 'few' is not a valid integer"),
+        (("plan",), "Missing argument 'SPEC' (see cli plan --help)"),
+        (("plan", "x" * 6000), "File name too long"),
+        (("point", "--set", f"omega={'x' * 6000}"), "--set omega: found 'xxx"),
         (("run", "tiny", "-o", "NONE", "--workers", "2", "--scheduler", "tcp://x:1"), "give one of the two"),
     ],
 )
@@ -262,6 +272,7 @@ def test_a_bad_question_is_one_line_and_exit_code_2(folder: Path, args: tuple[st
     lines = shown.stderr.splitlines()
     assert (shown.exit_code, len(lines), shown.stdout) == (2, 1, "")
     assert told in lines[0]
+    assert len(lines[0]) < 600
 
 
 def test_a_picture_that_cannot_be_made_is_refused(folder: Path) -> None:

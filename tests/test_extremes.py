@@ -11,7 +11,7 @@ from tests import naive
 from tests.fuzzing import fuzz
 from workers import Settings, solve_tile, trace
 from workers.model.system import TWO_MASS
-from workers.results import CHAOTIC, FAILED, INVALID
+from workers.results import ARITHMETIC, CHAOTIC, INVALID
 from workers.tile import solve_cells
 
 QUICK = Settings(exponents="none", max_periods=20)
@@ -76,9 +76,10 @@ def _extreme(name: str) -> st.SearchStrategy[float]:
 @given(
     st.fixed_dictionaries({}, optional={p.name: _extreme(p.name) for p in TWO_MASS.parameters}), st.sampled_from(WAYS)
 )
-def test_no_finite_parameters_make_a_cell_raise_warn_or_fail(params: dict[str, float], settings: Settings) -> None:
+def test_no_finite_parameters_make_a_cell_raise_or_warn(params: dict[str, float], settings: Settings) -> None:
+    """What cannot be followed has one of the solver's own reasons: no exception was caught on the way."""
     arrays = solve_tile("two-mass", params, settings)
-    assert arrays["regime"] < FAILED
+    assert arrays["reason"] != ARITHMETIC
     assert np.all(np.isfinite(arrays["state"])) or np.all(np.isnan(arrays["state"]))
 
 

@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +127,15 @@ BAD = [
     ({"axes": {"f2": {"values": [-1.0, 1.0], "scale": "log"}}}, "found -1.0 on a log scale, must be > 0"),
     ({"axes": {"omega": {"start": 1}}}, "axes.omega: stop, num missing"),
     ({"axes": {"omega": {}}}, "axes.omega: start, stop, num missing"),
+    ({"axes": {"x1": {"start": -1e308, "stop": 1e308, "num": 3}}}, "from start -1e+308 to stop 1e+308 is farther"),
+    ({"axes": None}, "axes: found None, must be a table"),
+    ({"axes": {"omega": OMEGA | {"num": 10**5000}}}, "axes.omega.num: found a whole number of thousands of digits"),
+    ({"parameters": {"f2": 10**5000}}, "f2: found a whole number of thousands of digits, must be a finite number"),
+    ({"parameters": {"R": "x" * 6000}}, "xxx...xxx"),
+    ({"system": ["two-mass"]}, "system: found ['two-mass'], must be the name of a system"),
+    ({"solve": []}, "solve: found [], must be a table"),
+    ({"solve": {"tolerance": 10**400}}, "solve.tolerance: found 1000"),
+    ({"solve": {"max_periods": 10**5000}}, "solve.max_periods: found a whole number of thousands of digits"),
     ({"axes": {"omega": {"values": []}}}, "axes.omega.values: found 0 points"),
     ({"axes": {"omega": {"values": 3.0}}}, "axes.omega.values: found 3.0, must be a list of numbers"),
     ({"axes": {"omega": OMEGA | B}}, "axes.omega: found values and start"),
@@ -146,6 +156,7 @@ def test_bad_input_is_told_in_one_line(changes: dict[str, object], told: str) ->
         make(**changes)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
 
 
 BAD_FILES = [
@@ -153,6 +164,12 @@ BAD_FILES = [
     ('system = "two-mass"\n[axes.omega]\nnum = 1\n[axes.omega]\nnum = 2\n', "not a TOML file"),
     ('system = "two-mass"\n', "axes missing"),
     ("[axes.omega]\nvalues = [1.0]\n", "system missing"),
+    ("a = " + "9" * 5000, "not a TOML file: Exceeds the limit (4300 digits)"),
+    ("a = " + "[" * 5000, "nested too deeply"),
+    ("a" + ".a" * 200_000 + " = 1", "nested too deeply"),
+    ("system" + ".a" * 90 + " = 1\n[axes]", "system: found {'a': {'a': "),
+    ("#" * 1_000_001, "too large for a spec: more than 1000000 bytes"),
+    ("\ufeffsystem = 'two-mass'", "begins with a byte order mark"),
     ('system = "two-mass"\naxis = 1\n', "unknown key 'axis'; did you mean 'axes'?"),
 ]
 
@@ -169,6 +186,20 @@ def test_a_bad_file_is_told_with_its_name(tmp_path: Path, text: str, told: str) 
 def test_a_missing_file_names_the_nearest_example() -> None:
     with pytest.raises(InputError, match="no such file, and unknown example 'tinny'; did you mean 'tiny'"):
         Spec.from_toml("tinny")
+
+
+def test_bytes_that_are_not_text_are_told_with_their_place(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes(b"system = '\xff'")
+    with pytest.raises(InputError, match="not a TOML file: byte 10 is not UTF-8 text"):
+        Spec.from_toml(tmp_path / "a.toml")
+
+
+def test_what_is_no_regular_file_is_not_read(tmp_path: Path) -> None:
+    """A pipe without a writer would keep its reader waiting, /dev/zero has no end."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(InputError, match="cannot be read: not a regular file"):
+            Spec.from_toml(path)
 
 
 def test_a_folder_is_no_spec(tmp_path: Path) -> None:

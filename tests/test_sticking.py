@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from tests.test_stroboscopic import KINDS, differences, jacobian
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian
+from tests.test_stroboscopic import KINDS, differences, jacobian
 from workers.kernel.stroboscopic import LOST, STUCK, motion_from
 from workers.model.oscillator import Oscillator, mass_spring
 from workers.results import PERIODIC
