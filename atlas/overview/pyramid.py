@@ -8,7 +8,7 @@ work and never more than that:
 - Before a tile is written for a second time, the chunks over it are dropped: ``regime`` first.
 
 So a kill at any moment leaves a chunk current or missing, and what is missing is computed from the level before when
-it is asked for (``atlas.part``).
+it is asked for (``atlas.query.source``).
 """
 
 import warnings

@@ -58,7 +58,7 @@ def view(
     The level is the finest whose cells are not finer than a pixel (the widest of them, where they differ).
     ``pixels`` is the size, (x, y), of the area that they will fill; None for the cells themselves. The answer is an
     atlas too: the same names, dimensions and attributes; where it is coarser, its axes carry CF bounds, ends at the
-    window's, and ``encoding["level"]`` tells the level. What coarse cells say is in ``atlas.coarsen``. With ``marks``
+    window's, and ``encoding["level"]`` has the level. What coarse cells say is in ``overview.coarsen``. With ``marks``
     their regime is ``regime_shown``, and cells shown without an exponent, a period or a result have none;
     otherwise it is the most frequent one.
     A name without overviews is read cell by cell. Raises InputError for an unknown axis or a window without a cell.

@@ -65,7 +65,7 @@ class Receipt:
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
     peak_bytes                      most memory that the worker's process ever had
-    entry                           what the store's tally is to say of the whole tile, see atlas.tally
+    entry                           what the store's tally is to say of the whole tile, see ``store.tally``
     """
 
     index: tuple[int, ...]

@@ -45,7 +45,7 @@ def _install(module):
 
 
 class _Finder(importlib.abc.MetaPathFinder):
-    """Lets atlas.job load as usual, then has it changed."""
+    """Lets atlas.task.task load as usual, then has it changed."""
 
     def find_spec(self, name, path=None, target=None):
         if name != "atlas.task.task":
