@@ -29,6 +29,7 @@ from scipy.integrate import solve_ivp
 
 from workers import Settings, solve_tile
 from workers.kernel.stroboscopic import EVALUATIONS, motion_from
+from workers.model.oscillator import COLUMN
 from workers.model.system import find_system
 from workers.stretch import run_periods
 
@@ -246,7 +247,7 @@ def counts(params: dict[str, float], periods: int = 1000) -> tuple[float, float]
     before = float(motion.tally[EVALUATIONS])
     run_periods(osc, motion, periods)
     count = (float(motion.tally[EVALUATIONS]) - before) / periods
-    return count, count * (2 + sum(3 if block.d > 0.0 else 5 for block in osc.gap.block))
+    return count, count * (2 + sum(3 if d > 0.0 else 5 for d in osc.gap.block[:, COLUMN.d]))
 
 
 def measure(schedule: Schedule) -> list[dict[str, Any]]:

@@ -10,11 +10,11 @@ from workers.kernel.averages import (
     FEWEST_BLOCKS,
     MEAN,
     add_to_blocks,
-    average,
     no_averages,
     standard_error,
 )
 from workers.kernel.stroboscopic import SPREAD, motion_from, reset_frame
+from workers.stretch import run_periods
 
 
 def blocking(values: np.ndarray) -> np.ndarray:
@@ -78,10 +78,9 @@ def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None
     exact = -0.235569640371152
     osc, start = naive.two_mass(**naive.FIGURES[3])
     motion = motion_from(osc, start, vectors=1)
-    none = np.empty((0, 2, 2))
-    average(osc, motion, 0, 500, no_averages(), none)
+    run_periods(osc, motion, 500)
     averages = no_averages()
-    average(osc, motion, 0, 4000, averages, none)
+    run_periods(osc, motion, 4000, averages)
     plain, weighted = averages.levels[0, 1], averages.weighted[0] / averages.weighted[1]
     assert abs(weighted - exact) < 1e-11
     assert abs(plain - exact) < 1e-3
@@ -93,11 +92,10 @@ def test_averages_do_not_depend_on_when_the_frame_is_made_orthonormal(figure: in
     """Against every period, as Li & Tan (2011) do."""
     osc, start = naive.two_mass(**naive.FIGURES[figure])
     one, other = motion_from(osc, start, vectors=vectors), motion_from(osc, start, vectors=vectors)
-    none = np.empty((0, 2, 2))
     averages, expected = no_averages(), no_averages()
-    average(osc, one, 0, 300, averages, none)
+    run_periods(osc, one, 300, averages)
     for _ in range(300):
-        average(osc, other, 0, 1, expected, none)
+        run_periods(osc, other, 1, expected)
         reset_frame(osc, other)
     assert one.tally[SPREAD] > 0.0
     assert averages.levels[:, MEAN] == pytest.approx(expected.levels[:, MEAN], abs=1e-12)
@@ -109,7 +107,7 @@ def test_a_stretch_ends_with_its_last_sections() -> None:
     osc, start = naive.two_mass(**naive.FIGURES[4])
     one, other = motion_from(osc, start, vectors=1), motion_from(osc, start)
     kept, expected = np.empty((3, 2, 2)), np.empty((3, 2, 2))
-    average(osc, one, 0, 10, no_averages(), kept)
-    average(osc, other, 0, 10, no_averages(), expected)
+    run_periods(osc, one, 10, no_averages(), kept)
+    run_periods(osc, other, 10, no_averages(), expected)
     assert kept == pytest.approx(expected, abs=1e-15)
     assert kept[-1] == pytest.approx(one.h, abs=0)

@@ -1,141 +1,220 @@
-"""Cells in a batch against one cell alone: the same bits, whatever else the batch holds."""
+"""Cells side by side: each has the bits that it has alone, and follows the map that the kernels of one cell state."""
+
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.kernel.averages import no_averages
-from workers.kernel.stroboscopic import EVALUATIONS, FREE, RUNNING, STATUS, WORK, Motion, motion_from
-from workers.model.oscillator import Oscillator
-from workers.model.system import find_system
-from workers.results import UNDETERMINED
-from workers.solve import with_frame
-from workers.stretch import Stretch, ended, run_stretch, run_stretches
+from workers.kernel.batch.layout import VECTOR_WIDTH
+from workers.kernel.batch.run import Batch
+from workers.kernel.stroboscopic import (
+    EVALUATIONS,
+    FREE,
+    LOWER,
+    RUNNING,
+    STATUS,
+    STUCK,
+    UPPER,
+    WORK,
+    advance,
+    blocks_to_physical,
+    motion_from,
+    motions_at,
+)
+from workers.model.oscillator import Oscillator, each
+from workers.model.system import TWO_MASS
+from workers.results import NO_REASON, UNDETERMINED
+from workers.stretch import batch_of, ended, run
 from workers.tile import solve_cells
 
 KEPT = 5
 
 
-def stretch(osc: Oscillator, start: np.ndarray, vectors: int, periods: int) -> Stretch:
-    motion = with_frame(motion_from(osc, start), vectors)
-    return Stretch(osc, motion, periods, no_averages() if vectors else None, np.zeros((KEPT, *motion.h.shape)))
+def oscillators_of(params: Mapping[str, np.ndarray], count: int) -> Oscillator:
+    values = {p.name: np.broadcast_to(params.get(p.name, p.default), count) for p in TWO_MASS.parameters}
+    oscillators, reasons = TWO_MASS.build_many(values)
+    assert np.all(reasons == NO_REASON)
+    return oscillators
 
 
-def family(figure: int, vectors: int, count: int, periods: int) -> list[Stretch]:
+def at_rest(oscillators: Oscillator, vectors: int, periods: int | np.ndarray) -> Batch:
+    """Cells that start with all masses in the middle, so many periods to go."""
+    N, n = oscillators.gap_row.shape
+    h = np.empty((N, n, 2))
+    for k in range(N):
+        h[k] = motion_from(each(oscillators, lambda field: field[k]), np.zeros(2 * n)).h  # noqa: B023
+    batch = batch_of(oscillators, motions_at(h, vectors=vectors), KEPT)
+    batch.periods[:] = periods
+    return batch
+
+
+def family(figure: int, vectors: int, count: int, periods: int | np.ndarray) -> Batch:
     """Cells near that of a figure, each with a b of its own."""
     params = naive.FIGURES[figure]
-    cells = (naive.two_mass(**params | {"b": params["b"] * (1.0 + 1e-3 * k)}) for k in range(count))
-    return [stretch(osc, start, vectors, periods) for osc, start in cells]
+    return at_rest(
+        oscillators_of(params | {"b": params["b"] * (1.0 + 1e-3 * np.arange(count))}, count), vectors, periods
+    )
 
 
-def copies(stretches: list[Stretch]) -> list[Stretch]:
-    return [
-        one._replace(
-            motion=Motion(*(part.copy() for part in one.motion)),
-            averages=one.averages and type(one.averages)(*(part.copy() for part in one.averages)),
-            sections=one.sections.copy(),
-        )
-        for one in stretches
-    ]  # fmt: skip
-
-
-def same_bits(one: Stretch, other: Stretch) -> bool:
-    pairs = [(one.sections, other.sections)]
-    pairs += ((getattr(one.motion, name), getattr(other.motion, name)) for name in Motion._fields if name != "scratch")
-    if one.averages and other.averages:
-        pairs += zip(one.averages, other.averages, strict=True)
-    return all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
-
-
-def random_cells(seed: int, count: int, vectors: int, periods: int) -> list[Stretch]:
+def random_cells(seed: int, count: int, vectors: int, periods: int) -> Batch:
     """Cells of every kind: under- and overdamped, R from 0 to 1, sticking, chattering, free of impacts."""
     rng = np.random.default_rng(seed)
-    found: list[Stretch] = []
-    while len(found) < count:
-        params = {
-            "omega": 10.0 ** rng.uniform(-1, 1.5),
-            "b": 10.0 ** rng.uniform(-2.5, 0.5),
-            "mu_m": 10.0 ** rng.uniform(-1, 1),
-            "mu_k": 10.0 ** rng.uniform(-1, 1),
-            "zeta": rng.choice([0.0, 1.0]) * 10.0 ** rng.uniform(-3, 0.7),
-            "R": rng.choice([0.0, 0.3, 0.6, 0.8, 0.95, 1.0]),
-            "f2": rng.uniform(-2, 5),
-            "tau": rng.uniform(-4, 4),
-        }
-        system = find_system("two-mass")
-        osc = system.build({p.name: p.default for p in system.parameters} | params)
-        found.append(stretch(osc, np.zeros(4), vectors, periods))
-    return found
+    params = {
+        "omega": 10.0 ** rng.uniform(-1, 1.5, count),
+        "b": 10.0 ** rng.uniform(-2.5, 0.5, count),
+        "mu_m": 10.0 ** rng.uniform(-1, 1, count),
+        "mu_k": 10.0 ** rng.uniform(-1, 1, count),
+        "zeta": rng.choice([0.0, 1.0], count) * 10.0 ** rng.uniform(-3, 0.7, count),
+        "R": rng.choice([0.0, 0.3, 0.6, 0.8, 0.95, 1.0], count),
+        "f2": rng.uniform(-2, 5, count),
+        "tau": rng.uniform(-4, 4, count),
+    }
+    return at_rest(oscillators_of(params, count), vectors, periods)
+
+
+def part(batch: Batch, cells: np.ndarray) -> Batch:
+    """A copy of some cells."""
+    copied: Batch = each(batch, lambda field: field[cells].copy())
+    return copied
+
+
+def finish(batch: Batch, **how: int) -> Batch:
+    run(batch, np.arange(len(batch.done)), **how)
+    return batch
+
+
+def one_by_one(batch: Batch) -> list[Batch]:
+    return [finish(part(batch, np.array([k]))) for k in range(len(batch.done))]
+
+
+def assert_same_bits(one: Batch, other: Batch, cells: np.ndarray) -> None:
+    """Everything of ``other`` is what ``one`` has of these cells."""
+    picked = part(one, cells)
+    for name in ("done", "levels", "weighted", "sections"):
+        np.testing.assert_array_equal(getattr(picked, name), getattr(other, name), err_msg=name)
+    for name in ("h", "contact", "V", "growth", "tally"):
+        found, expected = getattr(picked.motions, name), getattr(other.motions, name)
+        np.testing.assert_array_equal(found, expected, err_msg=name)
 
 
 @pytest.mark.parametrize("vectors", [0, 1, 4])
 @pytest.mark.parametrize("figure", [3, 4, 5])
-def test_a_batch_is_bit_for_bit_one_by_one(figure: int, vectors: int) -> None:
-    together = family(figure, vectors, 150, 40)
-    alone = copies(together)
-    assert run_stretches(together, [0] * len(together)) == [run_stretch(one) for one in alone]
-    assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
+def test_cells_side_by_side_have_the_bits_of_each_alone(figure: int, vectors: int) -> None:
+    start = family(figure, vectors, 150, 40)
+    together = finish(part(start, np.arange(150)))
+    assert np.all(together.done == 40)
+    for k, alone in enumerate(one_by_one(start)):
+        assert_same_bits(together, alone, np.array([k]))
 
 
 @pytest.mark.parametrize("vectors", [0, 1, 4])
-def test_cells_of_every_kind_have_the_bits_of_one_by_one(vectors: int) -> None:
-    """Those that rest on a stop or chatter leave their lane on the way."""
-    together = random_cells(7, 200, vectors, 30)
-    alone = copies(together)
-    assert run_stretches(together, [0] * len(together)) == [run_stretch(one) for one in alone]
-    assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
-    rest = sum(one.motion.contact[0] != FREE for one in together)
+def test_cells_of_every_kind_have_the_bits_of_each_alone(vectors: int) -> None:
+    """Those that rest on a stop or chatter leave their lane for some periods; overdamped ones have their own batch."""
+    start = random_cells(7, 200, vectors, 30)
+    together = finish(part(start, np.arange(200)))
+    for k, alone in enumerate(one_by_one(start)):
+        assert_same_bits(together, alone, np.array([k]))
+    rest = np.sum(together.motions.contact != FREE)
     assert 10 < rest < 150
+
+
+@pytest.mark.parametrize("count", range(1, 3 * VECTOR_WIDTH))
+def test_any_number_of_lanes_gives_the_same_bits(count: int) -> None:
+    """Loops over lanes have vector bodies and remainders; one arithmetic."""
+    start = family(5, 4, 3 * VECTOR_WIDTH, 20)
+    whole = finish(part(start, np.arange(3 * VECTOR_WIDTH)))
+    some = np.arange(3 * VECTOR_WIDTH)[-count:]
+    assert_same_bits(whole, finish(part(start, some)), some)
 
 
 def test_the_other_cells_and_the_order_do_not_matter() -> None:
     """A shuffled part of the cells, with stretches of other lengths between them, gives the same bits."""
-    whole = family(5, 1, 140, 60)
+    start = family(5, 1, 140, 60)
+    whole = finish(part(start, np.arange(140)))
     order = np.random.default_rng(3).permutation(140)[:77]
-    part = copies([whole[k] for k in order])
-    others = [one._replace(periods=7 + k) for k, one in enumerate(family(4, 1, 77, 7))]
-    run_stretches(whole, [0] * 140)
-    mixed = [one for pair in zip(part, others, strict=True) for one in pair]
-    run_stretches(mixed, [0] * 154)
-    assert all(same_bits(whole[k], one) for k, one in zip(order, part, strict=True))
+    others = family(4, 1, 77, 7 + np.arange(77))
+    mixed = each_pair(part(start, order), others)
+    run(mixed, np.random.default_rng(4).permutation(154))
+    assert_same_bits(whole, part(mixed, np.arange(77)), order)
+
+
+def each_pair(one: Batch, other: Batch) -> Batch:
+    """Both batches in one."""
+
+    def joined(a: object, b: object) -> object:
+        if isinstance(a, tuple):
+            return type(a)(*map(joined, a, b))  # type: ignore[call-overload]
+        return np.concatenate([a, b])  # type: ignore[list-item]
+
+    return joined(one, other)  # type: ignore[return-value]
 
 
 def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits() -> None:
     """Stretches of 10 to 350 periods in 16 lanes until all have ended: each return leaves fewer of them under way."""
-    together = [one._replace(periods=10 + 20 * k) for k, one in enumerate(family(5, 1, 18, 1))]
-    alone = copies(together)
-    done, rounds = [0] * 18, []
-    while any(not ended(one, count) for one, count in zip(together, done, strict=True)):
-        done = run_stretches(together, done, to_end=False, lanes=16, fewest=1)
-        rounds.append(sum(not ended(one, count) for one, count in zip(together, done, strict=True)))
-    assert done == [run_stretch(one) for one in alone]
-    assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
-    assert len(rounds) > 2
-    assert all(after <= before / 2 + 2 for before, after in zip([16, *rounds], rounds, strict=False))
+    start = family(5, 1, 18, 10 + 20 * np.arange(18))
+    whole = finish(part(start, np.arange(18)))
+    left = []
+    while not np.all(ended(start)):
+        run(start, np.flatnonzero(~ended(start)), to_end=False, lanes=16)
+        left.append(int(np.sum(~ended(start))))
+    assert_same_bits(whole, start, np.arange(18))
+    assert len(left) > 2
+    assert all(after <= before / 2 + 2 for before, after in zip([16, *left], left, strict=False))
 
 
-def test_a_motion_that_is_out_of_work_stops_where_it_would_alone() -> None:
-    together = family(3, 0, 8, 50)
-    for k, one in enumerate(together):
-        one.motion.tally[WORK] = 40.0 * k
-    alone = copies(together)
-    done = run_stretches(together, [0] * len(together))
-    assert done == [run_stretch(one) for one in alone]
-    assert 1 == done[0] < done[4] < 50
-    assert all(one.motion.tally[STATUS] == RUNNING for one in together)
+def test_a_motion_that_is_out_of_work_stops_at_its_section() -> None:
+    batch = family(3, 0, 8, 50)
+    batch.motions.tally[:, WORK] = 40.0 * np.arange(8)
+    finish(batch)
+    assert 1 == batch.done[0] < batch.done[4] < 50
+    assert np.all(batch.motions.tally[:, STATUS] == RUNNING)
+
+
+@pytest.mark.parametrize("figure", [3, 4])
+def test_side_by_side_cells_follow_the_map_of_one(figure: int) -> None:
+    """The stroboscopic map as the kernels of one cell state it; on a stable orbit rounding does not grow."""
+    batch = family(figure, 4, 20, 300)
+    motions = [motion_from(each(batch.oscillators, lambda f: f[k]), np.zeros(4), 4) for k in range(20)]  # noqa: B023
+    finish(batch)
+    for k, motion in enumerate(motions):
+        osc = each(batch.oscillators, lambda field: field[k])  # noqa: B023
+        for _ in range(300):
+            advance(osc, motion)
+        assert batch.motions.h[k] == pytest.approx(motion.h, abs=1e-12)
+        assert batch.motions.growth[k] == pytest.approx(motion.growth, rel=1e-9)
+        assert batch.motions.tally[k, [UPPER, LOWER]].tolist() == motion.tally[[UPPER, LOWER]].tolist()
+
+
+def test_one_period_of_every_kind_of_cell_is_that_of_the_map_of_one() -> None:
+    """One period from a settled state, rest included; impacts that hardly touch amplify rounding in a few."""
+    batch = random_cells(11, 300, 0, 20)
+    finish(batch)
+    sticks, away = 0, []
+    before = part(batch, np.arange(300))
+    batch.periods[:], batch.done[:] = 1, 0
+    finish(batch)
+    for k in range(300):
+        osc = each(batch.oscillators, lambda field: field[k])  # noqa: B023
+        motion = part(before, np.array([k])).motions
+        alone = type(motion)(*(field[0] for field in motion))
+        advance(osc, alone)
+        here = type(motion)(*(field[k] for field in batch.motions))
+        scale = 1.0 + np.abs(blocks_to_physical(osc, alone)).max()
+        away.append(np.max(np.abs(here.h - alone.h)) / scale)
+        sticks += here.tally[STUCK] > before.motions.tally[k, STUCK]
+    assert sticks > 10
+    assert np.mean(np.array(away) < 1e-10) > 0.9
+    assert np.max(away) < 0.1
 
 
 def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
     """R = 1 and a gap of 1e-5 of the response: 10^5 impacts a period."""
-    cells = [
-        naive.two_mass(**naive.FIGURES[3] | {"R": 1.0, "b": 1e-6 * (1.0 + 0.01 * k), "omega": 0.1}) for k in range(4)
-    ]
-    together = [stretch(osc, start, 0, 3) for osc, start in cells]
-    alone = copies(together)
-    assert run_stretches(together, [0] * len(together)) == [run_stretch(one) for one in alone]
-    assert all(same_bits(a, b) for a, b in zip(together, alone, strict=True))
-    assert max(one.motion.tally[EVALUATIONS] for one in together) > 100_000
+    params = naive.FIGURES[3] | {"R": 1.0, "b": 1e-6 * (1.0 + 0.01 * np.arange(4)), "omega": 0.1}
+    batch = finish(at_rest(oscillators_of(params, 4), 0, 3))
+    assert np.max(batch.motions.tally[:, EVALUATIONS]) > 100_000
+    assert np.all(batch.done == 3)
 
 
 def test_a_mass_at_rest_but_for_rounding_is_given_up_for_its_cost_not_failed() -> None:

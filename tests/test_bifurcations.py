@@ -13,13 +13,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from workers.kernel.cells import scale_of
 from workers.kernel.stroboscopic import FREE, blocks_to_physical, motion_at, motion_from
 from workers.model.oscillator import Oscillator
 from workers.model.system import TWO_MASS
 from workers.orbit.map import FixedPoint
 from workers.orbit.newton import newton
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
-from workers.solve import scale_of
 from workers.tile import solve_tile
 
 
@@ -72,7 +72,7 @@ def oscillator(omega: float) -> Oscillator:
 def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> FixedPoint | None:
     """The orbit at omega, stable or not, by Newton's method from a block state; None where there is none."""
     osc = oscillator(omega)
-    scale = scale_of(osc, motion_at(h))
+    scale = scale_of(osc, h)
     found, _ = newton(osc, h, FREE, bifurcation.steps, bifurcation.half, scale, 20)
     return found if math.isfinite(found.residual) else None
 

@@ -8,7 +8,7 @@ import pytest
 from mpmath import mp
 
 from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
-from workers.model.oscillator import LARGEST_ANGLE, make_block, mass_spring
+from workers.model.oscillator import COLUMN, LARGEST_ANGLE, make_blocks, mass_spring
 
 EPS = 2.0**-52
 
@@ -43,7 +43,7 @@ def test_the_exponential_is_right_to_an_ulp() -> None:
 
 
 def test_the_exponential_ends_in_zero() -> None:
-    assert exp_minus(1e300) == exp_minus(math.inf) < 1e-320
+    assert exp_minus(709.0) == exp_minus(1e300) == exp_minus(math.inf) == 0.0 < exp_minus(707.0)
 
 
 def test_the_exponential_of_what_is_no_number_is_none() -> None:
@@ -60,11 +60,11 @@ def test_the_series_are_cosine_and_sinc_of_either_sign() -> None:
 
 
 @pytest.mark.parametrize("function", [exp_minus, sin_cos, cosc_sinc], ids=["exp", "sin and cos", "series"])
-def test_compiled_and_interpreted_give_the_same_bits(function: Callable[[float], object]) -> None:
-    """So no operation is fused or reordered."""
+def test_compiled_and_interpreted_differ_by_rounding_alone(function: Callable[[float], object]) -> None:
+    """Products and sums may be fused, nothing else."""
     rng = np.random.default_rng(2)
     for x in rng.uniform(0.0, 0.1 if function is cosc_sinc else 500.0, 500).tolist():
-        assert function(x) == function.py_func(x)  # type: ignore[attr-defined]
+        assert function(x) == pytest.approx(function.py_func(x), rel=4 * EPS, abs=EPS)  # type: ignore[attr-defined]
 
 
 def test_a_period_of_more_oscillations_than_digits_is_refused() -> None:
@@ -77,5 +77,5 @@ def test_a_period_of_more_oscillations_than_digits_is_refused() -> None:
 
 
 def test_a_block_knows_its_decay_rates() -> None:
-    slow, fast = make_block(2.0, 3.0)[5:7]
-    assert (slow, fast) == pytest.approx((1.0, 3.0))
+    block = make_blocks(np.float64(2.0), np.float64(3.0))
+    assert (block[COLUMN.slow], block[COLUMN.fast]) == pytest.approx((1.0, 3.0))

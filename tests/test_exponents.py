@@ -8,9 +8,8 @@ from scipy.linalg import eigvals
 
 from tests import naive
 from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
-from workers.kernel.averages import average, no_averages
-from workers.kernel.stroboscopic import motion_from, reset_frame
-from workers.solve import restart_counts
+from workers.kernel.stroboscopic import WORK, WORK_OF_A_TRIAL, motion_from, reset_frame
+from workers.stretch import run_periods
 
 
 @pytest.mark.parametrize("figure", [3, 4, 5])
@@ -19,15 +18,17 @@ def test_independent_exponents_add_up_to_the_exact_sum(figure: int) -> None:
     p = naive.FIGURES[figure]
     osc, start = naive.two_mass(**p)
     motion = motion_from(osc, start, vectors=4)
-    none = np.empty((0, 2, 2))
-    average(osc, motion, 0, 200, no_averages(), none)
-    restart_counts(osc, motion)
-    average(osc, motion, 0, 2000, no_averages(), none)
+    run_periods(osc, motion, 200)
+    motion.tally[:] = 0.0
+    motion.tally[WORK] = WORK_OF_A_TRIAL
+    reset_frame(osc, motion)
+    motion.growth[:] = 0.0
+    run_periods(osc, motion, 2000)
     reset_frame(osc, motion)
     trace = 2 * p["zeta"] * (1 + (1 + p["mu_k"]) / p["mu_m"])
-    exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impact_count(motion) / 2000
-    assert sum_law_holds(osc, motion)
-    assert sum_of_exponents(osc, impact_count(motion) / 2000) == pytest.approx(exact, rel=1e-13)
+    exact = -trace * 2 * math.pi / p["omega"] + 2 * math.log(p["R"]) * impact_count(motion.tally) / 2000
+    assert bool(sum_law_holds(motion.tally))
+    assert sum_of_exponents(osc, impact_count(motion.tally) / 2000) == pytest.approx(exact, rel=1e-13)
     assert abs(motion.growth.sum() / 2000 - exact) < 1e-11
 
 
@@ -35,8 +36,8 @@ def test_the_sum_law_is_not_claimed_where_a_direction_is_lost() -> None:
     for params in (naive.STICKING, naive.FIGURES[3] | {"R": 0.0, "omega": 1.93, "b": 0.52}):
         osc, start = naive.two_mass(**params)
         motion = motion_from(osc, start, vectors=4)
-        average(osc, motion, 0, 20, no_averages(), np.empty((0, 2, 2)))
-        assert not sum_law_holds(osc, motion)
+        run_periods(osc, motion, 20)
+        assert not bool(sum_law_holds(motion.tally))
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.05, 0.5, 1.0 / math.sqrt(2.0 - math.sqrt(1.5)), 5.0, 50.0])

@@ -16,11 +16,11 @@ from workers.kernel.flight import (
     next_crossing,
     safe_step,
 )
-from workers.model.oscillator import Signal, make_block
+from workers.model.oscillator import Signal, make_blocks
 
 
 def flow(eta: float, lam: float, s: float) -> np.ndarray:
-    return np.array(block_flow(make_block(eta, lam), s)).reshape(2, 2)
+    return np.array(block_flow(make_blocks(np.float64(eta), np.float64(lam)), s)).reshape(2, 2)
 
 
 def distance(found: np.ndarray, true: np.ndarray, lam: float) -> float:
@@ -71,10 +71,8 @@ def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float]
     row1 = np.column_stack([-lam * row[:, 1], row[:, 0] - 2 * eta * row[:, 1]])
     row2 = np.column_stack([-lam * row1[:, 1], row1[:, 0] - 2 * eta * row1[:, 1]])
     sin_part, cos_part = rng.normal(size=2) * 0.3
-    nested = (tuple(map(tuple, (np.array(r)).tolist())) for r in (row, row1, row2))
-    blocks = tuple(map(make_block, eta.tolist(), lam.tolist()))
     return Signal(
-        tuple(eta.tolist()), tuple(lam.tolist()), blocks, *nested, float(sin_part), float(cos_part),
+        eta, lam, make_blocks(eta, lam), row, row1, row2, float(sin_part), float(cos_part),
         math.hypot(sin_part, cos_part), float(np.exp(rng.uniform(np.log(0.3), np.log(5.0)))), 0.0,
     )  # fmt: skip
 

@@ -12,8 +12,8 @@ from tests import naive
 from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
 from workers.history import trace
+from workers.kernel.linalg import moduli, solution, spectral_radius
 from workers.kernel.stroboscopic import motion_at, motion_from, propagate, reset_frame
-from workers.orbit.floquet import spectral_radius
 from workers.orbit.newton import corrected, recurrence
 from workers.results import PERIODIC
 from workers.settings import Settings
@@ -160,13 +160,39 @@ def test_recurrence_puts_the_lag_that_closes_first() -> None:
     osc, _ = naive.two_mass(**naive.FIGURES[3])
     sections = np.zeros((20, 2, 2))
     sections[:, 0, 0] = np.arange(20) % 4 * 1e-3
-    assert recurrence(osc, sections, 1.0, 10)[0] == 4
+    assert recurrence(osc.gap.lam, sections, 1.0, 10)[0] == 4
 
 
-def test_a_newton_step_without_an_answer_is_nan() -> None:
+def test_a_newton_step_without_an_answer_is_not_finite() -> None:
     """J = I: every point is fixed, or none."""
     h = np.ones((2, 2))
-    assert np.all(np.isnan(corrected(h, 2.0 * h, np.eye(4))))
+    assert not np.any(np.isfinite(corrected(h, 2.0 * h, np.eye(4))))
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 6])
+def test_moduli_of_eigenvalues_are_those_of_lapack_in_any_units(size: int) -> None:
+    rng = np.random.default_rng(size)
+    for _ in range(100):
+        units = 10.0 ** rng.uniform(-3, 3, size)
+        matrix = rng.normal(size=(size, size)) * units[:, None] / units
+        expected = np.sort(np.abs(np.linalg.eigvals(matrix)))
+        assert np.sort(moduli(matrix)) == pytest.approx(expected, abs=1e-12 * expected[-1])
+
+
+def test_moduli_of_special_matrices_are_exact() -> None:
+    """Rotations, shifts and defective matrices, on which a QR method without care goes round in circles."""
+    cycle = np.roll(np.eye(5), 1, axis=0)
+    assert moduli(cycle) == pytest.approx(np.ones(5), abs=1e-14)
+    assert moduli(np.array([[0.0, 1.0], [-1.0, 0.0]])) == pytest.approx([1.0, 1.0], abs=1e-15)
+    assert moduli(np.diag([1.0, 1.0], 1)).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_linear_equations_are_solved_with_pivots() -> None:
+    rng = np.random.default_rng(4)
+    for size in (1, 2, 4, 6):
+        matrix, right = rng.normal(size=(size, size)), rng.normal(size=size)
+        matrix[0, 0] = 0.0 if size > 1 else 1.0
+        assert solution(matrix.copy(), right.copy()) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-10)
 
 
 def test_a_matrix_that_is_not_finite_has_an_infinite_spectral_radius() -> None:

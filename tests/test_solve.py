@@ -73,9 +73,9 @@ def test_the_fixed_schedule_may_go_without_a_transient() -> None:
 
 @pytest.mark.parametrize("exponents", ["largest", "spectrum"])
 def test_a_chaotic_transient_inside_the_average_leaves_a_periodic_cell_its_exact_exponents(exponents: str) -> None:
-    """It settles after 20,000 periods. Truth: the adaptive method's Floquet exponents, from the settled state on."""
+    """It settles after 20,000 periods and more. Truth: the adaptive method's exponents from the settled state on."""
     params = {"omega": np.linspace(1.0, 4.5, 280)[68], "b": np.linspace(0.05, 0.6, 220)[68]}
-    schedule = Settings(exponents=exponents, method="fixed", transient_periods=20_000, periods=60_000)
+    schedule = Settings(exponents=exponents, method="fixed", transient_periods=20_000, periods=40_000)
     found = cell(params, schedule)
     settled = params | dict(zip(("x1", "x2", "v1", "v2"), found["state"], strict=True))
     exact = cell(settled, Settings(exponents=exponents))
@@ -405,4 +405,6 @@ def test_kernels_run_as_plain_python_give_the_same_results() -> None:
         for name, value in compiled.items():
             if name in ("error", "sum_law_defect"):
                 continue
-            assert np.asarray(plain[name]) == pytest.approx(value.ravel().astype(float), abs=1e-12, nan_ok=True), name
+            # Rounding decides the last step of Newton's method, and the hop after which chatter counts as complete.
+            near = {"periods_used": 2.0, "stuck_fraction": 1e-9}.get(name, 1e-12)
+            assert np.asarray(plain[name]) == pytest.approx(value.ravel().astype(float), abs=near, nan_ok=True), name

@@ -1,6 +1,7 @@
 """Chatter, rest and release beyond one period: Jacobians by differences, rest for ever, and what is lost exactly."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from tests import naive
 from tests.oracle.simulate import section_jacobian
 from tests.test_stroboscopic import KINDS, differences, jacobian
 from workers.kernel.stroboscopic import LOST, STUCK, motion_from
-from workers.model.oscillator import Oscillator, mass_spring
-from workers.results import PERIODIC
+from workers.model.oscillator import Oscillator, many_of, mass_spring
+from workers.results import PERIODIC, empty_results, result_variables
 from workers.settings import Settings
-from workers.solve import solve_cell
+from workers.solve import solve
 from workers.stretch import run_periods
 
 START = {"x1": 0.01, "x2": -0.02, "v1": 0.05, "v2": 0.03}
@@ -45,6 +46,14 @@ def preloaded(force: float = 0.01, R: float = 0.6) -> tuple[Oscillator, np.ndarr
     return osc, np.array([0.25, 0.0, 0.1, 0.0])
 
 
+def solved(osc: Oscillator, start: np.ndarray) -> dict[str, Any]:
+    """The results of one cell, with all exponents."""
+    settings = Settings(exponents="spectrum")
+    found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4})
+    solve(many_of(osc), np.zeros(1, dtype=np.int8), start[None], settings, found)
+    return {name: array[0] for name, array in found.items()}
+
+
 def test_a_mass_that_is_always_pressed_on_a_stop_rests_there_for_ever() -> None:
     """Nothing waits for a release: the time at rest is all the time once it has begun."""
     osc, start = preloaded()
@@ -60,18 +69,16 @@ def test_a_mass_that_is_always_pressed_on_a_stop_rests_there_for_ever() -> None:
 def test_a_mass_at_rest_for_ever_has_the_exponents_of_what_is_left() -> None:
     """Truth: mass 2 alone, x2'' + 0.3 x2' + 3 x2 = ..., decays at 0.15; the other two directions are lost."""
     osc, start = preloaded()
-    cell = solve_cell(osc, start, Settings(exponents="spectrum"))
-    assert (cell.regime, cell.period, cell.sticks) == (PERIODIC, 1, True)
-    assert cell.stuck_fraction == pytest.approx(1.0, abs=1e-13)
-    assert cell.spectrum is not None
-    assert cell.spectrum[:2] == pytest.approx([-0.15 * osc.period] * 2, rel=1e-10)
-    assert np.all(cell.spectrum[2:] == -math.inf)
+    cell = solved(osc, start)
+    assert (cell["regime"], cell["period"], cell["sticks"]) == (PERIODIC, 1, True)
+    assert cell["stuck_fraction"] == pytest.approx(1.0, abs=1e-13)
+    assert cell["spectrum"][:2] == pytest.approx([-0.15 * osc.period] * 2, rel=1e-10)
+    assert np.all(cell["spectrum"][2:] == -math.inf)
 
 
 @pytest.mark.parametrize(("kind", "lost"), [("sticks", 2), ("sticks, R = 0", 2), ("leaves at once, R = 0", 1)])
 def test_exponents_are_minus_infinity_exactly_where_directions_are_lost(kind: str, lost: int) -> None:
     osc, start = naive.two_mass(**KINDS[kind])
-    cell = solve_cell(osc, start, Settings(exponents="spectrum"))
-    assert cell.spectrum is not None
-    assert int(np.sum(cell.spectrum == -math.inf)) == lost
-    assert np.all(np.isfinite(cell.spectrum[: 4 - lost]))
+    cell = solved(osc, start)
+    assert int(np.sum(cell["spectrum"] == -math.inf)) == lost
+    assert np.all(np.isfinite(cell["spectrum"][: 4 - lost]))

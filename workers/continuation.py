@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workers.model.system import System, find_system
+from workers.results import NO_REASON
 from workers.settings import Settings
 from workers.tile import Solution, solve_cells
 
@@ -59,25 +60,20 @@ def solve_lines(
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
-    """Initial states of the cells at one position of all lines: the newest known ones, their own where none is."""
+    """Initial states of the cells at one position of all lines: the newest known ones, their own where none is.
+
+    The gap coordinate is moved onto the stop that it lies beyond, if it does.
+    """
     states = np.stack([here[name] for name in record.states], axis=-1)
-    for index in np.ndindex(last.shape[:-1]):
-        if np.all(np.isfinite(last[index])):
-            states[index] = _between_stops(
-                record, {name: float(grid[index]) for name, grid in here.items()}, last[index]
-            )
-    return {name: states[..., k] for k, name in enumerate(record.states)}
-
-
-def _between_stops(record: System, values: Mapping[str, float], state: Array) -> Array:
-    """The state with its gap coordinate moved onto the stop that it lies beyond, if it does."""
-    try:
-        osc = record.build(values)
-    except (ValueError, ArithmeticError):
-        return state  # solve_cells will call this cell invalid
-    row = np.array(osc.gap_row)
-    moved = state.copy()
+    known = np.isfinite(last).all(axis=-1)
+    oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
+    moved = last[known].copy()
+    row = oscillators.gap_row
+    n = row.shape[1]
     for _ in range(2):  # the second time takes off what rounding left of the first
-        y = float(row @ moved[: row.size])
-        moved[: row.size] += row / (row @ row) * (min(max(y, -osc.b_lower), osc.b_upper) - y)
-    return moved
+        y = np.sum(row * moved[:, :n], axis=1)
+        away = np.minimum(np.maximum(y, -oscillators.b_lower), oscillators.b_upper) - y
+        moved[:, :n] += row * (away / np.sum(row * row, axis=1))[:, None]
+    built = reasons == NO_REASON  # solve_cells calls the others invalid
+    states[known] = np.where(built[:, None], moved, last[known])
+    return {name: states[..., k] for k, name in enumerate(record.states)}

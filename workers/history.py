@@ -6,11 +6,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.stroboscopic import RECORDED, RUNNING, STATUS, blocks_to_physical, reset_frame
+from workers.cells import REASON_OF
+from workers.kernel.cells import scale_of
+from workers.kernel.stroboscopic import (
+    BEYOND,
+    RECORDED,
+    RUNNING,
+    STATUS,
+    WORK,
+    WORK_OF_A_TRIAL,
+    blocks_to_physical,
+    motion_from,
+    reset_frame,
+)
 from workers.model.system import find_system
-from workers.results import REASONS
+from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, InvalidError
 from workers.settings import Settings, check_whole
-from workers.solve import REASON_OF, checked_start, vectors_for, with_frame
 from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
@@ -54,9 +65,15 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         values[name] = float(value)
     osc = record.build(values)
     start = np.array([values[name] for name in record.states])
-    motion = with_frame(checked_start(osc, start, RECORD), vectors_for(settings, osc))
+    vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
+    motion = motion_from(osc, start, vectors, RECORD)
+    if motion.contact[0] == BEYOND:
+        raise InvalidError(BEYOND_STOP)
+    if not np.isfinite(scale_of(osc, motion.h)):
+        raise InvalidError(ENERGY_OUT_OF_DOUBLES)
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
+        motion.tally[WORK] = WORK_OF_A_TRIAL
         run_periods(osc, motion, 1)
         if motion.tally[STATUS] != RUNNING:
             raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")

@@ -1,27 +1,19 @@
-"""``solve_tile``: every cell of a tile solved on its own, from arrays of parameters to arrays of results."""
+"""``solve_tile``: every cell of a tile, from arrays of parameters to arrays of results."""
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.model.system import System, find_system
-from workers.results import (
-    ARITHMETIC,
-    FAILED,
-    INVALID,
-    NO_OSCILLATOR,
-    OUT_OF_RANGE,
-    REASON,
-    InvalidError,
-    empty_results,
-    reason_counts,
-    result_variables,
-)
+from workers.model.system import find_system
+from workers.results import REASON, empty_results, reason_counts, result_variables
 from workers.settings import Settings
-from workers.solve import Cell, Solving, solving
-from workers.stretch import Stretch, ended, run_stretches
+from workers.solve import solve
+
+MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
+"""Bytes of section states that cells under way may take together; so many cells are under way all the same."""
 
 
 class Solution(NamedTuple):
@@ -65,55 +57,16 @@ def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings
     for name in params:
         record.parameter(name)
     values = [np.asarray(params.get(p.name, p.default), dtype=np.float64) for p in record.parameters]
-    grids = np.broadcast_arrays(*values)
-    shape = grids[0].shape
-    size = len(record.states)
+    shape = np.broadcast_shapes(*(value.shape for value in values))
+    flat = {p.name: np.broadcast_to(v, shape).flatten() for p, v in zip(record.parameters, values, strict=True)}
+    count, size = math.prod(shape), len(record.states)
     variables = result_variables(settings)
-    arrays = empty_results(variables, shape, {"exponent": size, "state": size, "sample": settings.section_samples})
-    names = [p.name for p in record.parameters]
-    cells = [dict(zip(names, cell, strict=True)) for cell in np.stack(grids, axis=-1).reshape(-1, len(names)).tolist()]
-    for index, cell in zip(np.ndindex(shape), _solve_together(record, cells, settings), strict=True):
-        for variable in variables:
-            value = getattr(cell, variable.name)
-            if value is not None:
-                arrays[variable.name][index] = value
-    return Solution(arrays)
-
-
-def _solve_together(record: System, cells: Iterable[dict[str, float]], settings: Settings) -> list[Cell]:
-    """Every cell from its parameters, all of them in batches; whatever happens is a value of the cell."""
-    started = [_start(record, values, settings) for values in cells]
-    running = {k: one for k, one in enumerate(started) if not isinstance(one, Cell)}
-    solved = {k: one for k, one in enumerate(started) if isinstance(one, Cell)}
-    waiting: dict[int, Stretch] = {}
-    done: dict[int, int] = dict.fromkeys(running, 0)
-    ready: dict[int, int | None] = dict.fromkeys(running)
-    while ready or waiting:
-        for k, count in ready.items():
-            try:
-                with np.errstate(over="raise", divide="raise", invalid="raise"):
-                    waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
-            except StopIteration as end:
-                solved[k] = end.value
-            except (ArithmeticError, np.linalg.LinAlgError):
-                solved[k] = Cell(regime=FAILED, reason=ARITHMETIC)
-        counts = run_stretches(list(waiting.values()), [done[k] for k in waiting], to_end=False)
-        done.update(zip(waiting, counts, strict=True))
-        ready = {k: done[k] for k, stretch in waiting.items() if ended(stretch, done[k])}
-        for k in ready:
-            del waiting[k]
-    return [solved[k] for k in range(len(started))]
-
-
-def _start(record: System, values: dict[str, float], settings: Settings) -> Solving | Cell:
-    """A cell to be solved from its parameters, or what it is where they have no motion."""
-    for parameter in record.parameters:
-        if not parameter.admits(values[parameter.name]):
-            return Cell(regime=INVALID, reason=OUT_OF_RANGE)
-    try:
-        osc = record.build(values)
-    except InvalidError as error:
-        return Cell(regime=INVALID, reason=error.reason)
-    except ValueError:
-        return Cell(regime=INVALID, reason=NO_OSCILLATOR)
-    return solving(osc, np.array([values[name] for name in record.states]), settings)
+    found = empty_results(variables, (count,), {"exponent": size, "state": size, "sample": settings.section_samples})
+    at_once = max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * size * (settings.max_period + settings.section_samples)))
+    for begin in range(0, count, at_once):
+        part = slice(begin, begin + at_once)
+        here = {name: column[part] for name, column in flat.items()}
+        oscillators, reasons = record.build_many(here)
+        starts = np.stack([here[name] for name in record.states], axis=-1)
+        solve(oscillators, reasons, starts, settings, {name: array[part] for name, array in found.items()})
+    return Solution({name: array.reshape(shape + array.shape[1:]) for name, array in found.items()})

@@ -6,9 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.frame import log_length
 from workers.kernel.jit import inlined, kernel
-from workers.kernel.stroboscopic import RUNNING, STATUS, WORK, advance, copy_state
 
 LEVELS = 40
 """Levels of the blocking analysis: enough for 2^40 periods."""
@@ -75,39 +73,13 @@ def standard_error(levels):
 
 @inlined
 def add_growth(levels, weighted, growth, k, periods):
-    """Count the growth of the first vector in period k of a stretch of so many."""
+    """Count the growth of the first vector in period k of a stretch of so many.
+
+    Besides the plain mean, weighted (2,) takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))),
+    which converges faster than any power of their number on a torus (Das et al. 2017).
+    """
     u = (k + 0.5) / periods
     weight = math.exp(-1.0 / (u * (1.0 - u)))
     weighted[0] += weight * growth
     weighted[1] += weight
     add_to_blocks(levels, growth)
-
-
-@kernel
-def average(osc, motion, done, periods, averages, sections):
-    """Go on from period ``done`` of a stretch to its end, or until a period cannot be completed or no work is left.
-
-    Returns the periods completed; sections (K, n, 2) takes the last K block states, newest last; K = 0 for none.
-
-    Where there are tangent vectors the growth of the first is averaged; the frame is made orthonormal where its
-    spread asks for it. Besides the plain mean, averages.weighted takes the weighted Birkhoff sum over these periods,
-    w = exp(-1 / (u (1 - u))), which converges faster than any power of their number on a torus (Das et al. 2017).
-    """
-    first = periods - sections.shape[0]
-    vectors = motion.growth.shape[0] > 0
-    if done == 0:
-        averages.weighted[:] = 0.0
-    before = log_length(osc.gap.lam, motion.V, motion.growth) if vectors else 0.0
-    for k in range(done, periods):
-        advance(osc, motion)
-        if motion.tally[STATUS] != RUNNING:
-            return k
-        if vectors:
-            length = log_length(osc.gap.lam, motion.V, motion.growth)
-            add_growth(averages.levels, averages.weighted, length - before, k, periods)
-            before = length
-        if k >= first:
-            copy_state(motion.h, sections, k - first)
-        if motion.tally[WORK] < 0.0:
-            return k + 1
-    return periods

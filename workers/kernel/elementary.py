@@ -1,7 +1,6 @@
 """exp, sin and cos without a branch or a call, so that loops over cells compile to vector instructions.
 
-Each reduces its argument and sums a Taylor series, with an error of about one unit in the last place. What a
-scalar loop computes and what a vector loop computes are the same operations and so the same bits.
+Each reduces its argument and sums a Taylor series, with an error of about one unit in the last place.
 """
 
 import math
@@ -13,8 +12,11 @@ from workers.kernel.jit import inlined
 _TO_INTEGER = 1.5 * 2.0**52
 """Added and subtracted, it rounds to the nearest integer."""
 
-_HALVES = 2.0 ** -np.arange(1076.0)
-_LARGEST_EXPONENT = 745.0
+_LARGEST_EXPONENT = 708.0
+"""exp(-708) is next to the smallest number of full precision; what is below counts as zero."""
+
+_EXPONENT_BITS = 52
+_EXPONENT_OF_ONE = 1023 << _EXPONENT_BITS
 _LOG2_E = 1.0 / math.log(2.0)
 _LN2_HIGH = float.fromhex("0x1.62e42feep-1")
 _LN2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
@@ -29,10 +31,12 @@ _PI2_LOW = float.fromhex("0x1.a62633145c06ep-58")
 
 @inlined
 def exp_minus(x):
-    """exp(-x) for x >= 0: 2^-k e^r with k the integer nearest to x / ln 2."""
-    x = min(x, _LARGEST_EXPONENT)
-    k = (x * _LOG2_E + _TO_INTEGER) - _TO_INTEGER
-    r = (k * _LN2_HIGH - x) + k * _LN2_LOW
+    """exp(-x) for x >= 0: 2^-k e^r with k the integer nearest to x / ln 2; 0 from x = 708 on."""
+    reduced = min(x, _LARGEST_EXPONENT)
+    shifted = reduced * _LOG2_E + _TO_INTEGER  # k is in its last bits, and below in the exponent's
+    k = shifted - _TO_INTEGER
+    power = np.int64(_EXPONENT_OF_ONE - (np.float64(shifted).view(np.int64) << _EXPONENT_BITS)).view(np.float64)
+    r = (k * _LN2_HIGH - reduced) + k * _LN2_LOW
     p = 1.0 / 6227020800.0
     p = p * r + 1.0 / 479001600.0
     p = p * r + 1.0 / 39916800.0
@@ -45,8 +49,7 @@ def exp_minus(x):
     p = p * r + 1.0 / 24.0
     p = p * r + 1.0 / 6.0
     p = p * r + 0.5
-    place = k if k > 0.0 else 0.0  # of NaN too, which has no place of its own; the result is NaN by r
-    return (1.0 + (r + r * r * p)) * _HALVES[int(place)]
+    return 0.0 if x > _LARGEST_EXPONENT else (1.0 + (r + r * r * p)) * power
 
 
 @inlined

@@ -11,6 +11,7 @@ import numpy as np
 
 from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
 from workers.kernel.jit import inlined, kernel
+from workers.model.oscillator import COLUMN
 
 GAP_ROUNDING = 4e-16
 """Gap below which the mass is at the stop, in units of the terms that add up to y."""
@@ -76,17 +77,19 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
 
 @inlined
 def block_flow(block, s):
-    """flow_entries of a Block."""
-    if block.d > 0.0:
-        return oscillating_flow(s, block.eta, block.lam, block.w, block.inv_w)
-    return flow_entries(s, block.eta, block.lam, block.d, block.w, block.inv_w, block.slow, block.fast)
+    """flow_entries of the constants of a block, a row of Signal.block."""
+    eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
+    if block[COLUMN.d] > 0.0:
+        return oscillating_flow(s, eta, lam, w, inv_w)
+    return flow_entries(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
 
 
 @kernel
 def flow(signal, s, h):
     """Move the block state h (n, 2) on by s, in place."""
-    for j in range(len(signal.eta)):
-        f11, f12, f21, f22 = block_flow(signal.block[j], s)
+    block = signal.block  # taken out once, here and elsewhere: a field of a record costs a reference count at every use
+    for j in range(len(block)):
+        f11, f12, f21, f22 = block_flow(block[j], s)
         h0, h1 = h[j, 0], h[j, 1]
         h[j, 0] = f11 * h0 + f12 * h1
         h[j, 1] = f21 * h0 + f22 * h1
@@ -95,8 +98,9 @@ def flow(signal, s, h):
 @kernel
 def flow_with_tangent(signal, s, h, V):
     """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
-    for j in range(len(signal.eta)):
-        f11, f12, f21, f22 = block_flow(signal.block[j], s)
+    block = signal.block
+    for j in range(len(block)):
+        f11, f12, f21, f22 = block_flow(block[j], s)
         h0, h1 = h[j, 0], h[j, 1]
         h[j, 0] = f11 * h0 + f12 * h1
         h[j, 1] = f21 * h0 + f22 * h1
@@ -107,20 +111,11 @@ def flow_with_tangent(signal, s, h, V):
 
 
 @kernel
-def rates(signal):
-    """The blocks' damping and stiffness as rows (n, 2) of an array: eta, lam."""
-    found = np.empty((len(signal.eta), 2))
-    for j in range(len(signal.eta)):
-        found[j, 0], found[j, 1] = signal.eta[j], signal.lam[j]
-    return found
-
-
-@kernel
 def dot(row, h):
     """row . h over all blocks, both (n, 2)."""
     total = 0.0
     for j in range(len(row)):
-        total += row[j][0] * h[j, 0] + row[j][1] * h[j, 1]
+        total += row[j, 0] * h[j, 0] + row[j, 1] * h[j, 1]
     return total
 
 
@@ -129,7 +124,7 @@ def dot_vector(row, V, i):
     """row . V[i] over all blocks."""
     total = 0.0
     for j in range(len(row)):
-        total += row[j][0] * V[i, j, 0] + row[j][1] * V[i, j, 1]
+        total += row[j, 0] * V[i, j, 0] + row[j, 1] * V[i, j, 1]
     return total
 
 
@@ -152,17 +147,17 @@ def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
 @kernel
 def evaluate(signal, h, s, phase, offset):
     """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
-    w = signal.omega
+    w, block, row, row1 = signal.omega, signal.block, signal.row, signal.row1
     y, v = forced(phase + w * s, w, signal.sin_part, signal.cos_part)
     a, j3, scale = -w * w * y, -w * w * v, abs(y) + abs(offset)
     y += offset
-    for j in range(len(signal.eta)):
+    for j in range(len(block)):
         h0, h1 = h[j, 0], h[j, 1]
         if s > 0.0:
-            f11, f12, f21, f22 = block_flow(signal.block[j], s)
+            f11, f12, f21, f22 = block_flow(block[j], s)
             h0, h1 = f11 * h0 + f12 * h1, f21 * h0 + f22 * h1
-        c, d = signal.row[j], signal.row1[j]
-        q0, q1, q2, q3 = block_output(h0, h1, signal.eta[j], signal.lam[j], c[0], c[1], d[0], d[1])
+        eta, lam = block[j, COLUMN.eta], block[j, COLUMN.lam]
+        q0, q1, q2, q3 = block_output(h0, h1, eta, lam, row[j, 0], row[j, 1], row1[j, 0], row1[j, 1])
         y += q0
         v += q1
         a += q2
@@ -222,11 +217,19 @@ def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, gr
 @kernel
 def derivative_bounds(signal, h):
     """Bounds M0, M2, M3, M4 of |y - offset| and of its second to fourth derivatives, for all times after h (n, 2)."""
+    block, row, row1 = signal.block, signal.row, signal.row1
     M0, M2, M3, M4 = forced_bounds(signal.omega, signal.amplitude)
-    for j in range(len(signal.eta)):
-        q0 = signal.row[j][0] * h[j, 0] + signal.row[j][1] * h[j, 1]
-        q1 = signal.row1[j][0] * h[j, 0] + signal.row1[j][1] * h[j, 1]
-        eta, lam, d, _, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4 = signal.block[j]
+    for j in range(len(block)):
+        q0 = row[j, 0] * h[j, 0] + row[j, 1] * h[j, 1]
+        q1 = row1[j, 0] * h[j, 0] + row1[j, 1] * h[j, 1]
+        eta, lam, d, inv_w = block[j, COLUMN.eta], block[j, COLUMN.lam], block[j, COLUMN.d], block[j, COLUMN.inv_w]
+        slow, fast, tilt, weight = (
+            block[j, COLUMN.slow],
+            block[j, COLUMN.fast],
+            block[j, COLUMN.tilt],
+            block[j, COLUMN.weight],
+        )
+        grow2, grow3, grow4 = block[j, COLUMN.grow2], block[j, COLUMN.grow3], block[j, COLUMN.grow4]
         b0, b2, b3, b4 = block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4)
         M0 += b0
         M2 += b2

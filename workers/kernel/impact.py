@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from workers.kernel.flight import derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing, rates
+from workers.kernel.flight import derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing
 from workers.kernel.frame import graded_flow
 from workers.kernel.jit import inlined, kernel, piece
 
@@ -53,20 +53,24 @@ def outcome(osc, h, side, v, a, scale, remaining):
     return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
 
 
+@inlined
+def add_column(h, factor, column):
+    """h + factor column, in place, both (n, 2)."""
+    for j in range(len(column)):
+        h[j, 0] += factor * column[j, 0]
+        h[j, 1] += factor * column[j, 1]
+
+
 @piece
 def kick(osc, h, dv):
     """Change the velocity of the gap coordinate by dv: z + dv k, in place."""
-    for j in range(len(osc.kick)):
-        h[j, 0] += dv * osc.kick[j][0]
-        h[j, 1] += dv * osc.kick[j][1]
+    add_column(h, dv, osc.kick)
 
 
 @piece
 def shift(osc, h, dy):
     """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
-    for j in range(len(osc.kick1)):
-        h[j, 0] += dy * osc.kick1[j][0]
-        h[j, 1] += dy * osc.kick1[j][1]
+    add_column(h, dy, osc.kick1)
 
 
 @kernel
@@ -82,23 +86,24 @@ def saltation(row, row1, kick, kick1, R, V, ratio):
         along_k = -q * (dv - ratio * dy)
         along_Ak = -q * dy
         for j in range(len(kick)):
-            V[i, j, 0] += along_k * kick[j][0] + along_Ak * kick1[j][0]
-            V[i, j, 1] += along_k * kick[j][1] + along_Ak * kick1[j][1]
+            V[i, j, 0] += along_k * kick[j, 0] + along_Ak * kick1[j, 0]
+            V[i, j, 1] += along_k * kick[j, 1] + along_Ak * kick1[j, 1]
 
 
-@piece
+@kernel
 def rest_projection(osc, V):
     """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
 
     P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
     """
+    kick, kick1 = osc.kick, osc.kick1
     for i in range(V.shape[0]):
         dy = dot_vector(osc.gap.row, V, i)
         dv = dot_vector(osc.gap.row1, V, i)
         along_k = -(dv - osc.cA2k * dy)
-        for j in range(len(osc.kick)):
-            V[i, j, 0] += along_k * osc.kick[j][0] - dy * osc.kick1[j][0]
-            V[i, j, 1] += along_k * osc.kick[j][1] - dy * osc.kick1[j][1]
+        for j in range(len(kick)):
+            V[i, j, 0] += along_k * kick[j, 0] - dy * kick1[j, 0]
+            V[i, j, 1] += along_k * kick[j, 1] - dy * kick1[j, 1]
 
 
 @piece
@@ -111,54 +116,56 @@ def stop_position(osc, side):
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
     sin, cos = np.sin(phase), np.cos(phase)
-    held = osc.held
-    for i in range(len(osc.held.static)):
+    down, static, forced, free = osc.held.down, osc.held.static, osc.held.forced, osc.forced
+    for i in range(len(static)):
         for k in range(2):
-            total = -held.forced[i][k][0] * sin - held.forced[i][k][1] * cos
-            for j in range(len(osc.kick)):
-                total += held.down[i][j] * (h[j, k] + osc.forced[j][k][0] * sin + osc.forced[j][k][1] * cos)
+            total = -forced[i, k, 0] * sin - forced[i, k, 1] * cos
+            for j in range(len(free)):
+                total += down[i, j] * (h[j, k] + free[j, k, 0] * sin + free[j, k, 1] * cos)
             u[i, k] = total
-        u[i, 0] -= held.static[i] * stop_position(osc, side)
+        u[i, 0] -= static[i] * stop_position(osc, side)
 
 
 @kernel
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
     sin, cos = np.sin(phase), np.cos(phase)
-    held = osc.held
+    down, static, forced, free, kick = osc.held.down, osc.held.static, osc.held.forced, osc.forced, osc.kick
     y = stop_position(osc, side)
-    for j in range(len(osc.kick)):
+    for j in range(len(free)):
         for k in range(2):
-            total = -osc.forced[j][k][0] * sin - osc.forced[j][k][1] * cos
-            for i in range(len(osc.held.static)):
-                full = u[i, k] + held.forced[i][k][0] * sin + held.forced[i][k][1] * cos
+            total = -free[j, k, 0] * sin - free[j, k, 1] * cos
+            for i in range(len(static)):
+                full = u[i, k] + forced[i, k, 0] * sin + forced[i, k, 1] * cos
                 if k == 0:
-                    full += held.static[i] * y
-                total += held.down[i][j] * full
+                    full += static[i] * y
+                total += down[i, j] * full
             h[j, k] = total
-        h[j, 0] += osc.kick[j][1] * y
+        h[j, 0] += kick[j, 1] * y
 
 
-@piece
+@kernel
 def tangent_to_held(osc, V, U):
     """Write the held part U (m, n - 1, 2) of tangent vectors V (m, n, 2) with c.V = cA.V = 0."""
+    down = osc.held.down
     for m in range(V.shape[0]):
-        for i in range(len(osc.held.static)):
+        for i in range(down.shape[0]):
             for k in range(2):
                 U[m, i, k] = 0.0
-                for j in range(len(osc.kick)):
-                    U[m, i, k] += osc.held.down[i][j] * V[m, j, k]
+                for j in range(down.shape[1]):
+                    U[m, i, k] += down[i, j] * V[m, j, k]
 
 
-@piece
+@kernel
 def tangent_from_held(osc, U, V):
     """Write the free tangent vectors V (m, n, 2) of held ones U (m, n - 1, 2)."""
+    down = osc.held.down
     for m in range(V.shape[0]):
-        for j in range(len(osc.kick)):
+        for j in range(down.shape[1]):
             for k in range(2):
                 V[m, j, k] = 0.0
-                for i in range(len(osc.held.static)):
-                    V[m, j, k] += osc.held.down[i][j] * U[m, i, k]
+                for i in range(down.shape[0]):
+                    V[m, j, k] += down[i, j] * U[m, i, k]
 
 
 @kernel
@@ -186,7 +193,7 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, 0, 0, H, scratch)
     if growth.shape[0] > 0:
         flow(release, s, u)
-        graded_flow(rates(release), s, U, growth, triangle, 2 * n)
+        graded_flow(release.block, s, U, growth, triangle, 2 * n)
     else:
         flow_with_tangent(release, s, u, U)
     from_held(osc, u, phase + release.omega * s, side, h)

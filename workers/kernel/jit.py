@@ -1,4 +1,7 @@
-"""The one way a kernel is compiled: no GIL, IEEE arithmetic, cached on disk under a key of the sources.
+"""The one way a kernel is compiled: no GIL, fused multiply-add, cached on disk under a key of the sources.
+
+A product and the sum that it goes into are rounded once where the processor can; beyond that the arithmetic is IEEE's,
+infinities and NaN included.
 
 Numba's cache does not notice an edit in another module, so its folder carries a hash of all sources of
 this package. NUMBA_CACHE_DIR is respected where set; a folder that cannot be written means no cache.
@@ -10,6 +13,7 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from numba import config, njit
 
@@ -51,11 +55,13 @@ def _prepare_cache() -> Path | None:
 CACHE = _prepare_cache()
 """The folder of the compiled kernels of these sources; None where there is none."""
 
-kernel = njit(nogil=True, error_model="numpy", cache=CACHE is not None)
+_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+kernel = njit(cache=CACHE is not None, **_HOW)
 """Decorator of every kernel."""
 
-inlined = njit(nogil=True, error_model="numpy", forceinline=True)
+inlined = njit(forceinline=True, **_HOW)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
 
-piece = njit(nogil=True, error_model="numpy", inline="always")
+piece = njit(inline="always", **_HOW)
 """Decorator of parts of one kernel: compiled with their caller, since a kernel compiles all that it calls once more."""

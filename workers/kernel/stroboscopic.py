@@ -19,7 +19,6 @@ from workers.kernel.flight import (
     flow,
     flow_with_tangent,
     next_crossing,
-    rates,
 )
 from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.impact import (
@@ -36,7 +35,7 @@ from workers.kernel.impact import (
     to_held,
 )
 from workers.kernel.jit import inlined, kernel, piece
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import COLUMN, Held, Oscillator, Signal
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 """Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
@@ -63,7 +62,7 @@ digits of the most contracted direction. One flight with its impact may go furth
 
 
 class Motion(NamedTuple):
-    """One cell on its way, everything that ``advance`` changes.
+    """One cell on its way, everything that ``advance`` changes; of many cells each field has one more axis in front.
 
     h        (n, 2)     block coordinates, forced response taken off
     contact  (1,)       FREE, or +-HELD, +-AT_REST with the side's sign
@@ -83,6 +82,34 @@ class Motion(NamedTuple):
     tally: NDArray[np.float64]
     impacts: NDArray[np.float64]
     scratch: NDArray[np.float64]
+
+
+@inlined
+def signal_of(signals, r):
+    """Signal r of many."""
+    s = signals
+    return Signal(
+        s.eta[r], s.lam[r], s.block[r], s.row[r], s.row1[r], s.row2[r],
+        s.sin_part[r], s.cos_part[r], s.amplitude[r], s.omega[r], s.offset[r],
+    )  # fmt: skip
+
+
+@kernel
+def oscillator_of(oscillators, r):
+    """Oscillator r of many."""
+    o, held = oscillators, oscillators.held
+    return Oscillator(
+        signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.to_physical[r], o.to_blocks[r],
+        o.gap_row[r], o.b_upper[r], o.b_lower[r], o.R[r], o.period[r], o.tau[r], o.trace[r],
+        Held(held.down[r], held.static[r], held.forced[r], signal_of(held.release, r)),
+    )  # fmt: skip
+
+
+@kernel
+def motion_of(motions, r):
+    """Motion r of many."""
+    m = motions
+    return Motion(m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.scratch[r])
 
 
 @register_jitable
@@ -108,10 +135,28 @@ def axes(n: int) -> NDArray[np.float64]:
     return np.eye(2 * n).reshape(2 * n, n, 2)
 
 
+def motions_at(
+    h: NDArray[np.float64], contact: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
+) -> Motion:
+    """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
+    N, n = h.shape[:2]
+    tally = np.zeros((N, TALLIES))
+    tally[:, MIN_SPEED], tally[:, WORK] = np.inf, WORK_OF_A_TRIAL
+    return Motion(
+        h=h.copy(),
+        contact=np.zeros((N, 1), dtype=np.int64) if contact is None else contact.copy(),
+        V=np.tile(np.eye(2 * n)[:vectors].reshape(1, vectors, n, 2), (N, 1, 1, 1)),
+        growth=np.zeros((N, vectors)),
+        triangle=np.zeros((N, 0, 0)),
+        tally=tally,
+        impacts=np.zeros((N, record, 3)),
+        scratch=np.zeros(h.shape),
+    )
+
+
 def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
-    frame = axes(len(h))[:vectors].copy()
-    return motion_with(h, contact, frame, np.zeros(vectors), np.zeros((0, 0)), record)
+    return Motion(*(field[0] for field in motions_at(h[None], np.array([[contact]]), vectors, record)))
 
 
 def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
@@ -119,57 +164,69 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
 
     Its contact is the one that the state is: on a stop with v = 0 held or about to leave, BEYOND outside.
     """
-    n = len(osc.gap_row)
-    h = physical_to_blocks(osc, state)
-    y, v = float(np.dot(osc.gap_row, state[:n])), float(np.dot(osc.gap_row, state[n:]))
-    return motion_at(h, _contact(osc, h, y, v), vectors, record)
+    h = np.zeros(osc.kick.shape)
+    return motion_at(h, start_at(osc, np.asarray(state, dtype=np.float64), h), vectors, record)
 
 
-def physical_to_blocks(osc: Oscillator, state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Block coordinates (n, 2), forced response taken off, of a physical section state (2n,)."""
-    n = len(osc.gap_row)
-    full = np.array(osc.to_blocks) @ np.column_stack([state[:n], state[n:]])
-    return full - _forced_blocks(osc)
-
-
-def _forced_blocks(osc: Oscillator) -> NDArray[np.float64]:
-    """Forced response (n, 2) of the blocks at a section."""
-    return np.array(osc.forced) @ [math.sin(osc.tau), math.cos(osc.tau)]
-
-
-def blocks_to_physical(osc: Oscillator, motion: Motion) -> NDArray[np.float64]:
-    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there.
-
-    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
-    """
-    full = motion.h + _forced_blocks(osc)
-    x, v = (np.array(osc.to_physical) @ full).T
-    row = np.array(osc.gap_row)
-    row_per_unit = row / (row @ row)
-    y = float(row @ x)
-    rounding = 1e-12 * float(np.abs(row) @ np.abs(osc.to_physical) @ (np.abs(full[:, 0]) + np.abs(motion.h[:, 0])))
-    stop = min(max(y, -osc.b_lower), osc.b_upper)
-    if abs(y - stop) > rounding:
-        stop = y
-    contact = int(motion.contact[0])
-    if contact:
-        stop = osc.b_upper if contact > 0 else -osc.b_lower
-        v = v - row_per_unit * (row @ v)
-    if stop != y:
-        x = x + row_per_unit * (stop - y)
-    return np.concatenate([x, v])
-
-
-def _contact(osc: Oscillator, h: NDArray[np.float64], y: float, v: float) -> int:
-    """Contact of a bare section state with gap coordinate y and velocity v."""
+@kernel
+def start_at(osc, state, h):
+    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
+    sin, cos = math.sin(osc.tau), math.cos(osc.tau)
+    to_blocks, forced_response, row, n = osc.to_blocks, osc.forced, osc.gap_row, h.shape[0]
+    y, v = 0.0, 0.0
+    for j in range(n):
+        x, rate = 0.0, 0.0
+        for i in range(n):
+            x += to_blocks[j, i] * state[i]
+            rate += to_blocks[j, i] * state[n + i]
+        h[j, 0] = x - (forced_response[j, 0, 0] * sin + forced_response[j, 0, 1] * cos)
+        h[j, 1] = rate - (forced_response[j, 1, 0] * sin + forced_response[j, 1, 1] * cos)
+        y += row[j] * state[j]
+        v += row[j] * state[n + j]
     if y > osc.b_upper or y < -osc.b_lower:
         return BEYOND
     if v != 0.0 or -osc.b_lower < y < osc.b_upper:
         return FREE
     side = 1 if y == osc.b_upper else -1
-    u = np.zeros((len(osc.held.static), 2))
+    u = np.zeros((n - 1, 2))
     to_held(osc, h, osc.tau, side, u)
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
+
+
+@kernel
+def blocks_to_physical(osc, motion):
+    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there.
+
+    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
+    """
+    sin, cos = math.sin(osc.tau), math.cos(osc.tau)
+    modes, forced_response, row, h = osc.to_physical, osc.forced, osc.gap_row, motion.h
+    n = h.shape[0]
+    state = np.zeros(2 * n)
+    y, v, size, square = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        terms = 0.0
+        for j in range(n):
+            full = h[j, 0] + (forced_response[j, 0, 0] * sin + forced_response[j, 0, 1] * cos)
+            rate = h[j, 1] + (forced_response[j, 1, 0] * sin + forced_response[j, 1, 1] * cos)
+            state[i] += modes[i, j] * full
+            state[n + i] += modes[i, j] * rate
+            terms += abs(modes[i, j]) * (abs(full) + abs(h[j, 0]))
+        y += row[i] * state[i]
+        v += row[i] * state[n + i]
+        size += abs(row[i]) * terms
+        square += row[i] * row[i]
+    contact = motion.contact[0]
+    stop = min(max(y, -osc.b_lower), osc.b_upper)
+    if abs(y - stop) > 1e-12 * size:
+        stop = y
+    if contact != FREE:
+        stop = osc.b_upper if contact > 0 else -osc.b_lower
+    for i in range(n):
+        state[i] += row[i] / square * (stop - y)
+        if contact != FREE:
+            state[n + i] -= row[i] / square * v
+    return state
 
 
 @kernel
@@ -177,7 +234,7 @@ def spread_rate(block):
     """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks."""
     rate = 0.0
     for j in range(len(block)):
-        rate = max(rate, block[j].fast)
+        rate = max(rate, block[j, COLUMN.fast])
     return rate
 
 
@@ -186,7 +243,7 @@ def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
     flow(osc.gap, s, motion.h)
-    graded_flow(rates(osc.gap), s, motion.V, motion.growth, motion.triangle, rank)
+    graded_flow(osc.gap.block, s, motion.V, motion.growth, motion.triangle, rank)
     reset_frame(osc, motion)
 
 
@@ -364,10 +421,3 @@ def mirror(motion):
             motion.h[j, k] = -motion.h[j, k]
             for i in range(motion.V.shape[0]):
                 motion.V[i, j, k] = -motion.V[i, j, k]
-
-
-@kernel
-def copy_state(h, sections, row):
-    """sections[row] = h."""
-    for j in range(h.shape[0]):
-        sections[row, j, 0], sections[row, j, 1] = h[j, 0], h[j, 1]

@@ -4,10 +4,15 @@ import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from workers.model.oscillator import Oscillator, in_double_precision, mass_spring
+from workers.model.oscillator import Machines, Oscillator, build, build_one
+from workers.results import OUT_OF_RANGE
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,11 +39,11 @@ class Parameter:
         above = f" {'<' if self.high_open else '<='} {self.high:g}" if math.isfinite(self.high) else ""
         return f"{below}{self.name}{above}" if below or above else "any finite number"
 
-    def admits(self, value: float) -> bool:
-        """Whether a value is finite and inside the valid range."""
+    def admits(self, value: Any) -> Any:
+        """Whether a value, or each of many, is finite and inside the valid range."""
         above_low = value > self.low if self.low_open else value >= self.low
         below_high = value < self.high if self.high_open else value <= self.high
-        return math.isfinite(value) and above_low and below_high
+        return np.isfinite(value) & above_low & below_high
 
 
 @dataclass(frozen=True)
@@ -46,15 +51,29 @@ class System:
     """A vibro-impact system: its parameters, the names of its physical state and its factory.
 
     ``states`` names the components of the physical section state in order (displacements, then velocities);
-    each is also a parameter, the initial value at t = 0. ``build`` makes the Oscillator from all parameters, or raises
-    ValueError, in one line, for those that have none; ``in_double_precision`` sees to numbers out of range.
+    each is also a parameter, the initial value at t = 0. ``machines`` makes many of all parameters, each an array (N,).
     """
 
     name: str
     title: str
     parameters: tuple[Parameter, ...]
     states: tuple[str, ...]
-    build: Callable[[Mapping[str, float]], Oscillator]
+    machines: Callable[[Mapping[str, Array]], Machines]
+
+    def build(self, values: Mapping[str, float]) -> Oscillator:
+        """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
+        with np.errstate(all="ignore"):
+            machine = self.machines({name: np.array([value], dtype=np.float64) for name, value in values.items()})
+        return build_one(machine)
+
+    def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
+        """The oscillators of many values (N,) of each parameter, and the reason of each why there is none."""
+        with np.errstate(all="ignore"):
+            machines = self.machines(values)
+        oscillators, reasons = build(machines)
+        admitted = np.logical_and.reduce([p.admits(values[p.name]) for p in self.parameters])
+        reasons[~admitted] = OUT_OF_RANGE
+        return oscillators, reasons
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the nearest known name otherwise."""
@@ -72,23 +91,27 @@ def unknown_name(kind: str, name: str, known: list[str]) -> str:
     return f"unknown {kind} {name!r}; {hint}"
 
 
-@in_double_precision
-def _two_mass(p: Mapping[str, float]) -> Oscillator:
+def _two_mass(p: Mapping[str, Array]) -> Machines:
     """Li & Tan (2011): M x'' + 2 zeta K x' + K x = (1 - f2, f2) sin(omega t + tau), |x1| < b."""
-    mass = np.diag([1.0, p["mu_m"]])
-    stiffness = np.array([[1.0, -1.0], [-1.0, 1.0 + p["mu_k"]]])
-    return mass_spring(
-        mass=mass,
-        damping=2.0 * p["zeta"] * stiffness,
+    one, none = np.ones_like(p["omega"]), np.zeros_like(p["omega"])
+    stiffness = _matrices([[one, -one], [-one, 1.0 + p["mu_k"]]])
+    return Machines(
+        mass=_matrices([[one, none], [none, p["mu_m"]]]),
+        damping=2.0 * p["zeta"][:, None, None] * stiffness,
         stiffness=stiffness,
-        gap_row=np.array([1.0, 0.0]),
-        force=np.array([1.0 - p["f2"], p["f2"]]),
+        gap_row=np.stack([one, none], axis=-1),
+        force=np.stack([1.0 - p["f2"], p["f2"]], axis=-1),
         omega=p["omega"],
         tau=p["tau"],
         b_upper=p["b"],
         b_lower=p["b"],
         R=p["R"],
     )
+
+
+def _matrices(rows: list[list[Array]]) -> Array:
+    """Matrices (N, n, n) of rows of entries (N,)."""
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 TWO_MASS = System(
@@ -109,7 +132,7 @@ TWO_MASS = System(
         Parameter("v2", r"\dot x_2(0)", "1", "initial velocity of mass 2", 0.0),
     ),
     states=("x1", "x2", "v1", "v2"),
-    build=_two_mass,
+    machines=_two_mass,
 )
 
 SYSTEMS: dict[str, System] = {system.name: system for system in (TWO_MASS,)}

@@ -6,6 +6,7 @@ import numpy as np
 
 from workers.kernel.frame import inner
 from workers.kernel.jit import kernel, piece
+from workers.kernel.linalg import moduli
 from workers.kernel.stroboscopic import LOST, RUNNING, STATUS, axes, reset_frame
 from workers.orbit.map import iterate
 
@@ -14,21 +15,6 @@ SETTLED = 1e-13
 
 NARROW = 2.0
 """Log-spread of multipliers up to which their block's product may be formed: loses no digit that counts."""
-
-
-@kernel
-def moduli(matrix):
-    """|eigenvalues| of a real matrix; infinity where it is not finite."""
-    try:
-        return np.abs(np.linalg.eigvals(matrix.astype(np.complex128)))
-    except Exception:  # a kernel can catch no other
-        return np.full(len(matrix), np.inf)
-
-
-@kernel
-def spectral_radius(matrix):
-    """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
-    return np.max(moduli(matrix))
 
 
 @kernel

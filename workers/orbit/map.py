@@ -64,15 +64,6 @@ def map_with_jacobian(osc, h, contact, steps, half):
 
 
 @kernel
-def energy_norm(lam, h):
-    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
-    total = 0.0
-    for j in range(len(lam)):
-        total += lam[j] * h[j, 0] ** 2 + h[j, 1] ** 2
-    return math.sqrt(total)
-
-
-@kernel
 def separation(lam, h, g):
     """The energy norm of the difference of two block states (n, 2)."""
     total = 0.0

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.cells import scale_of
 from workers.kernel.jit import kernel, piece
-from workers.kernel.stroboscopic import RUNNING, STATUS, Motion
-from workers.model.oscillator import Oscillator
-from workers.orbit.floquet import floquet, spectral_radius
+from workers.kernel.linalg import solution, spectral_radius
+from workers.kernel.stroboscopic import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
+from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ class PeriodicOrbit(NamedTuple):
 
     h (n, 2), contact   section state on it
     steps, half         m, and whether a step is half a period (map G)
-    exponents           (2n,) ln|mu| / period, largest first; -infinity where structurally lost
+    exponents           (2n,) ln|mu| / period, in any order; -infinity where structurally lost
     residual            |F(h) - h| in the energy norm
     error               rounding error of the exponents
     """
@@ -47,16 +48,6 @@ class PeriodicOrbit(NamedTuple):
     exponents: Array
     residual: float
     error: float
-
-    @property
-    def period(self) -> int:
-        """Forcing periods per orbit."""
-        return self.steps // 2 if self.half and self.steps % 2 == 0 else self.steps
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether (x, t) -> (-x, t + period / 2) maps the orbit to itself."""
-        return self.half and self.steps % 2 == 1
 
 
 @kernel
@@ -74,20 +65,27 @@ def nonlinear_part(lam, h, image, point):
 
 @kernel
 def corrected(h, image, J):
-    """One step of Newton's method, h - (J - I)^-1 (F(h) - h); NaN where the matrix is singular."""
+    """One step of Newton's method, h - (J - I)^-1 (F(h) - h); not finite where the matrix is singular."""
     size = len(J)
     matrix, right = J.copy(), np.empty(size)
     for k in range(size):
         matrix[k, k] -= 1.0
         right[k] = image[k // 2, k % 2] - h[k // 2, k % 2]
-    try:
-        change = np.linalg.solve(matrix, right)
-    except Exception:  # a kernel can catch no other
-        change = np.full(size, np.nan)
+    change = solution(matrix, right)
     better = np.empty(h.shape)
     for k in range(size):
         better[k // 2, k % 2] = h[k // 2, k % 2] - change[k]
     return better
+
+
+@kernel
+def is_hopeless(J):
+    """Whether the spectral radius is HOPELESS or more; the Frobenius norm, a bound of it, mostly tells."""
+    square = 0.0
+    for row in J:
+        for entry in row:
+            square += entry * entry
+    return not square < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
 @piece
@@ -110,7 +108,7 @@ def newton(osc, start, contact, steps, half, scale, most):
         if not (arrived and residual <= 0.5 * best.residual):
             break
         best = FixedPoint(h, motion.h, contact, J, residual)
-        if residual > 0.3 * scale or residual < 1e-15 * scale or not spectral_radius(J) < HOPELESS:
+        if residual > 0.3 * scale or residual < 1e-15 * scale or is_hopeless(J):
             break
         h = corrected(h, motion.h, J)
     if best.residual >= 1e-10 * scale:
@@ -135,9 +133,9 @@ def closes_earlier(osc, point, steps, half, scale):
     return False, spent
 
 
-@kernel
+@piece
 def find_orbit(osc, h, contact, steps, half, scale, budget):
-    """(found, PeriodicOrbit with its exponents in any order, steps spent): see settle."""
+    """(found, PeriodicOrbit, steps spent), with at most so many steps: see settle."""
     lam = osc.gap.lam
     turns_left = budget // steps - RESERVED_TURNS
     point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
@@ -172,47 +170,115 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     return largest < -rounding, orbit, spent  # else too near a bifurcation for these digits
 
 
-def settle(
-    osc: Oscillator, motion: Motion, steps: int, half: bool, scale: float, budget: int
-) -> tuple[PeriodicOrbit | None, int]:
-    """The stable orbit of so many steps that the motion is falling into, if any, and the steps spent.
-
-    Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
-    the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
-    one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
-    At most ``budget`` steps are spent.
-    """
-    if budget // steps <= RESERVED_TURNS:
-        return None, 0
-    found, orbit, spent = find_orbit(osc, motion.h, int(motion.contact[0]), steps, half, scale, budget)
-    return (orbit._replace(exponents=np.sort(orbit.exponents)[::-1]) if found else None), spent
-
-
-def _weights(osc: Oscillator) -> Array:
-    """What block states (n, 2) are multiplied with for the energy norm."""
-    return np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
-
-
-def closest_return(osc: Oscillator, sections: Array) -> float:
-    """Smallest distance, in the energy norm, of the last of the sections (K, n, 2) from those before it."""
-    back = (sections[:-1] - sections[-1]) * _weights(osc)
-    return float(np.sqrt(np.min(np.sum(back**2, axis=(1, 2)), initial=np.inf)))
-
-
-def recurrence(osc: Oscillator, sections: Array, scale: float, longest: int) -> list[int]:
+@kernel
+def recurrence(lam, sections, scale, longest):
     """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
 
     Near is within 1e-2 of ``scale`` in the energy norm; of those, each p that came ten times closer than any
     shorter one, at most three. Whether it means anything, settle() finds out.
     """
-    back = (sections[-2::-1][:longest] - sections[-1]) * _weights(osc)
-    distance = np.sqrt(np.sum(back**2, axis=(1, 2)))
-    found: list[int] = []
+    found = np.empty(3, dtype=np.int64)
+    count, last = 0, len(sections) - 1
     record = 1e-2 * scale
-    for p, here in enumerate(distance, start=1):
+    for p in range(1, min(last, longest) + 1):
+        here = separation(lam, sections[last], sections[last - p])
         if here < record:
-            found.insert(0, p)
-            record = 0.1 * float(here)
+            found[2], found[1], found[0] = found[1], found[0], p
+            count = min(count + 1, 3)
+            record = 0.1 * here
         if record < 1e-12 * scale:
             break
-    return found[:3]
+    return found[:count]
+
+
+@kernel
+def far_from_closing(oscillators, motions, sections, kept, cells, limit):
+    """Of which of these cells no known section lies within ``limit`` of the last, relative to the motion's scale."""
+    found = np.zeros(len(cells), dtype=np.bool_)
+    last = sections.shape[1] - 1
+    for e in range(len(cells)):
+        r = cells[e]
+        nearest = np.inf
+        for k in range(last + 1 - kept[r], last):
+            nearest = min(nearest, separation(oscillators.gap.lam[r], sections[r, last], sections[r, k]))
+        found[e] = nearest > limit * scale_of(oscillator_of(oscillators, r), motions.h[r])
+    return found
+
+
+@piece
+def settle(osc, motion, sections, longest, budget):
+    """(found, PeriodicOrbit, periods spent): the stable orbit that the motion falls into, if its sections recur.
+
+    Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
+    the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
+    one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
+    At most ``budget`` periods are spent.
+    """
+    h, contact = motion.h, motion.contact[0]
+    scale = scale_of(osc, h)
+    symmetric_gap = osc.b_upper == osc.b_lower
+    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), np.inf, 0.0)
+    spent = 0
+    for p in recurrence(osc.gap.lam, sections, scale, longest):
+        for half in (True, False):
+            per_period = 2 if half else 1
+            left = (budget - spent) * per_period
+            if (half and not (symmetric_gap and p % 2 == 1)) or left // p <= RESERVED_TURNS:
+                continue
+            found, orbit, steps = find_orbit(osc, h, contact, p, half, scale, left)
+            spent += -(-steps // per_period)
+            if found:
+                return True, orbit, spent
+    return False, none, spent
+
+
+class Orbits(NamedTuple):
+    """Periodic orbits of N cells: what of PeriodicOrbit a result needs, and the counts of one turn.
+
+    h (N, n, 2), contact (N, 1), period (N,), symmetric (N,), exponents (N, 2n) largest first, error (N,),
+    tally (N, TALLIES): see Motion.
+    """
+
+    h: Array
+    contact: NDArray[np.int64]
+    period: NDArray[np.int64]
+    symmetric: NDArray[np.bool_]
+    exponents: Array
+    error: Array
+    tally: Array
+
+
+def no_orbits(count: int, n: int) -> Orbits:
+    """Room for the orbits of so many cells."""
+    return Orbits(
+        h=np.zeros((count, n, 2)),
+        contact=np.zeros((count, 1), dtype=np.int64),
+        period=np.ones(count, dtype=np.int64),
+        symmetric=np.zeros(count, dtype=np.bool_),
+        exponents=np.zeros((count, 2 * n)),
+        error=np.zeros(count),
+        tally=np.zeros((count, TALLIES)),
+    )
+
+
+@kernel
+def settle_each(oscillators, motions, sections, kept, longest, budgets, cells, orbits, spent):
+    """settle for each of these cells, of which the last ``kept`` (N,) sections (N, K, n, 2) are known.
+
+    Fills in the rows of orbits and spent (N,) of these cells; returns which of them were found.
+    """
+    settled = np.zeros(len(cells), dtype=np.bool_)
+    for e in range(len(cells)):
+        r = cells[e]
+        osc = oscillator_of(oscillators, r)
+        known = sections[r, sections.shape[1] - kept[r] :]
+        settled[e], orbit, spent[r] = settle(osc, motion_of(motions, r), known, longest, budgets[r])
+        if not settled[e]:
+            continue
+        period = orbit.steps // 2 if orbit.half and orbit.steps % 2 == 0 else orbit.steps
+        turn = iterate_alone(osc, orbit.h, orbit.contact, period, np.bool_(False))  # no literal, as in run_batch
+        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = orbit.contact, period, orbit.error
+        orbits.symmetric[r] = orbit.half and orbit.steps % 2 == 1
+        orbits.h[r], orbits.tally[r] = orbit.h, turn.tally
+        orbits.exponents[r] = -np.sort(-orbit.exponents)
+    return settled

@@ -30,7 +30,7 @@ def flow_frame(a, i, frames):
 
 @inlined
 def saltate_frame(blocks, r, restitution, ratio, frames, i):
-    """Take the tangent vectors of lane i, request r, through an impact, as impact.saltation does; blocks: see Batch."""
+    """Take the tangent vectors of lane i, cell r, through an impact, as impact.saltation does; blocks: see Batch."""
     for k in range(frames.shape[1]):
         dy, dv = 0.0, 0.0
         for j in range(frames.shape[2]):
@@ -65,7 +65,7 @@ def reset_together(a, count, blocks, tally, frames, growths, space):
     m, n = frames.shape[1], frames.shape[2]
     for e in range(count):
         i = lanes[e]
-        r = int(a[LANE.request + i])
+        r = int(a[LANE.cell + i])
         rank[e] = 2 * n - tally[r, LOST]
         for j in range(n):
             lam[j, e] = blocks[r, j, COLUMN.lam]
@@ -83,7 +83,7 @@ def reset_together(a, count, blocks, tally, frames, growths, space):
 @kernel
 def fly_frame_far(a, i, blocks, tally, frames, growths):
     """As flow_frame, for a flight that spreads the frame far."""
-    r = int(a[LANE.request + i])
+    r = int(a[LANE.cell + i])
     rank = 2 * frames.shape[2] - int(tally[r, LOST])
     no_triangle = np.zeros((0, 0))
     graded_flow(blocks[r], a[LANE.flown + i], frames[i], growths[i], no_triangle, rank)
@@ -116,7 +116,7 @@ def move_frames(a, events, blocks, tally, frames, growths, space):
             a[LANE.frame_spread + i] += spread
         if a[LANE.event + i] == AT_SECTION:
             continue
-        saltate_frame(blocks, int(a[LANE.request + i]), a[LANE.restitution + i], a[LANE.ratio + i], frames, i)
+        saltate_frame(blocks, int(a[LANE.cell + i]), a[LANE.restitution + i], a[LANE.ratio + i], frames, i)
         a[LANE.frame_spread + i] += a[LANE.impact_spread + i]
 
 

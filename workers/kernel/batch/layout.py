@@ -16,13 +16,13 @@ STRIDE = LANES + VECTOR_WIDTH
 """Numbers from one field to the next; a power of two would put all fields of a lane into the same few cache lines."""
 
 FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
-"""Events of a lane, besides +-1, an impact at that stop. LEFT: the scalar kernels have to go on from its section."""
+"""Events of a lane, besides +-1, an impact at that stop. LEFT: the kernels of one cell take it through this period."""
 
 
 class LaneFields(NamedTuple):
     """Fields of a lane. Velocities, accelerations and so on are those of the gap coordinate y."""
 
-    # constants of the oscillator, set by run.constants
+    # constants of the oscillator, the columns of Batch.head
     omega: int
     sin_part: int
     cos_part: int
@@ -33,6 +33,7 @@ class LaneFields(NamedTuple):
     cA2k: int
     period: int
     tau: int
+    # what follows from them
     forced_at_section: int  # the forced part at a section, and its derivative
     forced_rate_at_section: int
     spread_rate: int  # see stroboscopic.spread_rate
@@ -71,7 +72,8 @@ class LaneFields(NamedTuple):
     slowest_impact: int
     evaluations: int
     period_cost: int  # evaluations of this period, each flight counted as one at least
-    request: int  # the row of the batch that the lane works on
+    recorded: int
+    cell: int  # the row of the batch that the lane works on
     frame_spread: int  # see stroboscopic.SPREAD
     log_length: int  # of the first tangent vector, at the last section
     # the search for the next step
@@ -84,7 +86,7 @@ class LaneFields(NamedTuple):
 
 
 class BlockFields(NamedTuple):
-    """Fields of one block of a lane; the first twelve are those of oscillator.Block."""
+    """Fields of one block of a lane; the first are those of oscillator.Block."""
 
     eta: int
     lam: int
@@ -137,7 +139,7 @@ GAP = GapFields(*(k * STRIDE for k in range(len(GapFields._fields))))
 COLUMN = BlockFields(*range(len(BlockFields._fields)))
 """Columns of the constants of a block in Batch.blocks."""
 
-LANE_CONSTANTS = LaneFields._fields.index("flight_start")
+LANE_CONSTANTS = LaneFields._fields.index("forced_at_section")
 BLOCK_CONSTANTS = BlockFields._fields.index("start0")
 """Fields that the oscillator sets: the first ones of each record."""
 

@@ -1,7 +1,6 @@
 """One round of a batch: each lane takes its next certified step, or goes through the impact or section it has reached.
 
-The arithmetic is that of flight.next_crossing and stroboscopic.propagate, operation by operation, so that the results
-are the same bits, whatever the other lanes hold.
+A lane's results are the same bits whatever the other lanes hold, how many there are, and which of them it is.
 """
 
 import math
@@ -24,7 +23,7 @@ from workers.kernel.jit import kernel
 RENEWAL = float(REFRESH)
 
 LONGEST_PERIOD = 2000.0
-"""Evaluations in one period after which a lane is left to the scalar kernels, in which every period ends."""
+"""Evaluations in one period after which a lane is left to the kernels of one cell, in which every period ends."""
 
 
 @kernel
@@ -76,11 +75,11 @@ def arrival_pass(a, n):
 def take_round(a, blocks, oscillates, n, chosen, c):
     """One round of the first n lanes, a multiple of VECTOR_WIDTH.
 
-    oscillates (blocks,) says which blocks are underdamped in all cells; chosen and c are overwritten.
+    oscillates says that all blocks of all cells are underdamped; chosen and c are overwritten.
     """
     restart_pass(a, n)
     for j in range(blocks):
-        if oscillates[j]:
+        if oscillates:
             oscillating_bounds_pass(a, fields_of(a, j), n)
         else:
             bounds_pass(a, fields_of(a, j), n)
@@ -88,7 +87,7 @@ def take_round(a, blocks, oscillates, n, chosen, c):
     step_pass(a, n)
     forced_pass(a, n)
     for j in range(blocks):
-        if oscillates[j]:
+        if oscillates:
             oscillating_block_pass(a, fields_of(a, j), n)
         else:
             block_pass(a, fields_of(a, j), n)

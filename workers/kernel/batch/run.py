@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from workers.kernel.averages import add_growth
 from workers.kernel.batch.frames import Workspace, copy_frame, move_frames
 from workers.kernel.batch.layout import (
-    AT_SECTION,
     BLOCK,
     BLOCK_CONSTANTS,
     BLOCK_SIZE,
@@ -22,7 +21,6 @@ from workers.kernel.batch.layout import (
     LANES,
     LEFT,
     STRIDE,
-    LaneFields,
 )
 from workers.kernel.batch.rounds import take_round
 from workers.kernel.batch.search import list_lanes, padded
@@ -31,12 +29,20 @@ from workers.kernel.frame import log_length
 from workers.kernel.jit import inlined, kernel
 from workers.kernel.stroboscopic import (
     EVALUATIONS,
+    FREE,
     LOWER,
     MIN_SPEED,
+    RECORDED,
+    RUNNING,
     SPREAD,
+    STATUS,
     UPPER,
     WORK,
+    Motion,
+    advance,
     loss_spread,
+    motion_of,
+    oscillator_of,
     spread_rate,
 )
 from workers.model.oscillator import Oscillator
@@ -45,60 +51,41 @@ Array = NDArray[np.float64]
 
 
 class Batch(NamedTuple):
-    """Cells that are to go on by some periods each: N requests, every field stacked along its first axis.
+    """N cells that are to go on by some periods each: every field stacked along its first axis.
 
-    head       (N, LANE_CONSTANTS)      constants of the oscillators, see LaneFields
-    blocks     (N, n, BLOCK_CONSTANTS)  constants of each of their blocks, see BlockFields
-    periods    (N,)                     wanted; done (N,) completed, before and after
-    left       (N,)                     set where the scalar kernels have to go on
-    h          (N, n, 2), V (N, m, n, 2), growth (N, m), tally (N, TALLIES): as in Motion
-    levels     (N, LEVELS, 4), weighted (N, 2): as in Averages
-    sections   (N, K, n, 2)             the last K states
+    head         (N, LANE_CONSTANTS)      constants of the oscillators, see LaneFields
+    blocks       (N, n, BLOCK_CONSTANTS)  constants of each of their blocks, see BlockFields
+    oscillators, motions                  records of many
+    periods      (N,)                     wanted; done (N,) completed, before and after
+    levels       (N, LEVELS, 4), weighted (N, 2): as in Averages
+    sections     (N, K, n, 2)             the last K states
     """
 
     head: Array
     blocks: Array
+    oscillators: Oscillator
+    motions: Motion
     periods: NDArray[np.int64]
     done: NDArray[np.int64]
-    left: NDArray[np.bool_]
-    h: Array
-    V: Array
-    growth: Array
-    tally: Array
     levels: Array
     weighted: Array
     sections: Array
 
 
-def constants(osc: Oscillator) -> tuple[Array, Array]:
-    """The rows of Batch.head and Batch.blocks of an oscillator."""
-    gap = osc.gap
-    y, v = forced(osc.tau, gap.omega, gap.sin_part, gap.cos_part)
-    values = {
-        "omega": gap.omega,
-        "sin_part": gap.sin_part,
-        "cos_part": gap.cos_part,
-        "amplitude": gap.amplitude,
-        "upper": osc.b_upper,
-        "lower": -osc.b_lower,
-        "restitution": osc.R,
-        "cA2k": osc.cA2k,
-        "period": osc.period,
-        "tau": osc.tau,
-        "forced_at_section": y,
-        "forced_rate_at_section": v,
-        "spread_rate": spread_rate(gap.block),
-        "time_unit": 1.0 / math.sqrt(gap.lam[0]),
-        "loss_spread": loss_spread(osc.R),
-    }
-    head = np.array([values[name] for name in LaneFields._fields[:LANE_CONSTANTS]])
-    rows = zip(gap.block, gap.row, gap.row1, osc.kick, osc.kick1, strict=True)
-    return head, np.array([[x for part in row for x in part] for row in rows])
+def constants(oscillators: Oscillator) -> tuple[Array, Array]:
+    """Batch.head and Batch.blocks of many oscillators."""
+    gap = oscillators.gap
+    head = (
+        gap.omega, gap.sin_part, gap.cos_part, gap.amplitude, oscillators.b_upper, -oscillators.b_lower, oscillators.R,
+        oscillators.cA2k, oscillators.period, oscillators.tau,
+    )  # fmt: skip
+    blocks = (gap.block, gap.row, gap.row1, oscillators.kick, oscillators.kick1)
+    return np.stack(head, axis=-1), np.concatenate(blocks, axis=-1)
 
 
 @kernel
 def load(a, i, r, head, blocks, h, tally):
-    """Put the state of request r into lane i, at its section."""
+    """Put the state of cell r into lane i, at its section."""
     for f in range(LANE_CONSTANTS):
         a[f * STRIDE + i] = head[r, f]
     for j in range(h.shape[1]):
@@ -106,28 +93,43 @@ def load(a, i, r, head, blocks, h, tally):
         for f in range(BLOCK_CONSTANTS):
             a[b + f * STRIDE] = blocks[r, j, f]
         a[b + BLOCK.h0], a[b + BLOCK.h1] = h[r, j, 0], h[r, j, 1]
+    y, v = forced(a[LANE.tau + i], a[LANE.omega + i], a[LANE.sin_part + i], a[LANE.cos_part + i])
+    a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i] = y, v
+    a[LANE.forced + i], a[LANE.forced_rate + i] = y, v
+    a[LANE.spread_rate + i] = spread_rate(blocks[r])
+    a[LANE.time_unit + i] = 1.0 / math.sqrt(blocks[r, 0, COLUMN.lam])
+    a[LANE.loss_spread + i] = loss_spread(a[LANE.restitution + i])
     a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.time + i] = 0.0, a[LANE.tau + i], 0.0
     a[LANE.own_stop + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
     a[LANE.event + i], a[LANE.starts + i], a[LANE.renews + i] = FLYING, 1.0, 1.0
-    a[LANE.forced + i], a[LANE.forced_rate + i] = a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i]
     a[LANE.kick + i], a[LANE.shift + i] = 0.0, 0.0
     a[LANE.impacts_upper + i], a[LANE.impacts_lower + i] = tally[r, UPPER], tally[r, LOWER]
     a[LANE.slowest_impact + i], a[LANE.frame_spread + i] = tally[r, MIN_SPEED], tally[r, SPREAD]
     a[LANE.evaluations + i], a[LANE.period_cost + i] = tally[r, EVALUATIONS], 0.0
-    a[LANE.request + i] = r
+    a[LANE.recorded + i], a[LANE.cell + i] = tally[r, RECORDED], r
 
 
 @inlined
 def save(a, i, r, h, tally):
-    """Write the section state of lane i back to its request."""
+    """Write the section state of lane i back to its cell."""
     for j in range(h.shape[1]):
         b = LANE_SIZE + j * BLOCK_SIZE + i
         h[r, j, 0], h[r, j, 1] = a[b + BLOCK.h0], a[b + BLOCK.h1]
     tally[r, UPPER], tally[r, LOWER] = a[LANE.impacts_upper + i], a[LANE.impacts_lower + i]
     tally[r, MIN_SPEED], tally[r, SPREAD] = a[LANE.slowest_impact + i], a[LANE.frame_spread + i]
-    tally[r, EVALUATIONS] = a[LANE.evaluations + i]
+    tally[r, EVALUATIONS], tally[r, RECORDED] = a[LANE.evaluations + i], a[LANE.recorded + i]
     tally[r, WORK] -= a[LANE.period_cost + i]
     a[LANE.period_cost + i] = 0.0
+
+
+@inlined
+def record(a, i, impacts):
+    """Write the impact that lane i has reached down, while there is room in impacts (K, 3)."""
+    row = int(a[LANE.recorded + i])
+    if row < impacts.shape[0]:
+        impacts[row, 0], impacts[row, 1] = a[LANE.flight_start + i], a[LANE.event + i]
+        impacts[row, 2] = abs(a[LANE.v + i])
+        a[LANE.recorded + i] += 1.0
 
 
 @inlined
@@ -155,15 +157,48 @@ def park(a, i):
 
 
 @kernel
-def run_batch(batch, enough, lanes):
-    """Advance every request of a batch by its periods, or to a section from which the scalar kernels have to go on.
+def over(batch, r):
+    """Whether nothing is left to do for cell r: it is through, or its motion ends, or its work is spent."""
+    tally = batch.motions.tally
+    return batch.done[r] >= batch.periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
 
-    Changes the arrays of the batch, see there. At most ``lanes`` <= LANES requests are under way at a time; once fewer
-    than ``enough`` are, each stops at its next section.
+
+@kernel
+def go_alone(batch, r):
+    """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
+    motion = motion_of(batch.motions, r)
+    osc = oscillator_of(batch.oscillators, r)
+    vectors = motion.growth.shape[0] > 0
+    before = log_length(osc.gap.lam, motion.V, motion.growth) if vectors else 0.0
+    while not over(batch, r):
+        advance(osc, motion)
+        if motion.tally[STATUS] != RUNNING:
+            return
+        k = batch.done[r]
+        if vectors:
+            length = log_length(osc.gap.lam, motion.V, motion.growth)
+            add_growth(batch.levels[r], batch.weighted[r], length - before, k, batch.periods[r])
+            before = length
+        keep_section(batch.motions.h, r, k, batch.periods[r], batch.sections)
+        batch.done[r] = k + 1
+        if motion.contact[0] == FREE:
+            return
+
+
+@kernel
+def run_batch(batch, cells, enough, lanes, oscillates):
+    """Advance these cells of a batch by their periods, or to where their motion or their work ends.
+
+    Changes the arrays of the batch, see there. At most ``lanes`` <= LANES cells are under way at a time; once fewer
+    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
     """
     # Taken out once: a field of a record costs a reference count at every use.
-    head, blocks, periods, done, left, h, V, growth, tally, levels, weighted, sections = batch
-    N, n, m = h.shape[0], h.shape[1], V.shape[1]
+    head, blocks, periods, done, sections = batch.head, batch.blocks, batch.periods, batch.done, batch.sections
+    h, V, growth, tally, contact = (
+        batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.contact
+    )  # fmt: skip
+    impacts, levels, weighted = batch.motions.impacts, batch.levels, batch.weighted
+    n, m = h.shape[1], V.shape[1]
     a = np.zeros(LANE_SIZE + n * BLOCK_SIZE)
     gathered, chosen = np.zeros(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
     frames, growths = np.zeros((LANES, m, n, 2)), np.zeros((LANES, m))
@@ -175,22 +210,21 @@ def run_batch(batch, enough, lanes):
         work=np.zeros((2, STRIDE)),
         lanes=np.zeros(LANES, dtype=np.uint32),
     )
-    oscillates = np.ones(n, dtype=np.bool_)
-    for r in range(N):
-        for j in range(n):
-            oscillates[j] &= blocks[r, j, COLUMN.d] > 0.0
     for i in range(LANES):
         park(a, i)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     while True:
-        while active < lanes and queued < N:
-            load(a, active, queued, head, blocks, h, tally)
-            copy_frame(V, growth, queued, frames, growths, active)
-            if m > 0:
-                a[LANE.log_length + active] = log_length(blocks[queued, :, COLUMN.lam], V[queued], growth[queued])
-            if done[queued] == 0:
-                weighted[queued, 0] = weighted[queued, 1] = 0.0
-            active, queued = active + 1, queued + 1
+        while active < lanes and queued < len(cells):
+            r = cells[queued]
+            queued += 1
+            if done[r] == 0:
+                weighted[r, 0] = weighted[r, 1] = 0.0
+            if contact[r, 0] != FREE:
+                go_alone(batch, r)
+            if not over(batch, r):
+                load(a, active, r, head, blocks, h, tally)
+                take_frame(a, active, r, blocks, V, growth, frames, growths)
+                active += 1
         if active == 0:
             return
         ending = active < enough
@@ -200,11 +234,18 @@ def run_batch(batch, enough, lanes):
             move_frames(a, chosen[:count], blocks, tally, frames, growths, space)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
             i = chosen[e]
-            ended = a[LANE.event + i] == LEFT
-            r = int(a[LANE.request + i])
-            if ended:
-                left[r] = True
-            elif a[LANE.event + i] == AT_SECTION:
+            event = a[LANE.event + i]
+            r = int(a[LANE.cell + i])
+            if abs(event) == 1.0:
+                if impacts.shape[1] > 0:
+                    record(a, i, impacts[r])
+                continue
+            if event == LEFT:
+                go_alone(batch, r)
+                if not over(batch, r):
+                    load(a, i, r, head, blocks, h, tally)
+                    take_frame(a, i, r, blocks, V, growth, frames, growths)
+            else:
                 k = done[r]
                 if m > 0:
                     length = log_length(blocks[r, :, COLUMN.lam], frames[i], growths[i])
@@ -214,9 +255,16 @@ def run_batch(batch, enough, lanes):
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
-                ended = ending or k + 1 == periods[r] or tally[r, WORK] < 0.0
-            if ended:
+            if ending or done[r] == periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0:
                 active -= 1
                 move_lane(a, active, i)
                 copy_frame(frames, growths, active, frames, growths, i)
                 park(a, active)
+
+
+@kernel
+def take_frame(a, i, r, blocks, V, growth, frames, growths):
+    """Put the tangent vectors of cell r into lane i."""
+    copy_frame(V, growth, r, frames, growths, i)
+    if V.shape[1] > 0:
+        a[LANE.log_length + i] = log_length(blocks[r, :, COLUMN.lam], V[r], growth[r])

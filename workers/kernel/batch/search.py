@@ -11,7 +11,7 @@ from workers.kernel.flight import GAP_ROUNDING, LEAST_STEP, arrival, bracket, cl
 from workers.kernel.jit import inlined, kernel
 
 LONGEST_MARCH = 64
-"""Steps of one flight after which a lane is left to the scalar kernels."""
+"""Steps of one flight after which a lane is left to the kernels of one cell."""
 
 
 @kernel

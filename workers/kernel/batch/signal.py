@@ -1,7 +1,6 @@
 """The signal y(t) of every lane with its derivatives, and bounds of them for all later times: sums over blocks.
 
 Each function is a loop over the first n lanes; a holds the fields of all lanes, q those of one block (see layout.py).
-The arithmetic is that of flight.py and impact.py, operation by operation.
 """
 
 from workers.kernel.batch.layout import BLOCK, BLOCK_SIZE, LANE, LANE_SIZE

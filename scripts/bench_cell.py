@@ -1,0 +1,139 @@
+"""Processor time of a cell and of a forcing period, of this version of the solver and another one in alternation.
+
+Cells: periodic, free of impacts, free of impacts with a structure of their own (masses, springs or dampers that no
+other cell has). Periods: those of Figs 3, 4 and 5 of Li & Tan (2011) with no, one or all exponents, as the difference
+of two lengths of the same run. Planes: a part of the packaged one, and one without chaos. Each version runs in a
+process of its own, and one waits while the other measures; best of several.
+
+Usage: .venv/bin/python scripts/bench_cell.py [--against ROOT] [--light]      ROOT: a checkout of the other version
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_FIG = {"tau": math.pi, "R": 0.8}
+FIGURES = {
+    "3": {**_FIG, "mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "omega": 4.0, "b": 0.1},
+    "4": {**_FIG, "mu_k": 4.0, "mu_m": 6.0, "zeta": 0.5, "f2": 2.0, "omega": 1.0, "b": 0.2},
+    "5": {**_FIG, "mu_k": 2.0, "mu_m": 2.0, "zeta": 0.5, "f2": 5.0, "omega": 3.0, "b": 0.2},
+}
+EXPONENTS = ("none", "largest", "spectrum")
+
+
+def cells(kind: str, count: int) -> dict[str, Any]:
+    """Parameters of so many cells of a kind."""
+    omega = {"omega": np.linspace(3.9, 4.1, count)}
+    if kind == "periodic":
+        return {**omega, "b": 0.1}
+    if kind == "impact-free":
+        return {**omega, "b": 5.0}
+    if kind == "new structure":
+        return {"mu_m": np.random.default_rng().uniform(2.0, 2.1, count), "b": 5.0}
+    side = math.isqrt(count)
+    if kind == "plane of omega and b":
+        return {"omega": np.linspace(2.0, 4.0, side)[None, :], "b": np.linspace(0.05, 0.5, side)[:, None]}
+    return {"R": np.linspace(0.5, 0.95, side)[None, :], "zeta": np.linspace(0.05, 0.5, side)[:, None], "b": 0.1}
+
+
+KINDS = ("periodic", "impact-free", "new structure", "plane of omega and b", "plane of R and zeta")
+TARGETS = {"periodic": 0.12, "impact-free": 0.02, "new structure": 0.05}
+"""Milliseconds a cell on a machine where the version before took .61, .29 and .72."""
+
+
+def processor_time(work: Callable[[], object]) -> float:
+    """Seconds of processor time that a piece of work takes."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def measured(case: Mapping[str, Any]) -> float:
+    """Milliseconds a cell, or microseconds a period, of one case in this process."""
+    from workers import Settings, solve_tile  # which version, PYTHONPATH decides
+
+    count = case["cells"]
+    if "kind" in case:
+        params = cells(case["kind"], count)
+        return 1e3 * processor_time(lambda: solve_tile("two-mass", params)) / count
+    params = {**FIGURES[case["figure"]]}
+    params["b"] = params["b"] * (1.0 + 1e-5 * np.arange(count))
+    seconds = []
+    for periods in (case["periods"], 4 * case["periods"]):
+        settings = Settings(
+            exponents=case["exponents"], method="fixed", transient_periods=50, periods=periods, max_period=1
+        )
+        seconds.append(processor_time(lambda s=settings: solve_tile("two-mass", params, s)))  # type: ignore[misc]
+    return 1e6 * (seconds[1] - seconds[0]) / (3 * case["periods"] * count)
+
+
+def serve() -> None:
+    """Answer each case on standard input with its measure, a line each."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    for line in sys.stdin:
+        print(measured(json.loads(line)), flush=True)
+
+
+class Version:
+    """A version of the solver in a process of its own."""
+
+    def __init__(self, root: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, __file__, "--serve"],
+            env={**os.environ, "PYTHONPATH": str(root)}, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def measure(self, case: Mapping[str, Any]) -> float:
+        """The measure of one case."""
+        assert self.process.stdin is not None and self.process.stdout is not None
+        print(json.dumps(case), file=self.process.stdin, flush=True)
+        return float(self.process.stdout.readline())
+
+
+def cases(light: bool) -> list[dict[str, Any]]:
+    """What is measured."""
+    size = 144 if light else 1024
+    found: list[dict[str, Any]] = [{"kind": kind, "cells": size} for kind in KINDS]
+    for figure in FIGURES:
+        for exponents in EXPONENTS:
+            found.append({"figure": figure, "exponents": exponents, "cells": 256, "periods": 20 if light else 500})
+    return found
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--against", type=Path, help="a checkout of another version")
+    parser.add_argument("--light", action="store_true", help="few cells, few periods: rough numbers")
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.serve:
+        serve()
+        return
+    versions = [Version(root) for root in (options.against, ROOT) if root]
+    rounds = 2 if options.light else 5
+    print("| case | target | " + ("other | this | ratio |" if options.against else "this |"))
+    print("|---|---|---|" + ("---|---|" if options.against else ""))
+    for case in cases(options.light):
+        best = [math.inf] * len(versions)
+        for _ in range(rounds + 1):
+            best = [min(b, v.measure(case)) for b, v in zip(best, versions, strict=True)]
+        name = f"{case['kind']}, ms a cell" if "kind" in case else f"Fig. {case['figure']}, {case['exponents']}, us"
+        numbers = [f"{b:.3f}" for b in best] + ([f"{best[0] / best[1]:.2f}"] if options.against else [])
+        print(f"| {name} | {TARGETS.get(case.get('kind', ''), '')} | {' | '.join(numbers)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

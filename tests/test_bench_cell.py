@@ -1,0 +1,33 @@
+"""The benchmark of cells runs, and its cells are what their names say. No time is asserted."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from scripts.bench_cell import KINDS, cells, measured
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
+from workers.tile import solve_tile
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_the_cells_are_what_their_kinds_say() -> None:
+    regimes = {kind: set(solve_tile("two-mass", cells(kind, 25))["regime"].ravel().tolist()) for kind in KINDS}
+    assert regimes["periodic"] == {PERIODIC}
+    assert regimes["impact-free"] == regimes["new structure"] == {NO_IMPACT}
+    assert CHAOTIC not in regimes["plane of R and zeta"]
+
+
+def test_both_kinds_of_measure_are_numbers() -> None:
+    assert measured({"kind": "periodic", "cells": 9}) > 0.0
+    assert np.isfinite(measured({"figure": "3", "exponents": "largest", "cells": 16, "periods": 20}))
+
+
+def test_another_version_answers_in_a_process_of_its_own() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "bench_cell.py"), "--serve"]
+    asked = '{"kind": "impact-free", "cells": 4}\n'
+    environment = {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, input=asked, env=environment, check=True, capture_output=True, text=True)
+    assert float(done.stdout) > 0.0

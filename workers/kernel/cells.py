@@ -1,0 +1,111 @@
+"""What is asked of many cells between their stretches: loops over cells of what the other kernels say of one.
+
+``cells`` are the rows that are meant, of records of many.
+"""
+
+import math
+
+import numpy as np
+
+from workers.kernel.averages import COUNT, MEAN, standard_error
+from workers.kernel.flight import derivative_bounds
+from workers.kernel.jit import kernel
+from workers.kernel.stroboscopic import (
+    FREE,
+    LOST,
+    MIN_SPEED,
+    STATUS,
+    WORK,
+    blocks_to_physical,
+    motion_of,
+    oscillator_of,
+    reset_frame,
+    start_at,
+)
+
+
+@kernel
+def energy_norm(lam, h):
+    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
+    total = 0.0
+    for j in range(len(lam)):
+        total += lam[j] * h[j, 0] ** 2 + h[j, 1] ** 2
+    return math.sqrt(total)
+
+
+@kernel
+def scale_of(osc, h):
+    """Energy norm that deviations of a motion at block state h (n, 2) are measured against: its own and that of Y."""
+    lam, response = osc.gap.lam, osc.forced
+    size = np.empty(h.shape)
+    for j in range(len(lam)):
+        for k in range(2):
+            size[j, k] = math.sqrt(response[j, k, 0] ** 2 + response[j, k, 1] ** 2)
+    return energy_norm(lam, h) + energy_norm(lam, size)
+
+
+@kernel
+def start_motions(oscillators, motions, states, cells):
+    """Start motions at physical section states (N, 2n); the scale of each (N,)."""
+    scales = np.zeros(len(states))
+    for r in cells:
+        osc = oscillator_of(oscillators, r)
+        motions.contact[r, 0] = start_at(osc, states[r], motions.h[r])
+        scales[r] = scale_of(osc, motions.h[r])
+    return scales
+
+
+@kernel
+def impact_free(oscillators, motions, cells):
+    """Of which of these cells no impact is possible from this section on: the bound of |y| stays inside both stops."""
+    found = np.zeros(len(cells), dtype=np.bool_)
+    for e in range(len(cells)):
+        r = cells[e]
+        osc = oscillator_of(oscillators, r)
+        reach = derivative_bounds(osc.gap, motions.h[r])[0] * (1.0 + 1e-12)
+        found[e] = motions.contact[r, 0] == FREE and reach < osc.b_upper and reach < osc.b_lower
+    return found
+
+
+@kernel
+def restart_counts(oscillators, motions, cells):
+    """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
+    for r in cells:
+        motion = motion_of(motions, r)
+        V, tally = motion.V, motion.tally
+        if tally[LOST] > 0.0:
+            for i in range(V.shape[0]):
+                for j in range(V.shape[1]):
+                    V[i, j, 0], V[i, j, 1] = 1.0 if i == 2 * j else 0.0, 1.0 if i == 2 * j + 1 else 0.0
+        work, status = tally[WORK], tally[STATUS]
+        tally[:] = 0.0
+        tally[WORK], tally[STATUS], tally[MIN_SPEED] = work, status, np.inf
+        reset_frame(oscillator_of(oscillators, r), motion)
+        motion.growth[:] = 0.0
+
+
+@kernel
+def reset_frames(oscillators, motions, cells):
+    """Make the frames orthonormal and count their growth."""
+    for r in cells:
+        reset_frame(oscillator_of(oscillators, r), motion_of(motions, r))
+
+
+@kernel
+def physical_states(oscillators, motions, cells):
+    """Physical section states of these cells."""
+    states = np.empty((len(cells), 2 * motions.h.shape[1]))
+    for e in range(len(cells)):
+        r = cells[e]
+        states[e] = blocks_to_physical(oscillator_of(oscillators, r), motion_of(motions, r))
+    return states
+
+
+@kernel
+def mean_growth(levels, cells):
+    """Mean growth per period of the first vector, its standard error, and the periods averaged, of these cells."""
+    mean, error, count = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells))
+    for e in range(len(cells)):
+        of_cell = levels[cells[e]]
+        mean[e], error[e], count[e] = of_cell[0, MEAN], standard_error(of_cell), of_cell[0, COUNT]
+    return mean, error, count

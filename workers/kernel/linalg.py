@@ -1,0 +1,155 @@
+"""Small dense matrices: a linear equation, and the moduli of eigenvalues."""
+
+import math
+
+import numpy as np
+
+from workers.kernel.jit import kernel
+
+EPS = float(np.finfo(np.float64).eps)
+
+MOST_SWEEPS = 60
+"""Steps of the QR method for one eigenvalue; it needs two or three."""
+
+
+@kernel
+def solution(matrix, right):
+    """x with matrix x = right, by elimination with pivots; both are overwritten. Not finite where there is none."""
+    size = len(right)
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        for c in range(k, size):
+            matrix[k, c], matrix[pivot, c] = matrix[pivot, c], matrix[k, c]
+        right[k], right[pivot] = right[pivot], right[k]
+        for i in range(k + 1, size):
+            factor = matrix[i, k] / matrix[k, k]
+            for c in range(k + 1, size):
+                matrix[i, c] -= factor * matrix[k, c]
+            right[i] -= factor * right[k]
+    for k in range(size - 1, -1, -1):
+        for c in range(k + 1, size):
+            right[k] -= matrix[k, c] * right[c]
+        right[k] /= matrix[k, k]
+    return right
+
+
+@kernel
+def balance(A):
+    """Scale the coordinates until rows and columns of A are of like size: a similarity, in place."""
+    size = len(A)
+    for _ in range(10):
+        settled = True
+        for i in range(size):
+            row, column = 0.0, 0.0
+            for k in range(size):
+                if k != i:
+                    row += abs(A[i, k])
+                    column += abs(A[k, i])
+            if row > 0.0 and column > 0.0 and not 0.25 < row / column < 4.0:
+                settled = False
+                f = math.sqrt(row / column)
+                for k in range(size):
+                    A[i, k] /= f
+                    A[k, i] *= f
+        if settled:
+            return
+
+
+@kernel
+def to_hessenberg(A):
+    """Bring A to zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
+    size = len(A)
+    for m in range(1, size - 1):
+        pivot = m
+        for i in range(m + 1, size):
+            if abs(A[i, m - 1]) > abs(A[pivot, m - 1]):
+                pivot = i
+        if A[pivot, m - 1] == 0.0:
+            continue
+        for c in range(size):
+            A[m, c], A[pivot, c] = A[pivot, c], A[m, c]
+        for c in range(size):
+            A[c, m], A[c, pivot] = A[c, pivot], A[c, m]
+        for i in range(m + 1, size):
+            factor = A[i, m - 1] / A[m, m - 1]
+            for c in range(m - 1, size):
+                A[i, c] -= factor * A[m, c]
+            for c in range(size):
+                A[c, m] += factor * A[c, i]
+
+
+@kernel
+def near_eigenvalue(a, b, c, d):
+    """The eigenvalue of [[a, b], [c, d]] that is nearer to d."""
+    half = 0.5 * (a - d)
+    root = np.sqrt(half * half + b * c)
+    if abs(half + root) < abs(half - root):
+        root = -root
+    far = half + root
+    return d - (b * c / far if far != 0.0 else 0.0 * far)
+
+
+@kernel
+def rotate_once(H, start, end, shift):
+    """One step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix."""
+    cosines, sines = np.empty(end - start), np.empty(end - start, dtype=np.complex128)
+    for k in range(start, end):
+        H[k, k] -= shift
+    for k in range(start, end - 1):
+        x, y = H[k, k], H[k + 1, k]
+        size = math.hypot(abs(x), abs(y))
+        c = abs(x) / size if size > 0.0 else 1.0
+        s = (x / abs(x) if abs(x) > 0.0 else 1.0 + 0.0j) * np.conj(y) / size if size > 0.0 else 0.0j
+        cosines[k - start], sines[k - start] = c, s
+        for j in range(k, end):
+            x, y = H[k, j], H[k + 1, j]
+            H[k, j], H[k + 1, j] = c * x + s * y, c * y - np.conj(s) * x
+    for k in range(start, end - 1):
+        c, s = cosines[k - start], sines[k - start]
+        for i in range(start, min(k + 2, end)):
+            x, y = H[i, k], H[i, k + 1]
+            H[i, k], H[i, k + 1] = c * x + np.conj(s) * y, c * y - s * x
+    for k in range(start, end):
+        H[k, k] += shift
+
+
+@kernel
+def moduli(matrix):
+    """|eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite."""
+    size = len(matrix)
+    failed = np.full(size, np.inf)
+    A = matrix.copy()
+    for i in range(size):
+        for k in range(size):
+            if not math.isfinite(A[i, k]):
+                return failed
+    balance(A)
+    to_hessenberg(A)
+    H = A.astype(np.complex128)
+    found = np.empty(size)
+    end, sweeps = size, 0
+    while end > 0:
+        start = end - 1
+        while start > 0 and abs(H[start, start - 1]) > EPS * (abs(H[start - 1, start - 1]) + abs(H[start, start])):
+            start -= 1
+        if start == end - 1:
+            end, sweeps = end - 1, 0
+            found[end] = abs(H[end, end])
+        elif sweeps == MOST_SWEEPS:
+            return failed
+        else:
+            sweeps += 1
+            shift = near_eigenvalue(H[end - 2, end - 2], H[end - 2, end - 1], H[end - 1, end - 2], H[end - 1, end - 1])
+            if sweeps % 10 == 0:  # out of a cycle
+                shift = H[end - 1, end - 1] + abs(H[end - 1, end - 2])
+            rotate_once(H, start, end, shift)
+    return found
+
+
+@kernel
+def spectral_radius(matrix):
+    """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
+    return np.max(moduli(matrix))
