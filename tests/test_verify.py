@@ -33,7 +33,7 @@ verifying = sys.modules["atlas.check.verify"]  # the package has the function of
 SPEC = atlas.Spec(
     "two-mass",
     axes={"omega": [2.1, 2.4, 3.0, 4.0], "b": [0.1, 0.3, 0.5]},
-    solve={"max_periods": 500, "tolerance": 0.1, "exponents": "spectrum", "section_samples": 2},
+    solve={"max_periods": 1000, "tolerance": 0.1, "exponents": "spectrum", "section_samples": 2},
     store={"tile": [2, 2]},
 )
 VARIABLES = [variable.name for variable in result_variables(SPEC.settings) if not variable.sparse]
