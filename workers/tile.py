@@ -91,8 +91,7 @@ def _solve_together(record: System, cells: Iterable[dict[str, float]], settings:
     while ready or waiting:
         for k, count in ready.items():
             try:
-                with np.errstate(over="raise", divide="raise", invalid="raise"):
-                    waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
+                waiting[k], done[k] = running[k].send(count), 0  # type: ignore[arg-type]
             except StopIteration as end:
                 solved[k] = end.value
             except (ArithmeticError, np.linalg.LinAlgError):
