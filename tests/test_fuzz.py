@@ -187,7 +187,7 @@ def options(option: str, value: st.SearchStrategy[str]) -> st.SearchStrategy[lis
 @given(st.tuples(*(options(name, numbers) for name in ("--set", "--tolerance", "--max-periods"))))
 def test_any_cell_asked_for_is_solved_or_refused_in_one_line(folder: Path, found: tuple[list[str], ...]) -> None:
     """Solved by a stand-in: test_out_of_range has the real one."""
-    with patch.object(import_module("atlas.point"), "point", return_value={}):
+    with patch.object(import_module("atlas.cell.point"), "point", return_value={}):
         check(["point", *chain.from_iterable(found), "--json"], folder)
 
 

@@ -10,7 +10,8 @@ from PIL import Image
 
 import atlas
 from atlas.cell.orbit import describe, follow
-from atlas.cli.commands import main, paper
+from atlas.cli import paper
+from atlas.cli.commands import main
 from atlas.errors import InputError
 from atlas.spec.spec import Spec
 from tests import naive

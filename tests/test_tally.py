@@ -15,7 +15,8 @@ from atlas.overview.pyramid import drop
 from atlas.query.queries import fractions
 from atlas.query.source import counted
 from atlas.service.status import Status, read_status
-from atlas.store.store import Header, done_tiles, drop_tile, read_header, tally, write_tile
+from atlas.store import tally
+from atlas.store.store import Header, done_tiles, drop_tile, read_header, write_tile
 from atlas.store.tally import TallyKeeper
 from atlas.store.tiles import read_tile
 from atlas.task.retry import Retry
