@@ -11,6 +11,8 @@ import pytest
 from scripts import bench_work_precision as bench
 from scripts.bench_kernel import FIGURES
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 
 

@@ -302,6 +302,7 @@ cli(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> None:
     """SIGINT to the whole process group, as a terminal sends it, while worker processes solve."""
     (tmp_path / "spec.toml").write_text(SPEC)

@@ -23,7 +23,10 @@ def may_mount() -> bool:
     return shown.returncode == 0
 
 
-pytestmark = pytest.mark.skipif(not may_mount(), reason="no mounts of its own for a process on this machine")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not may_mount(), reason="no mounts of its own for a process on this machine"),
+]
 
 TROUBLE = """
 import errno, subprocess, sys, time

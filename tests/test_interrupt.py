@@ -5,7 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.faults import ATLAS, ROOT
+
+pytestmark = pytest.mark.slow
 
 SPEC = """
 system = "two-mass"

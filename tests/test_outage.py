@@ -20,6 +20,8 @@ from tests.loopback import ObjectStore, Request, object_store
 from tests.planes import plane_of
 from workers.results import REGIME
 
+pytestmark = pytest.mark.slow
+
 URL = "s3://bucket/plane.zarr"
 REGIMES = "bucket/plane.zarr/regime/c/"
 

@@ -26,6 +26,8 @@ from tests.faults import attempts, environment
 from tests.planes import plane_of
 from workers import SOLVER_VERSION
 
+pytestmark = pytest.mark.slow
+
 TILES = 15
 PLANE = plane_of((1, 3))
 
