@@ -54,7 +54,7 @@ class _Group(click.Group):
             ctx.exit(INTERRUPTED)
 
 
-@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group("atlas", cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="impact-atlas", prog_name="atlas")
 def main() -> None:
     """Maps of chaos in vibro-impact oscillators.

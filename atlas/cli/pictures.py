@@ -5,7 +5,6 @@ from pathlib import Path
 
 import click
 
-from atlas.cli.paper import figures as draw_figures
 from atlas.cli.options import (
     input_errors,
     picture_option,
@@ -16,6 +15,7 @@ from atlas.cli.options import (
     window_option,
     workers_option,
 )
+from atlas.cli.paper import figures as draw_figures
 from atlas.render import FORMATS, KINDS, OVERLAYS
 from atlas.render import render as draw
 from atlas.service.options import RunOptions
