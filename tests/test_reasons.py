@@ -199,12 +199,7 @@ def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path,
     summary = atlas.run(plane_of(x1=0.25), older, client=client)
     assert (summary.tiles_solved, summary.reasons) == (1, {BEYOND: 6})
     zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
-    assert (
-        atlas.run(
-            plane_of(x1=0.25), older, client=client, options=atlas.RunOptions(retry=Retry((FAILED,)))
-        ).cells_solved
-        == 1
-    )
+    assert atlas.run(plane_of(x1=0.25), older, client, atlas.RunOptions(retry=Retry((FAILED,)))).cells_solved == 1
     assert not (older / "reason").exists()
     assert read_status(read_header(older)).reasons == {}
     assert verify(older, sample=35).fine

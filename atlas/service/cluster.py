@@ -36,7 +36,7 @@ class Tls:
 
 
 def _security(tls: Tls | None) -> "Security":
-    """Dask's Security of its configuration (distributed.comm.tls), with the files given in place of those there."""
+    """Dask's Security of its configuration (distributed.comm.tls), with the files given replacing those named there."""
     from distributed import Security
 
     given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}

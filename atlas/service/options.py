@@ -1,4 +1,4 @@
-"""What a run may be told beyond its spec and its store: where to compute and how to report, not a number of it."""
+"""The options of a run beyond its spec and its store: where it computes, what it reports, how long it waits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

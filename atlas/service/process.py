@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def this_process() -> str:
-    """The name of this process, empty on a system that tells too little for one."""
+    """The name of this process, empty on a system that does not give what it takes."""
     return process_name(os.getpid())
 
 

@@ -100,7 +100,7 @@ def coordinate(task: Submission) -> Refusal | None:
     """
     from distributed import Event, Variable, get_worker, worker_client
 
-    with worker_client() as client:  # gives this thread's place to the tiles
+    with worker_client() as client:  # frees this thread for the tiles
         begun, known, unwatched = Event(task.name, client=client), Variable(task.name, client=client), False
 
         def begin(run_id: str) -> None:
