@@ -97,22 +97,28 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
         plan = make_plan(target.spec, _worker_count(client, options), header.tile if header else None)
         if target.place.local is not None:
             check_disk(plan, target.place.local, plan.tile_count - (len(done_tiles(header)) if header else 0))
-
         claim = stack.enter_context(_claimed(target.place, options))
-        # From here on the store is this run's. Before, all was only looked at, so that bad input leaves no trace, and
-        # another run may have made the store meanwhile, with tiles of another shape, or have finished some of them.
-        target = replace(target, place=waiting(target.place, options.patience))
-        header = target.find()
-        if header is not None and header.tile != plan.tile:
-            plan = make_plan(target.spec, plan.workers, header.tile)
-        work = _work(header, plan, options)
-        if work.due.any():
-            work = _prepared(work, target.spec, client, options)
-        totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
-        options.report(totals.progress(work.beginning))
-        header = header or target.create(plan.tile)
-        if options.retry is not None and options.retry.max_periods is not None:
-            add_budget(header)
+        return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
+
+
+def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, options: RunOptions) -> Summary:
+    """Make or complete a store that is claimed.
+
+    It is looked for once more: before the claim, when it was only read so that bad input leaves no trace, another run
+    may have made it, with tiles of another shape, or have finished some of them.
+    """
+    header = target.find()
+    if header is not None and header.tile != plan.tile:
+        plan = make_plan(target.spec, plan.workers, header.tile)
+    work = _work(header, plan, options)
+    if work.due.any():
+        work = _prepared(work, target.spec, client, options)
+    totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
+    options.report(totals.progress(work.beginning))
+    header = header or target.create(plan.tile)
+    if options.retry is not None and options.retry.max_periods is not None:
+        add_budget(header)
+    with ExitStack() as stack:
         if work.due.any() and client is None:
             options.report(totals.progress(f"starting {plural(plan.workers, 'worker')}"))
             client = stack.enter_context(local_cluster(plan.workers))
@@ -130,7 +136,7 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
             _solve(client, header, work.due, options, claim, totals, written)
         overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
         tallies.finish(lambda tiles: options.report(totals.progress(f"counting the cells of {plural(tiles, 'tile')}")))
-        return totals.summary(str(header.place))
+    return totals.summary(str(header.place))
 
 
 def _check_retry(target: Target, header: Header | None) -> None:
