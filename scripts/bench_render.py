@@ -85,9 +85,9 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
 def ask(*command: str) -> dict[str, Any]:
     """One ``atlas`` command as a process: seconds, those of the processor, peak MB, chunks read as it says."""
     code = (
-        "import atexit, sys; from pathlib import Path; from atlas.cli.commands import cli\n"
+        "import atexit, sys; from pathlib import Path; from atlas.cli.main import main\n"
         "atexit.register(lambda: print(Path('/proc/self/status').read_text(), file=sys.stderr))\n"
-        "cli(sys.argv[1:])"
+        "main(sys.argv[1:])"
     )
     with tempfile.TemporaryFile("w+") as told:
         before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()

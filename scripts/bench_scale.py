@@ -87,7 +87,7 @@ def measure(tiles: int, work: Callable[[Job], object] = fanout.work) -> Scale:
         _growth(os.getpid()) as ours,
         _growth(scheduler) as theirs,
     ):
-        summary = atlas.run(spec, Path(folder) / "out.zarr", scheduler=address)
+        summary = atlas.run(spec, Path(folder) / "out.zarr", options=atlas.RunOptions(scheduler=address))
     return Scale(summary, ours[0], theirs[0])
 
 

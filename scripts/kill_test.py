@@ -32,7 +32,9 @@ from tests.faults import attempts, environment
 WORKERS = 2
 IN_FLIGHT = {"worker": 1, "scheduler": WORKERS, "coordinator": WORKERS}
 """Tiles under way that the death of each may cost; every worker has one thread."""
-COORDINATOR = "import sys, atlas; atlas.run(atlas.Spec.from_toml(sys.argv[1]), sys.argv[2], scheduler=sys.argv[3])"
+COORDINATOR = """import sys, atlas
+atlas.run(atlas.Spec.from_toml(sys.argv[1]), sys.argv[2], options=atlas.RunOptions(scheduler=sys.argv[3]))
+"""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.cli.output import to_json
+from atlas.service.timing import TIMING, Timing
 from tests.faults import ATLAS
 
 ROOT = Path(__file__).parent.parent
@@ -37,8 +38,8 @@ tile = [1, 2]
 """
 
 
-def call(*args: object) -> Result:
-    return CliRunner().invoke(cli, [str(arg) for arg in args])
+def call(*args: object, timing: Timing = TIMING) -> Result:
+    return CliRunner().invoke(main, [str(arg) for arg in args], obj=timing)
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +53,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
 
 def test_help_comes_without_the_heavy_imports() -> None:
     heavy = ["dask", "distributed", "xarray", "zarr", "matplotlib", "numba"]
-    code = f"import sys, atlas, atlas.cli; print([name for name in {heavy} if name in sys.modules])"
+    code = (
+        "import sys; from atlas.cli.main import main; main(['--help'], standalone_mode=False)\n"
+        f"print([name for name in {heavy} if name in sys.modules])"
+    )
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert shown.stdout.strip() == "[]"
+    assert "Commands:" in shown.stdout
+    assert shown.stdout.splitlines()[-1] == "[]"
 
 
 @pytest.mark.parametrize(
@@ -233,12 +238,9 @@ def test_a_folder_that_refuses_is_refused(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "tcp://no-such-host.invalid:8786"])
-def test_an_unreachable_scheduler_is_refused(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
-) -> None:
-    monkeypatch.setattr(sys.modules["atlas.service.cluster"], "CONNECT_SECONDS", 0.3)
-    told = f"{address}: no scheduler answers"
-    check_refused(call("run", folder / "spec.toml", "-o", tmp_path / "out.zarr", "--scheduler", address), told)
+def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, address: str) -> None:
+    args = ("run", folder / "spec.toml", "-o", tmp_path / "out.zarr", "--scheduler", address)
+    check_refused(call(*args, timing=Timing(connect=0.3)), f"{address}: no scheduler answers")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -261,7 +263,7 @@ def test_an_unreachable_scheduler_is_refused(
         (("statsu", "OUT"), "No such command 'statsu'"),
         (("--jason",), "No such option '--jason'"),
         (("plan", "tiny", "--workers", "few"), "Invalid value for '--workers': 'few' is not a valid integer"),
-        (("plan",), "Missing argument 'SPEC' (see cli plan --help)"),
+        (("plan",), "Missing argument 'SPEC' (see atlas plan --help)"),
         (("plan", "x" * 6000), "File name too long"),
         (("point", "--set", f"omega={'x' * 6000}"), "--set omega: found 'xxx"),
         (("run", "tiny", "-o", "NONE", "--workers", "2", "--scheduler", "tcp://x:1"), "give one of the two"),
@@ -288,7 +290,7 @@ def test_a_picture_that_cannot_be_made_is_refused(folder: Path) -> None:
 INTERRUPTED = """
 import os, signal, sys
 from atlas.service import progress
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 
 class Interrupting(progress.LogReporter):
     def __call__(self, snapshot):
@@ -298,7 +300,7 @@ class Interrupting(progress.LogReporter):
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts with it ignored
 progress.reporter = Interrupting
-cli(sys.argv[1:])
+main(sys.argv[1:])
 """
 
 
@@ -320,7 +322,7 @@ def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> No
 
     second = subprocess.run([*ATLAS, *args], timeout=300, check=False, **options)
     assert second.returncode == 0
-    assert f"going on: {len(kept)} of 12 tiles are done" in second.stderr
+    assert f"resuming: {len(kept)} of 12 tiles are done" in second.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert (xr.open_zarr(tmp_path / "out.zarr").regime.values >= 0).all()
 

@@ -262,7 +262,7 @@ def test_a_command_that_meets_damage_says_one_line_and_nothing_else(
             flip(path)
     name, *options = command
     done = subprocess.run(
-        [sys.executable, "-c", "from atlas.cli.commands import main; main()", name, str(whole.path), *options],
+        [sys.executable, "-c", "from atlas.cli.main import main; main()", name, str(whole.path), *options],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,

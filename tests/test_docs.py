@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.spec.spec import Spec
 from atlas.store.schema import BUDGET
 from workers import Settings
@@ -57,8 +57,8 @@ def links(page: Path) -> list[tuple[Path, str]]:
 
 def parse(words: list[str]) -> None:
     """Let click parse a command line, as far as it does so before it runs the command."""
-    group = click.Context(cli, info_name="atlas")
-    command = cli.get_command(group, words[0])
+    group = click.Context(main, info_name="atlas")
+    command = main.get_command(group, words[0])
     assert command is not None, f"no command {words[0]}"
     command.make_context(words[0], words[1:], parent=group)
 

@@ -13,7 +13,7 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.extend import extend, refined
 from atlas.spec.axis import Axis
@@ -134,7 +134,7 @@ def test_a_spaced_axis_that_goes_on_takes_the_old_values_over(tmp_path: Path, sc
     old = Axis("b", tuple(atlas.Spec("two-mass", axes={"b": first}).axes[0].values), scale)
     new = atlas.Spec("two-mass", axes={"b": {"start": 0.1, "stop": stop, "num": 61, "scale": scale}}).axes[0]
     assert not set(old.values) <= set(new.values)  # the last bits differ
-    taken = extending._taking_over(old, new)
+    taken = extending.keep_values(old, new)
     assert set(old.values) <= set(taken.values)
     assert taken.values[41:] == new.values[41:]
     np.testing.assert_allclose(taken.values, new.values, rtol=1e-14)
@@ -171,7 +171,7 @@ def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
     old: Path, tmp_path: Path, client: Client
 ) -> None:
     retry = checked_retry(spec_of(), "undetermined", 800)
-    again = atlas.run(spec_of(), old, client=client, retry=retry).cells_solved
+    again = atlas.run(spec_of(), old, client=client, options=atlas.RunOptions(retry=retry)).cells_solved
     assert again > 0
     assert verify(old, sample=12).fine
     summary = extend(old, tmp_path / "new.zarr", refine=2, client=client)
@@ -186,7 +186,7 @@ def test_an_interrupted_extension_goes_on(old: Path, tmp_path: Path, client: Cli
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        extend(old, tmp_path / "new.zarr", refine=2, client=client, on_progress=interrupt)
+        extend(old, tmp_path / "new.zarr", refine=2, client=client, options=atlas.RunOptions(on_progress=interrupt))
     assert len(done_tiles(read_header(tmp_path / "new.zarr"))) < 12
     assert extend(old, tmp_path / "new.zarr", refine=2, client=client).tiles_done == 12
 
@@ -244,7 +244,7 @@ def test_cells_that_cannot_be_taken_over_are_told_and_nothing_wrong_is_stored(
             seen = True
             harm(old)
 
-    summary = extend(old, tmp_path / "new.zarr", refine=2, client=client, on_progress=once)
+    summary = extend(old, tmp_path / "new.zarr", refine=2, client=client, options=atlas.RunOptions(on_progress=once))
     assert len(summary.failures) == tiles
     assert all(re.search(message, failure.message) for failure in summary.failures)
     assert not {failure.index for failure in summary.failures} & done_tiles(read_header(tmp_path / "new.zarr"))
@@ -315,11 +315,11 @@ def test_a_store_does_not_grow_in_place_or_into_one_of_another_origin(
 
 def test_the_command_refines_and_extends(old: Path, tmp_path: Path, client: Client) -> None:
     def call(*args: object) -> Any:
-        return CliRunner().invoke(cli, ["extend", *map(str, args), "--scheduler", client.scheduler.address])
+        return CliRunner().invoke(main, ["extend", *map(str, args), "--scheduler", client.scheduler.address])
 
     shown = call(old, "--refine", "omega=2", "-o", tmp_path / "a.zarr")
     assert shown.exit_code == 0, shown.output
-    assert "taking over 12 of 21 cells" in shown.stderr
+    assert "reusing 12 of 21 cells" in shown.stderr
     assert "9 cells in " in shown.stdout
     (tmp_path / "spec.toml").write_text(
         'system = "two-mass"\n[axes.omega]\nvalues = [2.0, 2.4]\n[axes.b]\nvalues = [0.1, 0.6]\n'

@@ -126,14 +126,14 @@ def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path)
     run = Run(tmp_path, {"1-0": ["full"]})
     first = run("--workers", "1")
     assert first.returncode == 1
-    told = f"Error: {run.store}: No space left on device; finished tiles are kept: make room and run again"
-    assert first.stderr.splitlines()[-1] == told
+    advice = "finished tiles are kept; make room and give the same command again"
+    assert first.stderr.splitlines()[-1] == f"Error: {run.store}: No space left on device; {advice}"
     kept = len(done_tiles(read_header(run.store)))
     assert kept >= 3
     run.script = {}
     second = run("--workers", "1")
     assert second.returncode == 0
-    assert f"going on: {kept} of 6 tiles are done" in second.stderr
+    assert f"resuming: {kept} of 6 tiles are done" in second.stderr
     assert run.attempts == dict.fromkeys(tiles("1-0"), 1) | {"1-0": 2}
 
 

@@ -264,7 +264,7 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        atlas.run(plane_of(), tmp_path / "a.zarr", client=client, on_progress=interrupt)
+        atlas.run(plane_of(), tmp_path / "a.zarr", client=client, options=atlas.RunOptions(on_progress=interrupt))
     assert_overviews_are_of(store.read_header(tmp_path / "a.zarr"))
     atlas.run(plane_of(), tmp_path / "a.zarr", client=client)
     assert (xr.open_zarr(tmp_path / "a.zarr", group="overviews/1").regime.values != PENDING).all()

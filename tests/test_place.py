@@ -16,7 +16,7 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.extend import extend
 from atlas.store import location as placing
@@ -132,7 +132,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
 
 def test_worker_processes_write_to_a_url(bucket: str) -> None:
     spec = atlas.Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"max_periods": 50}, store={"tile": [1]})
-    assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", workers=1).tiles_done == 2
+    assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", options=atlas.RunOptions(workers=1)).tiles_done == 2
 
 
 def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) -> None:
@@ -151,7 +151,7 @@ def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) 
 
 def test_every_command_takes_a_url(bucket: str, tmp_path: Path, client: Client) -> None:
     def call(*args: object) -> str:
-        result = CliRunner().invoke(cli, [str(arg) for arg in args])
+        result = CliRunner().invoke(main, [str(arg) for arg in args])
         assert result.exit_code == 0, result.output
         return result.stdout
 

@@ -15,7 +15,7 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.query import queries as query
 from atlas.service.extend import extend
 from atlas.service.status import read_status
@@ -67,7 +67,7 @@ def older(store: Path) -> Path:
 
 
 def call(*args: object) -> Result:
-    return CliRunner().invoke(cli, [str(arg) for arg in args])
+    return CliRunner().invoke(main, [str(arg) for arg in args])
 
 
 def test_codes_are_the_places_in_the_table_and_their_names_differ() -> None:
@@ -179,7 +179,7 @@ def test_a_retry_that_solves_a_failed_cell_takes_its_reason_away(store: Path, cl
     group = zarr.open_group(store, mode="r+")
     for name, value in {"regime": FAILED, "reason": 1}.items():
         group[name][4, 0] = value
-    atlas.run(plane_of(x1=0.25), store, client=client, retry=Retry((FAILED,)))
+    atlas.run(plane_of(x1=0.25), store, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert zarr.open_group(store, mode="r")["reason"][4, 0] == NO_REASON
     assert verify(store, sample=35).fine
 
@@ -199,7 +199,7 @@ def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path,
     summary = atlas.run(plane_of(x1=0.25), older, client=client)
     assert (summary.tiles_solved, summary.reasons) == (1, {BEYOND: 6})
     zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
-    assert atlas.run(plane_of(x1=0.25), older, client=client, retry=Retry((FAILED,))).cells_solved == 1
+    assert atlas.run(plane_of(x1=0.25), older, client, atlas.RunOptions(retry=Retry((FAILED,)))).cells_solved == 1
     assert not (older / "reason").exists()
     assert read_status(read_header(older)).reasons == {}
     assert verify(older, sample=35).fine

@@ -9,7 +9,7 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.plan import make_plan
 from atlas.store import store as storing
@@ -56,7 +56,7 @@ def test_only_the_chosen_cells_are_solved_again_and_come_out_as_with_that_budget
     before, spec = whole(store), plane_of_few()
     chosen = before["regime"] == UNDETERMINED
     assert 3 < chosen.sum() < 35
-    summary = atlas.run(spec, store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    summary = atlas.run(spec, store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     assert summary.cells_solved == chosen.sum()
     after = whole(store)
     fresh = plane_of_few(MORE)
@@ -71,7 +71,7 @@ def test_the_store_says_what_each_cell_might_cost(store: Path, client: Client) -
     before = whole(store)
     assert "budget" not in before
     chosen = before["regime"] == UNDETERMINED
-    atlas.run(plane_of_few(), store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     after = whole(store)
     np.testing.assert_array_equal(after["budget"], np.where(chosen, MORE, FEW))
     assert (after["periods_used"] <= after["budget"]).all()
@@ -79,9 +79,9 @@ def test_the_store_says_what_each_cell_might_cost(store: Path, client: Client) -
 
 def test_a_retry_done_twice_solves_nothing_the_second_time(store: Path, client: Client) -> None:
     retry = Retry((UNDETERMINED,), MORE)
-    atlas.run(plane_of_few(), store, client=client, retry=retry)
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=retry))
     assert (whole(store)["regime"] == UNDETERMINED).any()
-    assert atlas.run(plane_of_few(), store, client=client, retry=retry).cells_solved == 0
+    assert atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=retry)).cells_solved == 0
 
 
 def test_tiles_without_such_cells_are_not_touched(store: Path, client: Client) -> None:
@@ -93,7 +93,7 @@ def test_tiles_without_such_cells_are_not_touched(store: Path, client: Client) -
     }
     assert 0 < len(due) < 9
     kept = {p: p.stat().st_mtime_ns for p in (store / "regime" / "c").rglob("*") if p.is_file()}
-    atlas.run(plane_of_few(), store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     changed = {p for p, time in kept.items() if p.stat().st_mtime_ns != time}
     assert {(int(p.parent.name), int(p.name)) for p in changed} == due
 
@@ -104,7 +104,7 @@ def test_failed_cells_are_solved_again_within_the_budget_they_had(store: Path, c
     arrays["regime"][0, :2] = FAILED
     write_tile(header, (1, 1), arrays)
     assert (whole(store)["regime"] == FAILED).sum() == 2
-    summary = atlas.run(plane_of_few(), store, client=client, retry=Retry((FAILED,)))
+    summary = atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert summary.cells_solved == 2
     after = whole(store)
     for name, values in before.items():
@@ -162,7 +162,7 @@ def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixtur
 
 
 def test_a_plain_run_after_a_retry_that_was_killed_takes_the_larger_budget_back(store: Path, client: Client) -> None:
-    atlas.run(plane_of_few(), store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     (store / "regime" / "c" / "1" / "1").unlink()
     atlas.run(plane_of_few(), store, client=client)
     assert (read_tile(read_header(store), (1, 1))["budget"] == FEW).all()
@@ -210,7 +210,7 @@ def test_the_fixed_schedule_has_no_budget_to_raise() -> None:
 
 
 def call(*args: object) -> Result:
-    return CliRunner().invoke(cli, [str(arg) for arg in args])
+    return CliRunner().invoke(main, [str(arg) for arg in args])
 
 
 def test_a_retry_without_a_store_is_refused_and_writes_nothing(tmp_path: Path) -> None:

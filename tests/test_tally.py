@@ -205,7 +205,7 @@ def test_a_retry_leaves_the_tally_true(tmp_path: Path, client: Client, keys: lis
     before = read_status(read_header(path))
     fail(read_header(path), (1, 1))
     assert read_status(read_header(path)).regimes["failed"] == 2
-    atlas.run(spec, path, client=client, retry=Retry((FAILED,)))
+    atlas.run(spec, path, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     keys.clear()
     assert read_status(read_header(path)).regimes == before.regimes
     assert keys == []
@@ -239,7 +239,7 @@ def test_a_coordinator_killed_after_a_retried_tile_leaves_no_wrong_entry(
     monkeypatch.setattr(TallyKeeper, "add", killed)
     monkeypatch.setattr(TallyKeeper, "_flush", lambda _: None)
     with pytest.raises(Killed):
-        atlas.run(spec, path, client=client, retry=Retry((FAILED,)))
+        atlas.run(spec, path, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert "failed" not in counts_of(path)
     assert_true(read_status(header), path)
 

@@ -18,7 +18,7 @@ import atlas
 from atlas.check import reproduce as recheck
 from atlas.check.rules import law_of
 from atlas.check.verify import Fault, Report, verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
 from atlas.store import digests, store
@@ -295,7 +295,7 @@ def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
 def test_status_of_a_store_without_a_tally_names_a_damaged_chunk(whole: Path) -> None:
     shutil.rmtree(whole / "tally")
     flip(chunk(whole, "regime"), 3)
-    result = CliRunner().invoke(cli, ["status", str(whole)])
+    result = CliRunner().invoke(main, ["status", str(whole)])
     assert result.exit_code == 1
     assert "regime/c/0/1 is damaged (" in result.stderr
     assert f"atlas verify --repair {whole}" in result.stderr
@@ -333,7 +333,7 @@ def test_names_that_are_no_chunks_are_no_tiles(whole: Path, client: Client) -> N
     chunk(whole, "regime").unlink()
     lay(whole, FOREIGN)
     assert store.done_tiles(store.read_header(whole)) == {(0, 0), (1, 0), (1, 1)}
-    assert json.loads(CliRunner().invoke(cli, ["status", "--json", str(whole)]).stdout)["tiles_done"] == 3
+    assert json.loads(CliRunner().invoke(main, ["status", "--json", str(whole)]).stdout)["tiles_done"] == 3
     (whole / "regime" / "c" / "0" / "1" / "0").unlink()
     (whole / "regime" / "c" / "0" / "1").rmdir()
     assert atlas.run(SPEC, whole, client=client).tiles_done == 4
@@ -415,7 +415,7 @@ def test_a_negative_sample_is_refused(whole: Path) -> None:
 
 def test_the_command_tells_by_its_exit_code(whole: Path, tmp_path: Path) -> None:
     def call(*args: object) -> tuple[int, str]:
-        result = CliRunner().invoke(cli, ["verify", *map(str, args)])
+        result = CliRunner().invoke(main, ["verify", *map(str, args)])
         return result.exit_code, result.stdout
 
     assert call(whole, "--sample", 2)[0] == 0

@@ -1,4 +1,4 @@
-"""The plan: how an atlas is cut into tiles and what it will cost, as a value apart from whoever runs it."""
+"""The plan: how an atlas is cut into tiles and what it will cost, as a value."""
 
 import itertools
 import math
@@ -38,7 +38,7 @@ class Probe:
     """Cells solved for their cost: how many, and what one of the atlas costs on average.
 
     periods_per_cell   forcing periods
-    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells tell
+    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells show
     """
 
     cells: int

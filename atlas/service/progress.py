@@ -1,4 +1,4 @@
-"""How a run tells where it is: one frozen snapshot, and two ways to show it, on a terminal and in a log."""
+"""How a run reports where it is: one frozen snapshot, and two ways to show it, on a terminal and in a log."""
 
 import time
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ class Progress:
     cells_solved, seconds     of this run, since its first tile was submitted
     counts                    cells solved in this run by regime
     failures                  tiles that ended with an error in this run
-    passing                   worth a word only while it lasts: not for a log
+    passing                   of interest only while it lasts: not for a log
     """
 
     stage: str
@@ -63,10 +63,10 @@ def shares(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
 
 
-def reasons_told(reasons: Mapping[str, int]) -> list[str]:
+def reason_lines(reasons: Mapping[str, int]) -> list[str]:
     """A line for each reason why cells have no result: ``360 cells invalid: the initial state lies beyond a stop``."""
     regimes = {regime.code: regime.name for regime in REGIMES}
-    # How a process died is told in words of its own.
+    # How a process died has words of its own.
     meant = {reason.text: regimes[reason.regime] for reason in REASONS}
     return [f"{plural(count, 'cell')} {meant.get(text, regimes[FAILED])}: {text}" for text, count in reasons.items()]
 

@@ -1,4 +1,4 @@
-"""How far a store is, from the store alone: what is in it, and what the run at work on it says beside it."""
+"""How far a store is, from the store alone: what is in it, and what the run at work on it notes next to it."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.service.lease import PATIENCE_SECONDS, Observer, Record, last_word
+from atlas.service.lease import Observer, Record, noted_end
 from atlas.service.plan import Plan, duration
-from atlas.service.progress import Progress, reasons_told
+from atlas.service.progress import Progress, reason_lines
+from atlas.service.timing import TIMING, Timing
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, open_group
 from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, plan_of, read_tally, tile_sizes
@@ -43,7 +44,7 @@ class Status:
 
     @property
     def progress(self) -> Progress:
-        """As the run at work would tell it; speed and time left are its own."""
+        """As a snapshot of the run at work, with the speed and the time left that it reports itself."""
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
@@ -77,7 +78,7 @@ class Status:
         ]
         total = max(1, self.cells_done)
         lines += [f"  {name:<15}{count:>10}  {100 * count / total:6.2f} %" for name, count in self.regimes.items()]
-        lines += [f"  {line}" for line in reasons_told(self.reasons)]
+        lines += [f"  {line}" for line in reason_lines(self.reasons)]
         return "\n".join(lines)
 
     def _run(self) -> str:
@@ -129,14 +130,18 @@ class Status:
 
 
 class Census:
-    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once."""
+    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once.
 
-    def __init__(self, header: Header) -> None:
-        self.header, self.plan = header, plan_of(header)
+    ``tiles_read`` is how many tiles were counted by their chunks.
+    """
+
+    def __init__(self, header: Header, timing: Timing = TIMING) -> None:
+        self.header, self.plan, self.timing = header, plan_of(header), timing
+        self.tiles_read = 0
         self.counted = np.zeros(self.plan.grid, dtype=bool)
         self.total = np.zeros(len(COLUMNS))
         self.notes = notes_of(header.place)
-        self.observer = Observer(self.notes)
+        self.observer = Observer(self.notes, timing)
         self.explained = False
 
     def take(self, settled: bool = False) -> Status:
@@ -147,7 +152,9 @@ class Census:
             entries, known = read_tally(root, self.plan)
             self.explained = REASON.name in root
             self.total += entries[new & known].sum(axis=0)
-            for entry in count_tiles(self.header, [tuple(index) for index in np.argwhere(new & ~known).tolist()]):
+            unknown = [tuple(index) for index in np.argwhere(new & ~known).tolist()]
+            self.tiles_read += len(unknown)
+            for entry in count_tiles(self.header, unknown):
                 if isinstance(entry, ChunkError):
                     raise entry
                 self.total += entry
@@ -155,31 +162,31 @@ class Census:
         cells = self.total[CELLS].astype(int).tolist()
         regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
         found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
-        told = ((reason.text, count) for reason, count in found if count and reason.code != NO_REASON)
-        reasons = dict(told) if self.explained else {}  # an older store knows those of the newest tiles at best
+        named = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
+        reasons = named if self.explained else {}  # an older store knows those of the newest tiles at best
         tiles, done = int(self.counted.sum()), int(tile_sizes(self.plan)[self.counted].sum())
         seen = self.observer.settle() if settled else self.observer.look()
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
-        return Status(self.header, self.plan, tiles, done, regimes, reasons, run, trouble, last_word(self.notes))
+        return Status(self.header, self.plan, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
 
 
-def read_status(header: Header) -> Status:
+def read_status(header: Header, timing: Timing = TIMING) -> Status:
     """The status of a store, from one listing and its tally; reads the chunks of no tile that has an entry there.
 
-    Takes up to ``claim.SILENT_SECONDS`` where the run at work is not on this machine: that is how long it takes to see
-    whether it is alive.
+    Takes up to ``timing.silent`` seconds where the run at work is not on this machine: that is how long it takes to
+    see whether it is alive.
     """
-    return Census(header).take(settled=True)
+    return Census(header, timing).take(settled=True)
 
 
-def watch(header: Header, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
+def watch(census: Census, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
     """Statuses, one every so many seconds, until the atlas is complete or no run has been at work for a while."""
-    census, idle, beat = Census(header), 0.0, -1
+    idle, beat = 0.0, -1
     while True:
         status = census.take()
         yield status
         moved = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
         idle, beat = 0.0 if moved else idle + seconds, status.run.beat if status.run else -1
-        if (status.fraction == 1 and not status.run) or idle > PATIENCE_SECONDS:
+        if (status.fraction == 1 and not status.run) or idle > census.timing.dead:
             return
         sleep(seconds)
