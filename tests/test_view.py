@@ -1,6 +1,5 @@
 """Claims about what views and shares read: the chunks in view, at the level that fits, of what the store holds."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,9 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import render
-from atlas.overview import levels
 from atlas.query.queries import fractions
 from atlas.query.resample import view
-from atlas.query.source import counted
+from atlas.query.reads import counted
 from atlas.query.window import cell_edges
 from atlas.render import maps
 from atlas.store import store
@@ -23,16 +21,13 @@ from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
 
 TILE = 8
-CHUNK = 16
 
 
 @pytest.fixture(scope="module")
-def header(tmp_path_factory: pytest.TempPathFactory) -> Iterator[store.Header]:
+def header(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
     """100 x 90 cells in tiles of 8, levels in chunks of 16 down to 16 cells."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(levels, "CHUNK", CHUNK)
-        patch.setattr(levels, "LEAST", 16)
-        yield complete(tmp_path_factory.mktemp("view") / "a.zarr", (TILE, TILE), spec_of(nx=100, ny=90))
+    folder = tmp_path_factory.mktemp("view")
+    return complete(folder / "a.zarr", (TILE, TILE), spec_of(nx=100, ny=90), side=16, least=16)
 
 
 @pytest.fixture
@@ -96,7 +91,7 @@ def test_pixels_do_not_change_what_is_read_where_none_are_given(ds: xr.Dataset) 
 def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Path) -> None:
     header = store.create(tmp_path / "a.zarr", spec_of(nx=200, ny=12), (4, 50))
     fill(header)
-    keep(header)
+    keep(header, side=256, least=128)
     ds = atlas.open(header.path)
     with counted() as reads:
         seen = view(ds, ["periods_used"], pixels=(50, 12))
@@ -117,7 +112,7 @@ def test_the_widest_cells_of_an_uneven_axis_decide_the_level(tmp_path: Path) -> 
     spec = atlas.Spec("two-mass", axes={"omega": omega, "b": np.linspace(0.1, 0.5, 150)})
     header = store.create(tmp_path / "a.zarr", spec, (50, 50))
     fill(header)
-    keep(header)
+    keep(header, side=256, least=128)
     with counted() as reads:
         assert view(atlas.open(header.path), [], pixels=(100, 100)).sizes["omega"] == 200
     assert reads.level == 0
@@ -149,7 +144,7 @@ def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: li
     header = store.create(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
     for index in ((0, 0), (13, 14)):
         store.write_tile(header, index, results(header, index))
-    keep(header)
+    keep(header, side=256, least=128)
     keys.clear()
     with counted() as reads:
         seen = view(atlas.open(header.path), ["largest"], pixels=(75, 70))
@@ -252,9 +247,8 @@ def test_an_atlas_without_exponents_is_drawn_by_its_periods(tmp_path: Path) -> N
         axes={"omega": [2.0, 3.0], "b": [0.1, 0.2]},
         solve={"exponents": "none", "max_periods": 50, "transient_periods": 10},
     )
-    with pytest.MonkeyPatch.context():
-        header = store.create(tmp_path / "a.zarr", spec, (2, 2))
-        fill(header)
+    header = store.create(tmp_path / "a.zarr", spec, (2, 2))
+    fill(header)
     figure = render.figure(atlas.open(header.path))
     assert any(text.get_text().startswith("period") for legend in figure.legends for text in legend.get_texts())
 

@@ -299,7 +299,7 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     from atlas.cli.output import print_table, text, to_json
     from atlas.query import queries as questions
     from atlas.query.export import check_path, export
-    from atlas.query.source import counted
+    from atlas.query.reads import counted
     from atlas.service.progress import reasons_told
     from atlas.store.store import open_atlas
 
@@ -354,7 +354,7 @@ def render(
     window: tuple[str, ...],
 ) -> None:
     """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
-    from atlas.query.source import counted
+    from atlas.query.reads import counted
     from atlas.store.store import open_atlas
 
     bounds = _pairs("--window", window, _bounds)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from atlas.cell.orbit import follow
 from atlas.errors import InputError
 from atlas.query.queries import fractions
-from atlas.query.source import counted
+from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from workers import Settings
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
