@@ -19,6 +19,7 @@ from atlas.overview.coarsen import coarsen, from_cells
 from atlas.overview.pyramid import Pyramid, levels_of
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
+from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.service.progress import Progress
 from atlas.store import store
@@ -219,6 +220,52 @@ def test_an_atlas_without_overviews_is_seen_alike(header: store.Header) -> None:
     assert_view_is_true(header)
 
 
+# Made by another version
+
+
+@pytest.fixture
+def default_sizes(tmp_path: Path) -> store.Header:
+    """A whole store, with overviews of the sizes that they had before they said them of themselves."""
+    return complete(tmp_path / "a.zarr", (20, 20), spec_of(nx=300, ny=140), side=256, least=128)
+
+
+def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_sizes: store.Header) -> None:
+    group = zarr.open_group(default_sizes.path / "overviews", mode="r+", use_consolidated=False)
+    assert dict(group.attrs) == {"side": 256, "least": 128, "version": 1}
+    group.attrs.put({"version": 1})
+    with counted() as reads:
+        view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
+    assert reads.level == 1
+    assert keep(default_sizes) == 0
+    assert_view_is_true(default_sizes)
+
+
+def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None:
+    with Overviews(whole) as overviews:
+        assert overviews.finish() == 0
+    assert levels_of(whole).count == 3
+
+
+@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"version": 2}])
+def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
+    whole: store.Header, attributes: dict[str, object]
+) -> None:
+    zarr.open_group(whole.path / "overviews", mode="r+", use_consolidated=False).update_attributes(attributes)
+    assert_view_is_true(whole)
+    assert keep(whole) == 14
+    assert_view_is_true(whole)
+
+
+@pytest.mark.parametrize("name", ["reason", "min_impact_speed"])
+def test_a_result_that_an_older_store_lacks_is_lacking_in_its_overviews(filled: store.Header, name: str) -> None:
+    shutil.rmtree(filled.path / name)
+    zarr.consolidate_metadata(filled.path)
+    older = store.read_header(filled.path)
+    keep(older)
+    assert not {name, f"{name}_count"} & set(xr.open_zarr(older.path, group="overviews/1").data_vars)
+    assert_view_is_true(older)
+
+
 # During a run
 
 
@@ -239,8 +286,8 @@ def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, clien
 
 
 def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header) -> None:
-    tiles = indices(header)
-    first = [tile for tile in tiles if levels_of(header).over(tile) == (0, 0)]
+    keep(header)
+    first = [tile for tile in indices(header) if levels_of(header).over(tile) == (0, 0)]
     with overviews_of(header) as overviews:
         for tile in first:
             store.write_tile(header, tile, results(header, tile))
@@ -251,9 +298,7 @@ def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header)
     assert_view_is_true(header)
 
 
-def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(
-    begun: Path, tmp_path: Path, client: Client
-) -> None:
+def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(begun: Path, tmp_path: Path, client: Client) -> None:
     def interrupt(progress: Progress) -> None:
         if progress.tiles_done == 5 and progress.stage == "solving":
             raise KeyboardInterrupt

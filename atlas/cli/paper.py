@@ -36,7 +36,7 @@ def figures(
     for ``atlas.run``; ``on_progress`` is called with each Progress, those of the run included.
     Raises InputError for a folder that cannot be written and for an unknown format.
     """
-    from atlas.cell.orbit import follow
+    from atlas.cell.orbit import cell_orbit
     from atlas.render import FORMATS, render, render_orbit
     from atlas.service.run import run
     from atlas.store.store import open_atlas
@@ -53,7 +53,7 @@ def figures(
     written = []
     for name, parameters in CELLS.items():
         tell(Progress(f"{name}: solving and drawing"))
-        orbit = follow(parameters, settings=SETTINGS)
+        orbit = cell_orbit(parameters, settings=SETTINGS)
         written += [render_orbit(orbit, target / f"{name}.{each}") for each in formats]
     store = target / f"{SWEEP}.zarr"
     tell(Progress(f"{SWEEP}: computing the sweep into {store}"))

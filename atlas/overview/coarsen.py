@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from atlas.overview.levels import Levels
 from atlas.spec.spec import Spec
-from workers import Settings
 from workers.results import (
     FAILED,
     LARGEST,
@@ -55,13 +54,8 @@ Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
 
-def level_variables(settings: Settings) -> tuple[Variable, ...]:
-    """The variables of every level of an atlas that is made with these settings."""
-    return coarse_variables(result_variables(settings))
-
-
-def coarse_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
-    """The variables of every level over cells that hold these results; ``regime`` is the last, as it is written last.
+def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
+    """The variables of every level of an atlas that has these results; ``regime`` is the last, as it is written last.
 
     Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
     """
@@ -84,7 +78,8 @@ def coarse_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
 
 def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
     """Bytes of all levels of an atlas, uncompressed."""
-    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.settings)]
+    results = result_variables(spec.settings)
+    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
     return Levels(spec.shape, tile).cell_count() * sum(sizes)
 
 

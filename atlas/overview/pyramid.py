@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, RunError, message_of
-from atlas.overview.coarsen import CODES, REGIME_SHOWN, Widths, coarse_variables, coarsen, from_cells, halved
+from atlas.overview.coarsen import CODES, REGIME_SHOWN, Widths, coarsen, from_cells, halved, level_variables
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import edges_of, widths_along
 from atlas.spec.spec import Slices
@@ -73,7 +73,7 @@ class Pyramid:
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
         """The variables of every level: those that the results in the store give."""
-        return coarse_variables(self.results)
+        return level_variables(self.results)
 
     @cached_property
     def widths(self) -> list[Widths]:

@@ -26,9 +26,7 @@ class Overviews(AbstractContextManager["Overviews"]):
     theirs.
     """
 
-    def __init__(
-        self, header: Header, pending: Iterable[Index] = (), *, side: int = SIDE, least: int = LEAST
-    ) -> None:
+    def __init__(self, header: Header, pending: Iterable[Index] = (), *, side: int = SIDE, least: int = LEAST) -> None:
         self._header = header
         self._pyramid = Pyramid(header, side, least)
         self._levels = self._pyramid.levels

@@ -18,7 +18,6 @@ from atlas.overview.coarsen import (
     Cells,
     coarsen,
     halved,
-    level_variables,
 )
 from atlas.overview.pyramid import bounds_name, centres
 from atlas.query.reads import count_reads
@@ -68,7 +67,7 @@ def view(
     part = find_part(ds, wanted)
     if part is None:
         return ds[wanted]
-    known = {variable.name for variable in level_variables(part.header.spec.settings)}
+    known = part.coarse_names
     steps = _steps(ds, pixels) if pixels and known.issuperset(wanted) else [0] * ds[REGIME.name].ndim
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
     count_reads(part.pyramid.chunks_read, min(steps), tuple(2**count for count in reversed(steps)))

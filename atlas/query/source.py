@@ -85,7 +85,12 @@ class Part:
 
     @cached_property
     def _variables(self) -> tuple[Variable, ...]:
-        return level_variables(self.header.spec.settings)
+        return level_variables(result_variables(self.header.spec.settings))
+
+    @property
+    def coarse_names(self) -> set[str]:
+        """The names of the variables that levels have."""
+        return {variable.name for variable in self._variables}
 
     def closed(self, names: Iterable[str]) -> list[str]:
         """All variables that coarsening these takes."""
@@ -95,8 +100,7 @@ class Part:
         """The tiles below a piece of a level that are not done."""
         tiles = self.pyramid.levels.tiles_below(level, piece)
         return [
-            tuple(s.start + i for s, i in zip(tiles, at, strict=True))
-            for at in np.argwhere(~self.done[tiles]).tolist()
+            tuple(s.start + i for s, i in zip(tiles, at, strict=True)) for at in np.argwhere(~self.done[tiles]).tolist()
         ]
 
     def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
@@ -131,7 +135,9 @@ class Part:
             found = {name: self.pyramid.read(level, name, piece) for name in dict.fromkeys((mark, *names))}
         except ChunkError:
             return self._read_each(level, piece, names, blocks)
-        return found, [block for block in blocks if not self._is_current(level, block, found[mark][inside(piece, block)])]
+        return found, [
+            block for block in blocks if not self._is_current(level, block, found[mark][inside(piece, block)])
+        ]
 
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]

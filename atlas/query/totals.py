@@ -90,10 +90,11 @@ class Totals:
 
     def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
         """The areas in a piece of the cells themselves: by the tally in whole tiles that have an entry there."""
-        levels, known = self.part.pyramid.levels, self._tally[1]
+        levels = self.part.pyramid.levels
         tiles = levels.tiles_within(0, piece)
-        if not known[tiles].any():
+        if any(s.start >= s.stop for s in tiles) or not self._tally[1][tiles].any():
             return self._read_areas(piece)
+        known = self._tally[1]
         total = self._tallied(tiles)
         for side in _around(piece, levels.cells_of(tiles)):
             total = total + self._read_areas(side)
