@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 
-from atlas.overview.coarsen import level_variables
-from atlas.overview.pyramid import GROUP, Pyramid, levels_of
+from atlas.overview.pyramid import GROUP, Pyramid
 from atlas.store.store import Header, grid_of, index_of
 from workers.results import Variable, result_variables
 
@@ -12,10 +11,10 @@ def foreign_keys(header: Header) -> Iterator[str]:
     """The keys of all such objects, by a listing of each array's."""
     for variable in result_variables(header.spec.settings):
         yield from _foreign(header, "", variable, grid_of(header))
-    levels = levels_of(header)
-    for level in range(1, levels.count + 1) if Pyramid(header).made else ():
-        for variable in level_variables(header.spec.settings):
-            yield from _foreign(header, f"{GROUP}/{level}/", variable, levels.grid(level))
+    pyramid = Pyramid(header)
+    for level in range(1, pyramid.levels.count + 1) if pyramid.made else ():
+        for variable in pyramid.variables:
+            yield from _foreign(header, f"{GROUP}/{level}/", variable, pyramid.levels.grid(level))
 
 
 def _foreign(header: Header, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.overview.pyramid import Overviews
+from atlas.overview.upkeep import Overviews
 from atlas.service.plan import Tile, make_plan
 from atlas.spec.spec import Spec
 from atlas.store.store import create, done_tiles, find, write_tile

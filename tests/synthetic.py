@@ -8,7 +8,7 @@ import xarray as xr
 import zarr
 
 import atlas
-from atlas.overview.pyramid import Overviews
+from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
 from atlas.service.plan import make_plan
 from atlas.store import store
@@ -58,17 +58,24 @@ def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> N
         header.path.joinpath("regime", "c", *map(str, index)).unlink()
 
 
-def keep(header: store.Header, pending: tuple[Index, ...] = ()) -> int:
+def overviews_of(header: store.Header, pending: tuple[Index, ...] = (), side: int = 8, least: int = 8) -> Overviews:
+    """Overviews with chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
+    return Overviews(header, pending, side=side, least=least)
+
+
+def keep(header: store.Header, side: int = 8, least: int = 8) -> int:
     """Make all overviews that can be made; the number of chunks made."""
-    with Overviews(header, pending) as overviews:
+    with overviews_of(header, side=side, least=least) as overviews:
         return overviews.finish()
 
 
-def complete(path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None) -> store.Header:
+def complete(
+    path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None, side: int = 8, least: int = 8
+) -> store.Header:
     """A whole store with its overviews."""
     header = store.create(path, spec or spec_of(), tile)
     fill(header)
-    keep(header)
+    keep(header, side, least)
     return header
 
 

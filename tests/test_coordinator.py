@@ -15,7 +15,7 @@ from distributed import Client, LocalCluster, Variable, get_worker
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
-from atlas.overview.pyramid import Overviews
+from atlas.overview.upkeep import Overviews
 from atlas.service import submit as submitting
 from atlas.service.dispatch import Refusal
 from atlas.service.lease import CLAIM, Record, noted_end

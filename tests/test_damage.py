@@ -8,7 +8,6 @@ import pickle
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,7 @@ import zarr
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError
-from atlas.overview import levels
-from atlas.overview.pyramid import Overviews
+from atlas.overview.upkeep import Overviews
 from atlas.query.export import export
 from atlas.query.queries import fractions
 from atlas.query.resample import view
@@ -33,28 +31,18 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
-    monkeypatch.setattr(levels, "CHUNK", 8)
-    monkeypatch.setattr(levels, "LEAST", 8)
-
-
-@pytest.fixture(autouse=True)
 def lawless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Made-up results break the rules of cells, which are not the matter here."""
     monkeypatch.setattr(sys.modules["atlas.check.verify"], "broken_rules", lambda *_: {})
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(levels, "CHUNK", 8)
-        patch.setattr(levels, "LEAST", 8)
-        header = store.create(tmp_path_factory.mktemp("made") / "whole.zarr", spec_of(), (8, 8))
-        for index in indices(header):
-            store.write_tile(header, index, results(header, index))
-        keep(header)
-        yield header.path
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    header = store.create(tmp_path_factory.mktemp("made") / "whole.zarr", spec_of(), (8, 8))
+    for index in indices(header):
+        store.write_tile(header, index, results(header, index))
+    keep(header)
+    return header.path
 
 
 @pytest.fixture

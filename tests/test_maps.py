@@ -124,7 +124,7 @@ def test_the_rarest_motions_share_the_class_of_others_so_that_the_legend_fits() 
     many = [(1, k, k) for k in range(1, 15)]
     frequent = many * 3 + [(7, 9, 9)]
     rgba, legend, palette = impacts.paint(*counted(*frequent))
-    assert palette[impacts.Motion(7, 9, 9)] == impacts.OTHER
+    assert palette[impacts.ImpactPattern(7, 9, 9)] == impacts.OTHER
     assert tuple(rgba[0, -1][:3]) == rgb(impacts.OTHER)
     assert len(legend) == len(impacts.HUES) + 1
 
@@ -146,10 +146,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = impacts._place(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = impacts.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert impacts._place(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert impacts.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -221,7 +221,7 @@ def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
 
 
 def test_a_log_scale_spans_a_decade_at_least() -> None:
-    norm = scalar._norm(np.array([50.0, 60.0]), log=True)
+    norm = scalar.color_norm(np.array([50.0, 60.0]), log=True)
     assert (norm.vmax or 0) / (norm.vmin or 1) >= 10
 
 
@@ -252,11 +252,10 @@ def test_the_grazing_line_is_that_of_the_solver() -> None:
     assert found[1] == NO_IMPACT
 
 
-def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
     x, y = (maps.read(plane(), (), "test").x, maps.read(plane(), (), "test").y)
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
-    monkeypatch.setattr(overlays, "POINTS", 12)
-    xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y, points=12)
     assert quick == pytest.approx(overlays.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
 
 

@@ -8,7 +8,7 @@ from distributed import Client
 from PIL import Image
 
 import atlas
-from atlas.cell.orbit import describe, follow
+from atlas.cell.orbit import cell_orbit, describe
 from atlas.cli import paper
 from atlas.cli.main import main
 from atlas.errors import InputError
@@ -26,7 +26,7 @@ def test_the_cells_are_those_of_the_paper() -> None:
 
 def test_fig_5_is_solved_to_the_digits_of_the_paper() -> None:
     """Truth: 1.123, -1.577, -1.582, -4.38 within .002, and 2.637 impacts a period."""
-    orbit = follow(paper.CELLS["fig5"], settings=paper.SETTINGS)
+    orbit = cell_orbit(paper.CELLS["fig5"], settings=paper.SETTINGS)
     assert orbit.cell["largest"] == pytest.approx(1.123, abs=0.007)
     assert orbit.cell["error"] <= 0.002
     assert orbit.cell["impacts_per_period"] == pytest.approx(2.637, abs=0.01)
@@ -36,7 +36,7 @@ def test_fig_5_is_solved_to_the_digits_of_the_paper() -> None:
     ("name", "words"), [("fig3", "impacts 1 above and 1 below"), ("fig4", "impacts 2 above and 2 below")]
 )
 def test_figs_3_and_4_show_the_motions_that_the_paper_describes(name: str, words: str) -> None:
-    assert words in describe(follow(paper.CELLS[name]))
+    assert words in describe(cell_orbit(paper.CELLS[name]))
 
 
 def test_all_figures_are_drawn_into_a_folder(tmp_path: Path, client: Client) -> None:

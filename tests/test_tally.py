@@ -13,7 +13,7 @@ from distributed import Client
 import atlas
 from atlas.overview.pyramid import drop
 from atlas.query.queries import fractions
-from atlas.query.source import counted
+from atlas.query.reads import counted
 from atlas.service.status import Status, read_status
 from atlas.store import tally
 from atlas.store.store import Header, done_tiles, drop_tile, read_header, write_tile

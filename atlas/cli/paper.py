@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from atlas.cell.orbit import follow
+from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError, RunError
 from atlas.render import FORMATS, render, render_orbit
 from atlas.service.options import DEFAULTS, RunOptions
@@ -59,7 +59,7 @@ def figures(
     written = []
     for name, parameters in CELLS.items():
         options.report(Progress(f"{name}: solving and drawing"))
-        orbit = follow(parameters, settings=settings)
+        orbit = cell_orbit(parameters, settings=settings)
         written += [render_orbit(orbit, target / f"{name}.{each}") for each in formats]
     store = target / f"{SWEEP}.zarr"
     options.report(Progress(f"{SWEEP}: computing the sweep into {store}"))

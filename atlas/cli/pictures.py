@@ -41,7 +41,7 @@ def render(
     window: tuple[str, ...],
 ) -> None:
     """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
-    from atlas.query.source import counted
+    from atlas.query.reads import counted
 
     bounds = read_pairs("--window", window, read_bounds)
     with input_errors(), counted() as reads:

@@ -79,7 +79,7 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     """
     from atlas.query import queries as questions
     from atlas.query.export import check_path, export
-    from atlas.query.source import counted
+    from atlas.query.reads import counted
 
     if point and window:
         raise InputError("--at asks for one cell, --window for shares; give one of the two")

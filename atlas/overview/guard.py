@@ -32,7 +32,8 @@ class GuardedStore(WrapperStore[Any]):
 
     def __init__(self, place: Place, spec: "Spec") -> None:
         super().__init__(zarr_store(place, read_only=True))
-        results, levels = result_variables(spec.settings), level_variables(spec.settings)
+        results = result_variables(spec.settings)
+        levels = level_variables(results)
         self.place, self.chunks_read = place, 0
         self._dims = len(spec.shape)
         self._complete = {variable.name for variable in (*results, *levels) if not variable.sparse}

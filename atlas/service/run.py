@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from atlas.errors import InputError, RunError
-from atlas.overview.pyramid import Overviews
+from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import outcomes
 from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
