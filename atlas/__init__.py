@@ -9,6 +9,7 @@ import os
 from typing import TYPE_CHECKING
 
 from atlas.check.verify import verify
+from atlas.query.open import open_atlas
 from atlas.render import portrait
 
 # Imported here and not at first use: a function must take its name back from the module of that name.
@@ -16,7 +17,6 @@ from atlas.render import portrait
 from atlas.service.extend import extend
 from atlas.service.run import run
 from atlas.spec.spec import Spec
-from atlas.store.store import open_atlas
 
 if TYPE_CHECKING:
     import xarray

@@ -25,6 +25,7 @@ from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.render import figure
 from atlas.store import store
+from atlas.store.tiles import write_tile
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers.results import PENDING, result_variables
 
@@ -51,7 +52,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(levels, "LEAST", 8)
         header = store.create(tmp_path_factory.mktemp("made") / "whole.zarr", spec_of(), (8, 8))
         for index in indices(header):
-            store.write_tile(header, index, results(header, index))
+            write_tile(header, index, results(header, index))
         keep(header)
         yield header.path
 

@@ -15,7 +15,8 @@ from atlas.store.location import ObjectPlace
 from atlas.store.notes import notes_beside
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, find, open_arrays, read_header
-from atlas.task.task import Job, RefusedError, run_job
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, RefusedError
 from tests.loopback import ObjectStore, Request, object_store
 from tests.planes import plane_of
 from workers.results import REGIME

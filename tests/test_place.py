@@ -23,6 +23,7 @@ from atlas.store import location as placing
 from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
 from atlas.store.notes import notes_beside
+from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
 
@@ -121,7 +122,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
 
     header = store.read_header(url)
     assert store.done_tiles(header) == {(i, j) for i in range(3) for j in range(3)}
-    store.drop_tile(header, (1, 2))
+    drop_tile(header, (1, 2))
     assert atlas.run(plane_of(), url, client=client).tiles_solved == 1
     assert arrays_of(url) == arrays_of(tmp_path / "local.zarr")
 

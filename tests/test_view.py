@@ -18,6 +18,7 @@ from atlas.query.source import counted
 from atlas.query.window import cell_edges
 from atlas.render import maps
 from atlas.store import store
+from atlas.store.tiles import write_tile
 from scripts import bench_render
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
@@ -148,7 +149,7 @@ def test_shares_in_a_window_are_those_of_its_cells_from_few_chunks(
 def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: list[str]) -> None:
     header = store.create(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
     for index in ((0, 0), (13, 14)):
-        store.write_tile(header, index, results(header, index))
+        write_tile(header, index, results(header, index))
     keep(header)
     keys.clear()
     with counted() as reads:

@@ -23,8 +23,8 @@ from atlas.overview.pyramid import (
     stored_chunks,
 )
 from atlas.query.source import Part
-from atlas.service.plan import plural
 from atlas.store.store import READERS, ROOT, Header
+from atlas.text import plural
 from workers.results import REGIME
 
 ROUNDING = 1e-9
@@ -84,7 +84,7 @@ def _form_faults(header: Header) -> list[str]:
     pyramid, levels, faults = Pyramid(header), levels_of(header), []
     for level in range(1, levels.count + 1) if pyramid.made else ():
         shape = levels.shape_of(level)
-        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in level_variables(header.spec.settings)}
+        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in level_variables(header.variables)}
         for name, expected in shapes.items():
             try:
                 found = pyramid.array(level, name).shape
@@ -129,7 +129,7 @@ def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> It
 def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> _Checked:
     levels = part.pyramid.levels
     place = levels.block(level, index)
-    variables = level_variables(part.header.spec.settings)
+    variables = level_variables(part.header.variables)
     stored, faults = {}, []
     for variable in variables:
         if variable.name == REGIME.name and not complete:

@@ -117,7 +117,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     if probe:
         _say(f"{warming(read.settings.exponents)}, probing a few cells")
         compile_once(read.system, read.settings)
-        made = replace(made, probe=measure(read, made.tile))
+        made = replace(made, probe=measure(read, made.tiling.tile))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
@@ -299,9 +299,9 @@ def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path
     from atlas.cli.output import print_table, text, to_json
     from atlas.query import queries as questions
     from atlas.query.export import check_path, export
+    from atlas.query.open import open_atlas
     from atlas.query.source import counted
     from atlas.service.progress import reasons_told
-    from atlas.store.store import open_atlas
 
     if point and window:
         raise InputError("--at asks for one cell, --window for shares; give one of the two")
@@ -354,8 +354,8 @@ def render(
     window: tuple[str, ...],
 ) -> None:
     """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
+    from atlas.query.open import open_atlas
     from atlas.query.source import counted
-    from atlas.store.store import open_atlas
 
     bounds = _pairs("--window", window, _bounds)
     with _input_errors(), counted() as reads:

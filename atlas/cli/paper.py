@@ -37,9 +37,9 @@ def figures(
     Raises InputError for a folder that cannot be written and for an unknown format.
     """
     from atlas.cell.orbit import follow
+    from atlas.query.open import open_atlas
     from atlas.render import FORMATS, render, render_orbit
     from atlas.service.run import run
-    from atlas.store.store import open_atlas
 
     tell = on_progress or (lambda _: None)
     for each in formats:

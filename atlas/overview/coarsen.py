@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from atlas.overview.levels import Levels
 from atlas.spec.spec import Spec
-from workers import Settings
 from workers.results import (
     FAILED,
     LARGEST,
@@ -55,13 +54,13 @@ Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
 
-def level_variables(settings: Settings) -> tuple[Variable, ...]:
-    """The variables of every level of an atlas with these settings; ``regime`` is the last, as it is the last written.
+def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
+    """The variables of every level of an atlas that has these results; ``regime`` is the last, as it is written last.
 
     Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
     """
     found: list[Variable] = []
-    for variable in result_variables(settings):
+    for variable in results:
         if variable.extra or variable.name in (REASON.name, REGIME.name):
             continue
         if variable.name in CLASSES:
@@ -79,7 +78,8 @@ def level_variables(settings: Settings) -> tuple[Variable, ...]:
 
 def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
     """Bytes of all levels of an atlas, uncompressed."""
-    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.settings)]
+    results = result_variables(spec.settings)
+    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
     return Levels(spec.shape, tile).cells() * sum(sizes)
 
 

@@ -34,8 +34,10 @@ from atlas.overview.coarsen import (
 from atlas.overview.levels import Index, Levels
 from atlas.spec.cells import edges_of, widths_along
 from atlas.spec.spec import Slices
-from atlas.store.schema import OVERVIEWS, Coordinate, coordinates
-from atlas.store.store import ROOT, Header, chunk_key, codecs, done_tiles, index_of, open_group
+from atlas.store.build import codecs
+from atlas.store.schema import OVERVIEWS, Coordinate
+from atlas.store.store import ROOT, Header, chunk_key, done_tiles, open_group
+from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, REGIMES, Variable
 
 GROUP = OVERVIEWS
@@ -109,7 +111,7 @@ class Overviews(AbstractContextManager["Overviews"]):
         if not self._levels.count:
             return
         _ensure(header)
-        waiting = np.ones([-(-n // t) for n, t in zip(self._levels.shape, self._levels.tile, strict=True)], dtype=bool)
+        waiting = np.ones(header.tiling.grid, dtype=bool)
         for tile in done_tiles(header):
             waiting[tile] = False
         for tile in pending:
@@ -229,7 +231,7 @@ def make(header: Header, level: int, index: Index) -> None:
     """Compute a chunk of a level from the level before and write it, ``regime`` last; all tiles below must be done."""
     levels = levels_of(header)
     root, read = _root(header, "r+"), _guarded_root(header)
-    names = [variable.name for variable in level_variables(header.spec.settings)]
+    names = [variable.name for variable in level_variables(header.variables)]
     part = levels.finer(level, levels.block(level, index))
     source = read if level == 1 else read[f"{GROUP}/{level - 1}"]
     arrays = {name: np.asarray(source[name][part]) for name in names if name in source}
@@ -270,7 +272,7 @@ def _guarded_root(header: Header) -> Any:
 
     from atlas.overview.guard import GuardedStore
 
-    return zarr.open_group(GuardedStore(header.place, header.spec), mode="r", use_consolidated=False)
+    return zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False)
 
 
 @contextmanager
@@ -325,14 +327,15 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
         }
     )
 
+    fixed = " ".join(name for name in spec.parameters if name in header.coordinates)
     for name, (values, dims, attributes) in level_coordinates(header, level).items():
         group.create_array(name, data=values, chunks=values.shape, dimension_names=dims, attributes=attributes)
-    for variable in level_variables(spec.settings):
+    for variable in level_variables(header.variables):
         stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
         attributes = dict(root[stored].attrs) if stored in root else {}
         attributes |= {"long_name": variable.long_name, "units": variable.units}
-        if spec.parameters:
-            attributes["coordinates"] = " ".join(spec.parameters)
+        if fixed:
+            attributes["coordinates"] = fixed
         extra = tuple(CODES.size for _ in variable.extra)
         shape = levels.shape_of(level)
         group.create_array(
@@ -349,13 +352,13 @@ def _create(root: Any, group: Any, header: Header, level: int) -> None:
 
 def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
-    spec, base, made = header.spec, coordinates(header.spec), {}
+    spec, base, made = header.spec, header.coordinates, {}
     for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
         bounds = bounds_name(axis.name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
         made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)
         made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
-    for name in spec.parameters:
+    for name in base.keys() & spec.parameters.keys():
         made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
     named = np.array([regime.name for regime in REGIMES], dtype="T")
     return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}
@@ -379,5 +382,5 @@ def level_key(level: int, variable: Variable, index: Index) -> str:
 def stored_chunks(header: Header, level: int, mark: Variable) -> set[Index]:
     """Indices of the chunks of a level that exist, by one of MARKS. One listing tells them."""
     root, grid = f"{GROUP}/{level}/{mark.name}/c/", levels_of(header).grid(level)
-    found = (index_of(key.removeprefix(root), grid) for key in header.place.list_keys(root))
+    found = (chunk_index(key.removeprefix(root), grid) for key in header.place.list_keys(root))
     return {index for index in found if index is not None}

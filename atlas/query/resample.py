@@ -68,7 +68,7 @@ def view(
     part = find_part(ds, wanted)
     if part is None:
         return ds[wanted]
-    known = {variable.name for variable in level_variables(part.header.spec.settings)}
+    known = {variable.name for variable in level_variables(part.header.variables)}
     steps = _steps(ds, pixels) if pixels and known.issuperset(wanted) else [0] * ds[REGIME.name].ndim
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
     part.tell(steps)

@@ -18,8 +18,8 @@ from atlas.overview.pyramid import MARKS, Pyramid, level_widths
 from atlas.query.window import axis_values
 from atlas.spec.spec import Slices
 from atlas.store.store import Header, read_header
-from atlas.store.tally import AREAS, BY_REASON, Entries, done_mask, plan_of, read_tally, tile_areas
-from workers.results import NO_REASON, PENDING, REASON, REASONS, REGIME, Variable, result_variables
+from atlas.store.tally import AREAS, BY_REASON, Entries, done_mask, read_tally, tile_areas
+from workers.results import NO_REASON, PENDING, REASON, REASONS, REGIME, Variable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -117,18 +117,18 @@ class Part:
 
     @cached_property
     def _variables(self) -> tuple[Variable, ...]:
-        return level_variables(self.header.spec.settings)
+        return level_variables(self.header.variables)
 
     @cached_property
     def _done(self) -> NDArray[np.bool_]:
         """Which tiles are done, as an array over the tiles."""
-        return done_mask(self.header, plan_of(self.header))
+        return done_mask(self.header)
 
     @cached_property
     def _tally(self) -> tuple[Entries, NDArray[np.bool_]]:
         """The tally's entries, those of tiles that are not done made up, and the mask of the tiles that have one."""
         pending = ~self._done
-        entries, known = read_tally(self.pyramid.root, plan_of(self.header))
+        entries, known = read_tally(self.pyramid.root, self.header.tiling)
         entries[pending] = 0.0
         entries[pending, AREAS.start + CODES.tolist().index(PENDING)] = tile_areas(self.header)[pending]
         return entries, known | pending
@@ -152,7 +152,7 @@ class Part:
         """
         wanted = list(names)
         if level == 0:
-            stored = {v.name for v in result_variables(self.header.spec.settings)}
+            stored = {v.name for v in self.header.variables}
             base = stored & {*wanted, *(name.removesuffix("_count") for name in wanted), REGIME.name}
             return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, wanted)
         made, missing = self._stored(level, piece, wanted)
@@ -275,9 +275,8 @@ class Part:
         total = self._tallied(tiles)
         for side in _around(piece, inner):
             total = total + self._read_areas(side)
-        plan = plan_of(self.header)
         for index in np.argwhere(~self._tally[1][tiles]) + [s.start for s in tiles]:
-            total = total + self._read_areas(plan.at(tuple(index.tolist())).slices)
+            total = total + self._read_areas(self.header.tiling.at(tuple(index.tolist())).slices)
         return total
 
     def _tiles(self, level: int, piece: Slices) -> Slices | None:
@@ -308,7 +307,7 @@ class Part:
 
         Of other tiles, those at the part's border with an entry that has reasons, the reasons are read.
         """
-        levels, plan = self.pyramid.levels, plan_of(self.header)
+        levels = self.pyramid.levels
         entries, known = self._tally
         inside = [
             (np.arange(-(-n // t)) * t >= s.start) & (np.minimum(np.arange(1, -(-n // t) + 1) * t, n) <= s.stop)
@@ -320,7 +319,7 @@ class Part:
         met = np.zeros(known.shape, dtype=bool)
         met[tuple(slice(s.start // t, -(-s.stop // t)) for s, t in zip(self.cells, levels.tile, strict=True))] = True
         for index in np.argwhere(met & ~whole & self._done & ~(known & none)).tolist():
-            ends = zip(plan.at(tuple(index)).slices, self.cells, strict=True)
+            ends = zip(self.header.tiling.at(tuple(index)).slices, self.cells, strict=True)
             piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
             codes = self.pyramid.read(0, REASON.name, piece)
             total += [np.count_nonzero(codes == reason.code) for reason in REASONS]

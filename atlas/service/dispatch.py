@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from atlas.errors import NetworkError, RunError
 from atlas.service.cluster import LOST, WORKER_SECONDS, worker_threads
 from atlas.service.summary import TileFailure
-from atlas.task.task import Job, Receipt, RefusedError, StoreFullError, run_job
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, Receipt, RefusedError, StoreFullError
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -30,6 +30,7 @@ from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.task import Job, Receipt
+from atlas.text import plural
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -80,28 +81,28 @@ def run(
             count = count_threads(client, lambda: tell(Progress("waiting for the scheduler's first worker")))
         plan = planning.make_plan(spec, count, header.tile if header else None)
         if place.local is not None:
-            planning.check_disk(plan, place.local, plan.tile_count - (len(done_tiles(header)) if header else 0))
+            planning.check_disk(plan, place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
 
         claim = stack.enter_context(_claimed(place, patience, tell))
         place = waiting(place, patience)  # it answers, and there is something to lose from now on
         header = find(place, spec)  # once more: before the claim another may have made or extended it
         if header is not None and run_id not in ("", header.run_id):
             raise RunError(f"{place}: not the store of run {run_id}")
-        plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
+        plan = planning.make_plan(spec, count, header.tile if header else plan.tiling.tile)
         work = _work(header, plan, retry, tell)
         if work.due.any() and (client is None or probe):
             tell(Progress(warming(spec.settings.exponents)))
             compile_once(spec.system, spec.settings)
         if work.due.any() and probe:
             tell(Progress("probing a few cells"))
-            work = replace(work, plan=replace(plan, probe=measure(spec, plan.tile)))
+            work = replace(work, plan=replace(plan, probe=measure(spec, plan.tiling.tile)))
         tally = Tally(work.plan, work.tiles_done, work.cells_done, work.tiles, work.cells)
         tell(tally.progress(_beginning(work, retry)))
-        header = header or create(place, spec, plan.tile, origin, run_id)
+        header = header or create(place, spec, plan.tiling.tile, origin, run_id)
         if retry is not None and retry.max_periods is not None:
             add_budget(header)
         if work.due.any() and client is None:
-            tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
+            tell(tally.progress(f"starting {plural(count, 'worker')}"))
             client = stack.enter_context(local_cluster(count))
         # Before the first tile is written: what overviews and tally say of tiles that are solved again is dropped.
         again = list(_indices(work.due)) if retry is not None else []
@@ -115,7 +116,7 @@ def run(
 
             _solve(client, header, work.due, retry, patience, claim, tally, written, tell)
         overviews.finish(lambda done, parts: tell(tally.progress(f"writing overviews: {done} of {parts} parts")))
-        tallies.finish(lambda tiles: tell(tally.progress(f"counting the cells of {planning.plural(tiles, 'tile')}")))
+        tallies.finish(lambda tiles: tell(tally.progress(f"counting the cells of {plural(tiles, 'tile')}")))
         return replace(tally.summary(str(header.place)), retried=retry is not None)
 
 
@@ -188,14 +189,14 @@ class _Work:
 
 
 def _work(header: Header | None, plan: Plan, retry: Retry | None, tell: Callable[[Progress], None]) -> _Work:
-    done = np.zeros(plan.grid, dtype=bool)
+    done = np.zeros(plan.tiling.grid, dtype=bool)
     for index in done_tiles(header) if header else ():
         done[index] = True
     if header is None or retry is None:
-        cells_done = sum(map(plan.size, _indices(done)))
-        return _Work(plan, ~done, plan.tile_count, plan.cells, int(done.sum()), cells_done)
+        cells_done = int(plan.tiling.sizes()[done].sum())
+        return _Work(plan, ~done, plan.tiling.count, plan.tiling.cells, int(done.sum()), cells_done)
     tell(Progress("looking for the cells to solve again"))
-    selected = np.zeros(plan.grid, dtype=np.int64)
+    selected = np.zeros(plan.tiling.grid, dtype=np.int64)
     for index in _indices(done):
         selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
     return _Work(plan, selected > 0, int((selected > 0).sum()), int(selected.sum()), 0, 0)
@@ -203,7 +204,7 @@ def _work(header: Header | None, plan: Plan, retry: Retry | None, tell: Callable
 
 def _beginning(work: _Work, retry: Retry | None) -> str:
     if retry is not None:
-        return f"solving {planning.plural(work.cells, 'cell')} in {planning.plural(work.tiles, 'tile')} again"
+        return f"solving {plural(work.cells, 'cell')} in {plural(work.tiles, 'tile')} again"
     return f"going on: {work.tiles_done} of {work.tiles} tiles are done" if work.tiles_done else "making the store"
 
 
