@@ -1,5 +1,6 @@
 """Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,13 @@ def complete(path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None) -
     fill(header)
     keep(header)
     return header
+
+
+def set_attribute(path: Path, name: str, value: object) -> None:
+    """Change an attribute of a store's root, and nothing else there."""
+    root = json.loads((path / "zarr.json").read_text())
+    root["attributes"][name] = value
+    (path / "zarr.json").write_text(json.dumps(root))
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:

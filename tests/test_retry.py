@@ -16,6 +16,7 @@ from atlas.errors import InputError
 from atlas.store.sidecar import notes_of
 from atlas.store.store import add_budget, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
+from atlas.task import attempt
 from atlas.task.attempt import run_job
 from atlas.task.retry import Retry, checked_retry
 from atlas.task.task import Job

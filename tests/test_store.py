@@ -13,6 +13,7 @@ from atlas.store import store
 from atlas.task.attempt import run_job
 from atlas.task.task import Job
 from tests.planes import plane_of
+from tests.synthetic import set_attribute
 from workers.results import REGIMES, result_variables
 
 
@@ -202,7 +203,7 @@ def test_another_spec_is_refused_telling_every_difference(header: store.Header, 
 
 def test_another_solver_version_is_refused(header: store.Header, plane: atlas.Spec) -> None:
     older = header.solver_version - 1
-    zarr.open_group(header.path, mode="r+", use_consolidated=False).attrs["solver_version"] = older
+    set_attribute(header.path, "solver_version", older)
     with pytest.raises(InputError, match=f"made by solver version {older}, this is version {header.solver_version}"):
         store.find(header.path, plane)
 

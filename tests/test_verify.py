@@ -24,6 +24,7 @@ from atlas.store import store
 from atlas.store.digests import DIGESTS, TILES
 from atlas.store.machine import Machine, this_machine
 from atlas.store.tiles import read_tile, write_digest
+from tests.synthetic import set_attribute
 from workers.exponents import sum_of_exponents
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, GAVE_UP, INVALID, NO_IMPACT, PERIODIC, result_variables
@@ -261,7 +262,7 @@ def test_tiles_of_two_kinds_of_machine_are_compared_within_error(whole: Path) ->
 
 
 def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path) -> None:
-    zarr.open_group(whole, mode="r+", use_consolidated=False).attrs["solver_version"] = 3
+    set_attribute(whole, "solver_version", 3)
     report = verify(whole)
     assert (report.fine, report.cells_solved) == (True, 0)
     assert "sample   not solved again: the store is of solver version 3, this program's is" in str(report)

@@ -97,7 +97,7 @@ def extended(old: Header, given: Spec) -> Spec:
     found = differences(stored, Spec.from_resolved(with_old_axes))
     if found:
         raise InputError(f"{old.place}: cannot be extended by this spec: {'; '.join(found)}")
-    axes = {new.name: _taking_over(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
+    axes = {new.name: with_old_values(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
     return _spec_of(stored, axes, given.tile)
 
 
@@ -138,7 +138,7 @@ def _finer(axis: Axis, factor: int) -> Axis:
     return Axis(axis.name, tuple(values.tolist()), axis.scale)
 
 
-def _taking_over(stored: Axis, given: Axis) -> Axis:
+def with_old_values(stored: Axis, given: Axis) -> Axis:
     """The given axis, with a stored value in place of each that is it but for rounding."""
     old, new = np.array(stored.values), np.array(given.values)
     after = np.searchsorted(old, new)

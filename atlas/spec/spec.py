@@ -157,17 +157,17 @@ class Spec:
         return params
 
 
-def resolved_digest(resolved: Mapping[str, Any]) -> str:
+def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
     """SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
 
     Settings added since the first version enter it only where they are not at their default, so that a spec from
-    before keeps its digest.
+    before keeps its digest. ``table`` has the defaults.
     """
     axes = [
         [axis["name"], axis["values"]] + ([axis["continuation"]] if "continuation" in axis else [])
         for axis in resolved["axes"]
     ]
-    defaults = {field.name: field.default for field in fields(Settings)}
+    defaults = {field.name: field.default for field in fields(table)}
     settings = {
         name: value
         for name, value in resolved["solve"].items()

@@ -152,17 +152,14 @@ def _read_header(place: Place) -> Header:
         found = attrs["format_version"]
         if found != FORMAT_VERSION:
             raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
+        regime = json.loads(place.get(f"{REGIME.name}/{ROOT}") or b"")  # its own: by it tiles are cut and done
         header = Header(
             place=place,
             resolved=json.loads(attrs["spec"]),
             digest=attrs["digest"],
             run_id=attrs["run_id"],
             solver_version=attrs["solver_version"],
-            arrays={
-                name: array
-                for name, array in root["consolidated_metadata"]["metadata"].items()
-                if array["node_type"] == "array" and "/" not in name
-            },
+            arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
             origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
         )
         _ = header.tile
@@ -173,6 +170,15 @@ def _read_header(place: Place) -> Header:
             raise InputError(f"{place}: its metadata are damaged: {error}") from None
         raise foreign from None
     return header
+
+
+def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str, Any]]:
+    """The metadata of the root's arrays, by name: the root's copy, or where it has none, each array's own."""
+    if consolidated is None:
+        group: Any = open_group(place, "r")
+        return {name: array.metadata.to_dict() for name, array in group.arrays()}
+    nodes = consolidated["metadata"].items()
+    return {name: node for name, node in nodes if node["node_type"] == "array" and "/" not in name}
 
 
 def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
