@@ -19,7 +19,8 @@ import zarr
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError
-from atlas.overview.pyramid import Overviews, levels
+from atlas.overview import levels
+from atlas.overview.pyramid import Overviews
 from atlas.query.export import export
 from atlas.query.queries import fractions
 from atlas.query.resample import view

@@ -15,9 +15,10 @@ from distributed import Client
 
 import atlas
 from atlas.errors import RunError
+from atlas.overview import levels
 from atlas.overview import pyramid as overview
 from atlas.overview.coarsen import coarsen, from_cells
-from atlas.overview.pyramid import Overviews, levels, levels_of
+from atlas.overview.pyramid import Overviews, levels_of
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.service.progress import Progress

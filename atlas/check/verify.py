@@ -105,7 +105,7 @@ class Report:
     def __str__(self) -> str:
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
         lines = [
-            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run goes on"),
+            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
             f"chunks   {self.chunks} read, their checksums right",
             f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
             f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
@@ -160,7 +160,7 @@ def verify(
     """Read a whole store, while no run is at work on it, and report all that is wrong in it.
 
     Metadata and coordinates are held against the spec; every chunk of every finished tile is read, which checks its
-    checksum, and all of a tile against its digest; every cell is held against the rules of ``consistency``, the sum
+    checksum, and all of a tile against its digest; every cell is held against ``rules``, the sum
     law among them; every chunk of an overview is held against what it stands for. Of ``sample`` cells
     that ``seed`` draws (failed ones left out), the solution is made again: on the kind of machine that solved them
     it has to be the same to the bit, elsewhere within the errors. ``repair`` makes every tile with a fault unfinished,
@@ -172,13 +172,13 @@ def verify(
         raise InputError(f"sample: found {sample}, must be 0 or more")
     header = read_header(store)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
-    tell = on_progress or (lambda _: None)
+    notify = on_progress or (lambda _: None)
     tiling = header.tiling
-    tell(Progress("listing the tiles"))
+    notify(Progress("listing the tiles"))
     done = sorted(done_tiles(header))
     report = Report(str(header.place), tiling.count, len(done), 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
     faults = [Fault(None, what) for what in metadata_faults(header)]
-    if faults:  # whatever is read through wrong metadata tells nothing
+    if faults:  # whatever is read through wrong metadata means nothing
         return replace(report, comparison="the metadata are damaged", faults=tuple(faults))
     report = replace(report, digests=open_digests(header) is not None)
     worn = coordinate_faults(header)
@@ -188,7 +188,7 @@ def verify(
 
     chunks = cells = 0
     samples: list[Sample] = []
-    for tile in _read_all(header, done, draw_cells(tiling, done, sample, seed), tell):
+    for tile in _read_all(header, done, draw_cells(tiling, done, sample, seed), notify):
         faults += [Fault(tile.index, what) for what in tile.faults]
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
@@ -198,9 +198,9 @@ def verify(
     doubts: list[Fault] = []
     if report.comparison in ("bits", "error"):
         exact = report.comparison == "bits"
-        tell(Progress(f"solving {plural(len(samples), 'cell')} again"))
+        notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
         for k, one in enumerate(samples, 1):
-            tell(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
+            notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
             again = solve_again(header.spec, one)
             different = unequal(one.stored, again) if exact else beyond_error(one.stored, again)
             if different:
@@ -208,7 +208,7 @@ def verify(
                 (faults if exact else doubts).append(found)
         report = replace(report, cells_solved=len(samples))
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
-    overviews = check_overviews(header, set(bad), lambda level: tell(Progress(f"checking overview {level}")))
+    overviews = check_overviews(header, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
     faults += [Fault(None, what) for what in overviews.faults]
     report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
@@ -238,7 +238,7 @@ class _Checked:
 
 
 def _read_all(
-    header: Header, done: list[Index], drawn: dict[Index, list[int]], tell: Callable[[Progress], None]
+    header: Header, done: list[Index], drawn: dict[Index, list[int]], notify: Callable[[Progress], None]
 ) -> Iterator[_Checked]:
     """Read and check the finished tiles, several at once."""
     arrays, digests, tiling = open_arrays(header), open_digests(header), header.tiling
@@ -247,13 +247,13 @@ def _read_all(
     begin = time.perf_counter()
     unfinished = tiling.count - len(done)
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
-    tell(stage)
+    notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
         checked = readers.map(lambda index: _check(header, arrays, digests, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
-            tell(replace(stage, tiles_done=tiles, cells_done=pending + cells, cells_solved=cells, seconds=seconds))
+            notify(replace(stage, tiles_done=tiles, cells_done=pending + cells, cells_solved=cells, seconds=seconds))
             yield tile
 
 

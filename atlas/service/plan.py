@@ -33,7 +33,7 @@ class Probe:
     """Cells solved for their cost: how many, and what one of the atlas costs on average.
 
     periods_per_cell   forcing periods
-    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells tell
+    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells show
     """
 
     cells: int

@@ -28,7 +28,7 @@ BUDGET = Variable(
 
 @dataclass(frozen=True)
 class Origin:
-    """The store whose cells a grown one takes over, and the run that made it."""
+    """The store that a grown one copies cells from, and the run that made it."""
 
     store: str
     run_id: str

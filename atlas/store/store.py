@@ -71,7 +71,7 @@ class Header:
         try:
             return Spec.from_resolved(self.resolved)
         except InputError as error:
-            raise InputError(f"{self.place}: its spec is none of this program's version: {error}") from None
+            raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
 
     @property
     def tile(self) -> tuple[int, ...]:
@@ -116,7 +116,7 @@ def create(
     """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
 
     On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
-    them meanwhile. ``origin`` is the store that it is to take cells over from. Without a ``run_id`` one is drawn.
+    them meanwhile. ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
     with _refused(place, "written"):
@@ -128,7 +128,7 @@ def create(
 
 
 def read_header(store: str | os.PathLike[str] | Place) -> Header:
-    """The header of a store; InputError where there is none, or it is not ours, or of a format yet unknown.
+    """The header of a store; InputError where there is none, or it is not ours, or of a unknown format.
 
     Where the disk or the server refused, its OSError is that InputError's cause. NetworkError where the server does
     not answer.
@@ -182,7 +182,7 @@ def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str
 
 
 def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
-    """The header of a store that this spec may go on with, None where nothing is yet; InputError where it may not."""
+    """The header of a store that a run of this spec may resume, None where there is none yet; else InputError."""
     place = place_of(store)
     with _refused(place, "written"):
         if _is_free(place, spec):
@@ -219,14 +219,14 @@ def _refused(place: Place, what: str) -> Iterator[None]:
 
 
 def done_tiles(header: Header) -> set[tuple[int, ...]]:
-    """Indices of the tiles that are finished: those whose regime chunk exists. One listing tells them."""
+    """Indices of the tiles that are finished: those whose regime chunk exists. It takes one listing."""
     root, grid = f"{REGIME.name}/c/", header.tiling.grid
     found = (chunk_index(key.removeprefix(root), grid) for key in header.place.list_keys(root))
     return {index for index in found if index is not None}
 
 
 def is_done(header: Header, index: tuple[int, ...]) -> bool:
-    """Whether one tile is finished; ``done_tiles`` tells it of all."""
+    """Whether one tile is finished; see ``done_tiles`` for all of them."""
     return header.place.exists(chunk_key(REGIME, index))
 
 
@@ -286,12 +286,12 @@ def restore_coordinates(header: Header) -> None:
 def add_budget(header: Header) -> None:
     """Make room for cells that are given more than the spec's ``max_periods``; all others read as that number."""
     group = open_group(header.place, "r+")
-    if BUDGET.name in group:
-        return
-    fixed = [name for name in header.spec.parameters if name in header.coordinates]
-    budget = replace(BUDGET, fill=header.spec.settings.max_periods)
-    create_variable(group, budget, header.spec, header.tiling, variable_attributes(BUDGET, fixed))
-    consolidate(group)
+    if BUDGET.name not in group:
+        fixed = [name for name in header.spec.parameters if name in header.coordinates]
+        budget = replace(BUDGET, fill=header.spec.settings.max_periods)
+        create_variable(group, budget, header.spec, header.tiling, variable_attributes(BUDGET, fixed))
+    if BUDGET.name not in header.arrays:  # not even where a run made it and was killed at once
+        consolidate(group)
 
 
 def _zarr_store(place: Place, mode: str) -> Any:
@@ -350,7 +350,7 @@ def _check_replaceable(place: Place) -> None:
 
 
 def _check_writable(place: Place) -> None:
-    """Try it: a trial tells more than permission bits do. On a disk, in the nearest folder there is."""
+    """Try it: permission bits do not say all. On a disk, in the nearest folder there is."""
     if place.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"
         place.put(trial, b"")

@@ -112,8 +112,8 @@ def read_tally(root: Any, tiling: Tiling) -> tuple[Entries, NDArray[np.bool_]]:
 class TallyKeeper(AbstractContextManager["TallyKeeper"]):
     """The tally of a store kept up during a run: a thread of the coordinator writes it every few seconds.
 
-    On entry the entries of tiles that are to be solved are cleared: of unfinished ones and of ``again``. ``add`` tells
-    of a tile that is written; ``finish`` counts what an earlier run has left uncounted, and writes all.
+    On entry the entries of tiles that are to be solved are cleared: of unfinished ones and of ``again``. ``add`` takes
+    the entry of a tile that is written; ``finish`` counts what an earlier run has left uncounted, and writes all.
     """
 
     def __init__(self, header: Header, again: Iterable[Index] = ()) -> None:
@@ -141,10 +141,10 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
         if time.monotonic() >= self._due and (self._flushing is None or self._flushing.done()):
             self._flushing = self._thread.submit(self._flush)
 
-    def finish(self, tell: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Wait until what was left uncounted is counted, and write all; ``tell`` is told of how many there were."""
+    def finish(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
+        """Wait until what was left uncounted is counted, and write all; ``on_wait`` is called with their number."""
         while not self._counting.done():
-            tell(len(self._uncounted))
+            on_wait(len(self._uncounted))
             wait([self._counting], timeout=WAIT_SECONDS)
         self._thread.submit(self._flush).result()
 
