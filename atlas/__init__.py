@@ -10,6 +10,7 @@ import os
 from typing import TYPE_CHECKING
 
 from atlas.check.verify import verify
+from atlas.query.open import open_atlas
 from atlas.render import portrait
 
 # Imported here and not at first use: a function must replace the module of its name as attribute of the package.
@@ -18,7 +19,6 @@ from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.run import run
 from atlas.spec.spec import Spec
-from atlas.store.store import open_atlas
 
 if TYPE_CHECKING:
     import xarray

@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from atlas.overview.upkeep import Overviews
-from atlas.service.plan import Tile, make_plan
 from atlas.spec.spec import Spec
-from atlas.store.store import create, done_tiles, find, write_tile
+from atlas.store.store import create, done_tiles, find
 from atlas.store.tally import TallyKeeper, tile_entry
+from atlas.store.tiles import write_tile
+from atlas.store.tiling import Tile
 from workers.results import CHAOTIC, FAILED, GAVE_UP, PERIODIC, UNDETERMINED, empty_results, result_variables
 
 WINDOW = ("--window", "omega=2.5:2.6", "--window", "b=0.2:0.22")
@@ -63,9 +64,8 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
     }
     spec = Spec("two-mass", axes=axes, store={"tile": [tile, tile]})
     header = find(path, spec) or create(path, spec, (tile, tile))
-    plan = make_plan(spec, 1, header.tile)
     done = done_tiles(header)
-    missing = [each for each in plan.tiles() if each.index not in done]
+    missing = [each for each in header.tiling.tiles() if each.index not in done]
     begin = time.perf_counter()
     with Overviews(header) as overviews, TallyKeeper(header) as tallies:
         for count, each in enumerate(missing):

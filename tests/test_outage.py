@@ -12,10 +12,11 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.store.location import ObjectPlace
-from atlas.store.notes import notes_beside
+from atlas.store.notes import notes_at_url
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, find, open_arrays, read_header
-from atlas.task.task import Job, RefusedError, run_job
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, RefusedError
 from tests.loopback import ObjectStore, Request, object_store
 from tests.planes import plane_of
 from workers.results import REGIME
@@ -165,7 +166,7 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
 def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
     server: ObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
 ) -> None:
-    notes = notes_beside(ObjectPlace(url))
+    notes = notes_at_url(ObjectPlace(url))
     key = "bucket/.plane.zarr.run/claim"
 
     def asked() -> dict[str, str]:

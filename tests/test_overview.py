@@ -24,6 +24,7 @@ from atlas.query.resample import view
 from atlas.service.progress import Progress
 from atlas.store import store
 from atlas.store.location import LocalPlace
+from atlas.store.tiles import write_tile
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -153,7 +154,7 @@ def test_one_failed_cell_is_shown_at_every_level(header: store.Header, level: in
         made["regime"][made["regime"] == UNDETERMINED] = PERIODIC
         if index == (1, 2):
             made["regime"][1, 2] = FAILED
-        store.write_tile(header, index, made)
+        write_tile(header, index, made)
     keep(header)
     coarse = xr.open_zarr(header.path, group=f"overviews/{level}")
     assert np.argwhere(coarse.regime_shown.values == FAILED).tolist() == [[9 >> level, 18 >> level]]
@@ -290,7 +291,7 @@ def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header)
     first = [tile for tile in indices(header) if levels_of(header).over(tile) == (0, 0)]
     with overviews_of(header) as overviews:
         for tile in first:
-            store.write_tile(header, tile, results(header, tile))
+            write_tile(header, tile, results(header, tile))
             overviews.add(tile)
         overviews.finish()
     coarse = xr.open_zarr(header.path, group="overviews/1").regime.values
@@ -313,7 +314,7 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(begun: Path, tmp
 def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Header) -> None:
     before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
     with Overviews(whole, [(4, 5)]) as overviews:
-        store.write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
+        write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
         overviews.add((4, 5))
         assert overviews.finish() == 3
     changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
@@ -327,7 +328,7 @@ def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(wh
 
 def test_a_tile_written_once_more_than_was_said_refreshes_too(whole: store.Header) -> None:
     with Overviews(whole, []) as overviews:
-        store.write_tile(whole, (0, 0), results(whole, (0, 0), seed=1))
+        write_tile(whole, (0, 0), results(whole, (0, 0), seed=1))
         overviews.add((0, 0))
         overviews.finish()
     assert_view_is_true(whole)

@@ -22,7 +22,8 @@ from atlas.service.extend import extend
 from atlas.store import location as placing
 from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
-from atlas.store.notes import notes_beside
+from atlas.store.notes import notes_at_url
+from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
 
@@ -82,7 +83,7 @@ def test_an_object_is_put_new_only_once(place: Place) -> None:
 
 def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
     place = ObjectPlace(f"{bucket}/notes/plane.zarr")
-    notes = notes_beside(place)
+    notes = notes_at_url(place)
     assert notes.read("claim") is None
     assert notes.put("claim", b"1", expected=None)
     assert not notes.put("claim", b"2", expected=None)
@@ -121,7 +122,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
 
     header = store.read_header(url)
     assert store.done_tiles(header) == {(i, j) for i in range(3) for j in range(3)}
-    store.drop_tile(header, (1, 2))
+    drop_tile(header, (1, 2))
     assert atlas.run(plane_of(), url, client=client).tiles_solved == 1
     assert arrays_of(url) == arrays_of(tmp_path / "local.zarr")
 
@@ -305,7 +306,7 @@ def test_a_path_is_made_absolute_and_a_file_url_is_a_path(given: str) -> None:
 
 def test_a_store_at_a_bucket_itself_has_no_room_for_notes(bucket: str) -> None:
     with pytest.raises(InputError, match="needs a name below the bucket"):
-        notes_beside(ObjectPlace(bucket))
+        notes_at_url(ObjectPlace(bucket))
 
 
 def test_a_chunk_that_was_never_written_reads_as_pending(place: Place) -> None:

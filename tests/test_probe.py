@@ -32,7 +32,7 @@ def coarse(name: str, continuation: dict[str, str] | None = None) -> atlas.Spec:
 
 
 def probed(spec: atlas.Spec) -> Probe:
-    return probing.probe(spec, make_plan(spec, workers=2).tile)
+    return probing.probe(spec, make_plan(spec, workers=2).tiling.tile)
 
 
 @pytest.mark.parametrize("name", example_names())

@@ -1,24 +1,25 @@
 """Solving failed and undetermined cells of finished tiles again."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.plan import make_plan
-from atlas.store import store as storing
 from atlas.store.sidecar import notes_of
-from atlas.store.store import add_budget, done_tiles, read_header, write_tile
-from atlas.store.tiles import read_tile
-from atlas.task import isolated as apart
+from atlas.store.store import add_budget, done_tiles, read_header
+from atlas.store.tiles import read_tile, write_tile
+from atlas.task import attempt
+from atlas.task.attempt import run_job
 from atlas.task.retry import Retry, checked_retry
-from atlas.task.task import Job, run_job
+from atlas.task.task import Job
 from workers.results import FAILED, REGIME, UNDETERMINED, result_variables
 from workers.tile import solve_cells
 
@@ -118,13 +119,13 @@ def test_a_tile_at_the_edge_is_unfinished_too_while_it_is_written_again(
     arrays = read_tile(header, edge)
     assert arrays["regime"].shape == (1, 1)
     seen: list[bool] = []
-    array_of = storing._array
+    whole_write = zarr.Array.__setitem__
 
-    def looking(group: object, name: str) -> object:
+    def looking(array: zarr.Array[Any], key: Any, value: Any) -> None:
         seen.append(edge in done_tiles(header))
-        return array_of(group, name)  # type: ignore[arg-type]
+        whole_write(array, key, value)
 
-    monkeypatch.setattr(storing, "_array", looking)
+    monkeypatch.setattr(zarr.Array, "__setitem__", looking)
     assert edge in done_tiles(header)
     write_tile(header, edge, arrays)
     assert seen
@@ -139,22 +140,22 @@ def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixtur
     index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == UNDETERMINED).any())
     job = Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE))
     names = [variable.name for variable in result_variables(header.spec.settings)]
-    array_of = storing._array
+    whole_write = zarr.Array.__setitem__
     everything = done_tiles(header)
     for dies_at in names:
 
-        def dying(group: object, name: str, dies_at: str = dies_at) -> object:
-            if name == dies_at and done_tiles(header) != everything:
+        def dying(array: zarr.Array[Any], key: Any, value: Any, dies_at: str = dies_at) -> None:
+            if array.basename == dies_at:
                 raise KeyboardInterrupt
-            return array_of(group, name)  # type: ignore[arg-type]
+            whole_write(array, key, value)
 
         with monkeypatch.context() as patch:
-            patch.setattr(storing, "_array", dying)
+            patch.setattr(zarr.Array, "__setitem__", dying)
             with pytest.raises(KeyboardInterrupt):
                 run_job(job)
         assert done_tiles(header) == everything - {index}, dies_at
         run_job(Job(index, str(store), header.run_id, header.solver_version))  # as the next plain run does
-    block = make_plan(header.spec, workers=1, tile=header.tile).at(index).slices
+    block = header.tiling.at(index).slices
     fresh = solve_cells("two-mass", header.spec.cell_params(block), header.spec.settings).arrays
     stored = read_tile(header, index)
     for name, values in fresh.items():
@@ -176,7 +177,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
     before = read_tile(header, index)
     chosen = before["regime"] == UNDETERMINED
     notes_of(store).put("started-" + "-".join(map(str, index)), b"1", expected=None)
-    monkeypatch.setattr(apart, "run_apart", lambda job: "it died")
+    monkeypatch.setattr(attempt, "run_isolated", lambda job: "it died")
     add_budget(header)
     receipt = run_job(Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE)))
     assert receipt.reasons == {"it died": int(chosen.sum())}

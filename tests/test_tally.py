@@ -16,11 +16,12 @@ from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.service.status import Status, read_status
 from atlas.store import tally
-from atlas.store.store import Header, done_tiles, drop_tile, read_header, write_tile
+from atlas.store.store import Header, done_tiles, read_header
 from atlas.store.tally import TallyKeeper
-from atlas.store.tiles import read_tile
+from atlas.store.tiles import drop_tile, read_tile, write_tile
+from atlas.task.attempt import run_job
 from atlas.task.retry import Retry
-from atlas.task.task import Job, run_job
+from atlas.task.task import Job
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, keep, results, spec_of
 from workers.results import FAILED, GAVE_UP, REGIMES

@@ -24,7 +24,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return True
 
     monkeypatch.setattr(jit, "CACHE", tmp_path)
-    monkeypatch.setattr(warm, "warm_up_apart", slowly)
+    monkeypatch.setattr(warm, "warm_up_in_child", slowly)
     return done
 
 
@@ -50,7 +50,7 @@ def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(warm, "warm_up_apart", stopped)
+        patch.setattr(warm, "warm_up_in_child", stopped)
         warm.compile_once("two-mass", Settings())
     assert warm.warming("largest") == COMPILING
     warm.compile_once("two-mass", Settings())
@@ -74,5 +74,5 @@ def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
 
 def test_the_child_that_compiles_is_told_what() -> None:
     """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
-    assert warm.warm_up_apart("two-mass", Settings(max_period=8))
-    assert not warm.warm_up_apart("three-mass", Settings())
+    assert warm.warm_up_in_child("two-mass", Settings(max_period=8))
+    assert not warm.warm_up_in_child("three-mass", Settings())

@@ -20,8 +20,8 @@ from atlas.overview.pyramid import (
     level_key,
 )
 from atlas.query.source import Part
-from atlas.service.plan import plural
 from atlas.store.store import READERS, ROOT, Header
+from atlas.text import plural
 from workers.results import REGIME
 
 ROUNDING = 1e-9
@@ -52,17 +52,17 @@ class _Checked:
     sound: bool
 
 
-def check_overviews(header: Header, bad: set[Index], tell: Callable[[int], None]) -> OverviewReport:
+def check_overviews(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> OverviewReport:
     """Read every chunk of every level, from the first level on; ``bad`` are the finished tiles that are not sound.
 
-    ``tell`` is called with each level before it is read.
+    ``on_level`` is called with each level before it is read.
     """
     if misformed := _form_faults(header):
         return OverviewReport(0, tuple(misformed), (), misformed=True)
     chunks = 0
     faults: list[str] = []
     dropped: list[tuple[int, Index]] = []
-    for level, checked in _checked(header, bad, tell):
+    for level, checked in _checked(header, bad, on_level):
         chunks += checked.arrays
         faults += checked.faults
         dropped += [] if checked.sound else [(level, checked.index)]
@@ -100,7 +100,7 @@ def _form_faults(header: Header) -> list[str]:
     return faults
 
 
-def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> Iterator[tuple[int, _Checked]]:
+def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _Checked]]:
     pyramid = Pyramid(header)
     if not pyramid.made:
         return
@@ -109,7 +109,7 @@ def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> It
     unsound: set[Index] = set()
     with ThreadPoolExecutor(READERS) as readers:
         for level in range(1, pyramid.levels.count + 1):
-            tell(level)
+            on_level(level)
             complete, shown = (pyramid.stored(level, mark) for mark in MARKS)
             # Over what is not sound nothing can be computed, whether or not a chunk between the two is stored.
             over = {tuple(i // 2 for i in index) for index in unsound}

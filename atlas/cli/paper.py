@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError, RunError
+from atlas.query.open import open_atlas
 from atlas.render import FORMATS, render, render_orbit
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import run
 from atlas.spec.spec import Spec
-from atlas.store.store import open_atlas
 from workers import Settings
 
 if TYPE_CHECKING:

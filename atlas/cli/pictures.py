@@ -16,11 +16,11 @@ from atlas.cli.options import (
     workers_option,
 )
 from atlas.cli.paper import figures as draw_figures
+from atlas.query.open import open_atlas
 from atlas.render import FORMATS, KINDS, OVERLAYS
 from atlas.render import render as draw
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
-from atlas.store.store import open_atlas
 
 
 @click.command()

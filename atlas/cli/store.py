@@ -20,9 +20,10 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import print_table, text, to_json
 from atlas.errors import InputError
+from atlas.query.open import open_atlas
 from atlas.service.progress import reason_lines, reporter
 from atlas.service.status import Census, read_status, watch
-from atlas.store.store import open_atlas, read_header
+from atlas.store.store import read_header
 
 WATCH_SECONDS = 2.0
 """Between two looks of ``atlas status --watch``."""

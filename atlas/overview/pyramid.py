@@ -25,9 +25,11 @@ from atlas.overview.coarsen import CODES, REGIME_SHOWN, Widths, coarsen, from_ce
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import edges_of, widths_along
 from atlas.spec.spec import Slices
-from atlas.store.schema import OVERVIEWS, Coordinate, coordinates
-from atlas.store.store import ROOT, Header, chunk_key, codecs, index_of, open_group
-from workers.results import PENDING, REGIME, REGIMES, Variable, result_variables
+from atlas.store.build import codecs
+from atlas.store.schema import OVERVIEWS, Coordinate
+from atlas.store.store import ROOT, Header, chunk_key, open_group
+from atlas.store.tiling import chunk_index
+from workers.results import PENDING, REGIME, REGIMES, Variable
 
 GROUP = OVERVIEWS
 MARKS = (REGIME, REGIME_SHOWN)
@@ -66,14 +68,9 @@ class Pyramid:
         return int(self.root.store.chunks_read)
 
     @cached_property
-    def results(self) -> tuple[Variable, ...]:
-        """The result variables that the store holds; it may be older than some."""
-        return tuple(v for v in result_variables(self.header.spec.settings) if v.name in self.root)
-
-    @cached_property
     def variables(self) -> tuple[Variable, ...]:
         """The variables of every level: those that the results in the store give."""
-        return level_variables(self.results)
+        return level_variables(self.header.variables)
 
     @cached_property
     def widths(self) -> list[Widths]:
@@ -105,7 +102,7 @@ class Pyramid:
     def stored(self, level: int, mark: Variable) -> set[Index]:
         """Indices of the chunks of a level that exist, by one of MARKS; from one listing."""
         root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
-        found = (index_of(key.removeprefix(root), grid) for key in self.header.place.list_keys(root))
+        found = (chunk_index(key.removeprefix(root), grid) for key in self.header.place.list_keys(root))
         return {index for index in found if index is not None}
 
     def create(self) -> None:
@@ -132,7 +129,7 @@ class Pyramid:
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
-        below = names if level > 1 else [variable.name for variable in self.results if variable.name in names]
+        below = names if level > 1 else [variable.name for variable in self.header.variables if variable.name in names]
         arrays = {name: self.read(level - 1, name, finer) for name in below}
         if (arrays[REGIME.name] == PENDING).any():
             raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
@@ -170,13 +167,14 @@ class Pyramid:
         group = top.create_group(str(level), attributes=described)
         for name, (values, dims, attributes) in level_coordinates(self.header, level).items():
             group.create_array(name, data=values, chunks=values.shape, dimension_names=dims, attributes=attributes)
-        results = {variable.name for variable in self.results}
+        results = {variable.name for variable in self.header.variables}
+        fixed = " ".join(name for name in spec.parameters if name in self.header.coordinates)
         for variable in self.variables:
             stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
             attributes = dict(self.root[stored].attrs) if stored in results else {}
             attributes |= {"long_name": variable.long_name, "units": variable.units}
-            if spec.parameters:
-                attributes["coordinates"] = " ".join(spec.parameters)
+            if fixed:
+                attributes["coordinates"] = fixed
             extra = tuple(CODES.size for _ in variable.extra)
             group.create_array(
                 variable.name,
@@ -223,7 +221,7 @@ def _guarded_root(header: Header) -> Any:
 
     from atlas.overview.guard import GuardedStore
 
-    return zarr.open_group(GuardedStore(header.place, header.spec), mode="r", use_consolidated=False)
+    return zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False)
 
 
 @contextmanager
@@ -254,13 +252,13 @@ def _stored_shapes(root: Any) -> dict[str, int] | None:
 
 def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
-    spec, base, made = header.spec, coordinates(header.spec), {}
+    spec, base, made = header.spec, header.coordinates, {}
     for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
         bounds = bounds_name(axis.name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
         made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)
         made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
-    for name in spec.parameters:
+    for name in base.keys() & spec.parameters.keys():
         made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
     named = np.array([regime.name for regime in REGIMES], dtype="T")
     return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}

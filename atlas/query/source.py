@@ -15,8 +15,8 @@ from atlas.overview.pyramid import MARKS, Pyramid
 from atlas.query.window import axis_values
 from atlas.spec.spec import Slices
 from atlas.store.store import Header, read_header
-from atlas.store.tally import done_mask, plan_of
-from workers.results import PENDING, REGIME, Variable, result_variables
+from atlas.store.tally import done_mask
+from workers.results import PENDING, REGIME, Variable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,11 +81,11 @@ class Part:
     @cached_property
     def done(self) -> NDArray[np.bool_]:
         """Which tiles of the store are done, as an array over the tiles."""
-        return done_mask(self.header, plan_of(self.header))
+        return done_mask(self.header)
 
     @cached_property
     def _variables(self) -> tuple[Variable, ...]:
-        return level_variables(result_variables(self.header.spec.settings))
+        return level_variables(self.header.variables)
 
     @property
     def coarse_names(self) -> set[str]:
@@ -155,7 +155,7 @@ class Part:
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
         """Variables of a level from the cells themselves."""
-        stored = {variable.name for variable in result_variables(self.header.spec.settings)}
+        stored = {variable.name for variable in self.header.variables}
         base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
         return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)
 

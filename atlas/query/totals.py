@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from atlas.overview.coarsen import CODES, SHARE
 from atlas.query.source import PENDING_SHARE, Part, inside
 from atlas.spec.spec import Slices
-from atlas.store.tally import AREAS, BY_REASON, Entries, plan_of, read_tally, tile_areas
+from atlas.store.tally import AREAS, BY_REASON, Entries, read_tally, tile_areas
 from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 
@@ -54,7 +54,7 @@ class Totals:
     def _tally(self) -> tuple[Entries, NDArray[np.bool_]]:
         """The tally's entries, those of tiles that are not done made up, and the mask of the tiles that have one."""
         header, pending = self.part.header, ~self.part.done
-        entries, known = read_tally(self.part.pyramid.root, plan_of(header))
+        entries, known = read_tally(self.part.pyramid.root, header.tiling)
         entries[pending] = 0.0
         entries[pending, AREAS.start + PENDING_SHARE] = tile_areas(header)[pending]
         return entries, known | pending

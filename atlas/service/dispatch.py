@@ -14,7 +14,8 @@ from atlas.errors import NetworkError, RunError
 from atlas.service.cluster import LOST, worker_threads
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
-from atlas.task.task import Job, Receipt, RefusedError, StoreFullError, run_job
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, Receipt, RefusedError, StoreFullError
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -9,7 +9,6 @@ import numpy as np
 
 from atlas.errors import InputError, check_names, shown
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.plan import plural
 from atlas.service.progress import Progress
 from atlas.service.run import Target, complete
 from atlas.service.summary import Summary
@@ -18,7 +17,8 @@ from atlas.spec.spec import Spec, differences
 from atlas.store.location import place_of
 from atlas.store.schema import Origin
 from atlas.store.store import Header, done_tiles, read_header
-from atlas.task.reuse import count_shared
+from atlas.task.reuse import absent_results, count_shared
+from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -56,6 +56,9 @@ def extend(
             f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: compute the new atlas by atlas run"
         )
+    if absent := absent_results(old):
+        names = ", ".join(absent)
+        raise InputError(f"{old.place}: too old, it has no {names}: compute the new atlas by atlas run")
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")

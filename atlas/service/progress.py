@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import IO
 
-from atlas.service.plan import Plan, duration, plural
+from atlas.service.plan import Plan
+from atlas.text import duration, plural, shares
 from workers.results import FAILED, REASONS, REGIMES
 
 LOG_INTERVAL = 5.0
@@ -54,13 +55,6 @@ class Progress:
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
     """A progress bar where the stream is a terminal, a plain line every few seconds otherwise."""
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
-
-
-def shares(counts: Mapping[str, int]) -> str:
-    """Regimes with their shares: ``periodic 62.1 %, chaotic 37.9 %``, the most frequent first."""
-    total = sum(counts.values())
-    ordered = sorted(counts.items(), key=lambda item: -item[1])
-    return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
@@ -154,7 +148,7 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
 
 def status_line(progress: Progress) -> str:
     """One line: tiles, cells, speed, time left, regimes."""
-    if progress.plan is None:
+    if not progress.tiles:
         return progress.stage
     done = f"{progress.tiles_done}/{progress.tiles} tiles, {progress.cells_done}/{progress.cells} cells"
     return ", ".join(part for part in (done, _speed(progress), _outcome(progress)) if part)

@@ -14,7 +14,7 @@ from atlas.service.cluster import connected, count_threads, leave_if_bootstrappi
 from atlas.service.dispatch import outcomes
 from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.plan import Plan, check_disk, default_workers, make_plan, plural
+from atlas.service.plan import Plan, check_disk, default_workers, make_plan
 from atlas.service.probe import probe
 from atlas.service.progress import Progress
 from atlas.service.schedule import Order
@@ -29,6 +29,7 @@ from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.task import Job, Receipt
+from atlas.text import plural
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -96,7 +97,7 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
             client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
         plan = make_plan(target.spec, _worker_count(client, options), header.tile if header else None)
         if target.place.local is not None:
-            check_disk(plan, target.place.local, plan.tile_count - (len(done_tiles(header)) if header else 0))
+            check_disk(plan, target.place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
         claim = stack.enter_context(_claimed(target.place, options))
         return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
 
@@ -108,14 +109,14 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
     may have made it, with tiles of another shape, or have finished some of them.
     """
     header = target.find()
-    if header is not None and header.tile != plan.tile:
+    if header is not None and header.tile != plan.tiling.tile:
         plan = make_plan(target.spec, plan.workers, header.tile)
     work = _work(header, plan, options)
     if work.due.any():
         work = _prepared(work, target.spec, client, options)
     totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
     options.report(totals.progress(work.beginning))
-    header = header or target.create(plan.tile)
+    header = header or target.create(plan.tiling.tile)
     if options.retry is not None and options.retry.max_periods is not None:
         add_budget(header)
     with ExitStack() as stack:
@@ -212,18 +213,18 @@ class _Work:
 
 
 def _work(header: Header | None, plan: Plan, options: RunOptions) -> _Work:
-    done = np.zeros(plan.grid, dtype=bool)
+    done = np.zeros(plan.tiling.grid, dtype=bool)
     for index in done_tiles(header) if header else ():
         done[index] = True
     if header is not None and options.retry is not None:
         options.report(Progress("looking for the cells to solve again"))
         return _retried(header, plan, done, options.retry)
-    cells_done = sum(map(plan.size, _indices(done)))
-    return _Work(plan, ~done, plan.tile_count, plan.cells, int(done.sum()), cells_done)
+    cells_done = int(plan.tiling.sizes()[done].sum())
+    return _Work(plan, ~done, plan.tiling.count, plan.tiling.cells, int(done.sum()), cells_done)
 
 
 def _retried(header: Header, plan: Plan, done: np.ndarray, retry: Retry) -> _Work:
-    selected = np.zeros(plan.grid, dtype=np.int64)
+    selected = np.zeros(plan.tiling.grid, dtype=np.int64)
     for index in _indices(done):
         selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
     due = selected > 0
@@ -238,7 +239,7 @@ def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOpti
     if not options.probe:
         return work
     options.report(Progress("probing a few cells"))
-    return replace(work, plan=replace(work.plan, probe=probe(spec, work.plan.tile)))
+    return replace(work, plan=replace(work.plan, probe=probe(spec, work.plan.tiling.tile)))
 
 
 def _solve(

@@ -9,12 +9,12 @@ import numpy as np
 
 from atlas.errors import ChunkError
 from atlas.service.lease import Observer, Record, noted_end
-from atlas.service.plan import Plan, duration
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, open_group
-from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, plan_of, read_tally, tile_sizes
+from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, read_tally
+from atlas.text import duration
 from workers.results import NO_REASON, REASON, REASONS, REGIMES
 
 
@@ -28,7 +28,6 @@ class Status:
     """
 
     header: Header
-    plan: Plan
     tiles_done: int
     cells_done: int
     regimes: dict[str, int]
@@ -40,7 +39,7 @@ class Status:
     @property
     def fraction(self) -> float:
         """Share of the cells that is done."""
-        return self.cells_done / self.plan.cells
+        return self.cells_done / self.header.tiling.cells
 
     @property
     def progress(self) -> Progress:
@@ -48,9 +47,8 @@ class Status:
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
-            plan=self.plan,
-            tiles=self.plan.tile_count,
-            cells=self.plan.cells,
+            tiles=self.header.tiling.count,
+            cells=self.header.tiling.cells,
             tiles_done=self.tiles_done,
             cells_done=self.cells_done,
             cells_solved=int(self._reported("cells_solved")),
@@ -71,8 +69,8 @@ class Status:
         axes = " x ".join(map(str, self.header.spec.axes))
         lines = [
             f"axes     {axes}",
-            f"tiles    {self.tiles_done} of {self.plan.tile_count} done",
-            f"cells    {self.cells_done} of {self.plan.cells} done ({100 * self.fraction:.1f} %)",
+            f"tiles    {self.tiles_done} of {self.header.tiling.count} done",
+            f"cells    {self.cells_done} of {self.header.tiling.cells} done ({100 * self.fraction:.1f} %)",
             f"solver   version {self.header.solver_version}",
             f"run      {self._run()}",
         ]
@@ -106,13 +104,13 @@ class Status:
             ],
             "parameters": spec.parameters,
             "solve": spec.resolved()["solve"],
-            "tile": self.plan.tile,
-            "tiles": self.plan.tile_count,
+            "tile": self.header.tile,
+            "tiles": self.header.tiling.count,
             "tiles_done": self.tiles_done,
-            "tiles_pending": self.plan.tile_count - self.tiles_done,
-            "cells": self.plan.cells,
+            "tiles_pending": self.header.tiling.count - self.tiles_done,
+            "cells": self.header.tiling.cells,
             "cells_done": self.cells_done,
-            "cells_pending": self.plan.cells - self.cells_done,
+            "cells_pending": self.header.tiling.cells - self.cells_done,
             "cells_failed": self.regimes.get("failed", 0),
             "fraction": self.fraction,
             "regimes": self.regimes,
@@ -136,9 +134,9 @@ class Census:
     """
 
     def __init__(self, header: Header, timing: Timing = TIMING) -> None:
-        self.header, self.plan, self.timing = header, plan_of(header), timing
+        self.header, self.timing = header, timing
         self.tiles_read = 0
-        self.counted = np.zeros(self.plan.grid, dtype=bool)
+        self.counted = np.zeros(header.tiling.grid, dtype=bool)
         self.total = np.zeros(len(COLUMNS))
         self.notes = notes_of(header.place)
         self.observer = Observer(self.notes, timing)
@@ -146,10 +144,10 @@ class Census:
 
     def take(self, settled: bool = False) -> Status:
         """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
-        new = done_mask(self.header, self.plan) & ~self.counted
+        new = done_mask(self.header) & ~self.counted
         if new.any():
             root = open_group(self.header.place, "r")
-            entries, known = read_tally(root, self.plan)
+            entries, known = read_tally(root, self.header.tiling)
             self.explained = REASON.name in root
             self.total += entries[new & known].sum(axis=0)
             unknown = [tuple(index) for index in np.argwhere(new & ~known).tolist()]
@@ -164,10 +162,10 @@ class Census:
         found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
         named = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
         reasons = named if self.explained else {}  # an older store knows those of the newest tiles at best
-        tiles, done = int(self.counted.sum()), int(tile_sizes(self.plan)[self.counted].sum())
+        tiles, done = int(self.counted.sum()), int(self.header.tiling.sizes()[self.counted].sum())
         seen = self.observer.settle() if settled else self.observer.look()
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
-        return Status(self.header, self.plan, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
+        return Status(self.header, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
 
 
 def read_status(header: Header, timing: Timing = TIMING) -> Status:

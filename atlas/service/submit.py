@@ -7,19 +7,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError, NetworkError, RunError
 from atlas.service.cluster import LOST, connected, count_threads, worker_threads
 from atlas.service.dispatch import Refusal
 from atlas.service.lease import note_end
 from atlas.service.options import RunOptions
-from atlas.service.plan import plural
 from atlas.service.progress import Progress
 from atlas.service.run import Target, complete
 from atlas.spec.spec import Spec
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import find, read_header
-from atlas.task.task import RefusedError
+from atlas.task.task import RefusedError, check_solver, checked_header
+from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -137,16 +137,15 @@ def coordinate(task: Submission) -> Refusal | None:
 
 def check_coordinator(task: Submission) -> None:
     """Raise RefusedError where this worker must not coordinate."""
-    if task.solver_version != SOLVER_VERSION:
-        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {task.solver_version}")
     if not task.run_id:
+        check_solver(task.solver_version)
         return
     try:
-        found = read_header(task.store).run_id
-    except InputError as error:
-        raise RefusedError(f"{error}; is the path the same on all hosts?") from None
-    if found != task.run_id:
-        raise RefusedError(f"{task.store} is not the store of run {task.run_id}; is the path the same on all hosts?")
+        checked_header(task.store, task.run_id, task.solver_version)
+    except NetworkError:
+        raise
+    except OSError as error:
+        raise RefusedError(f"{task.store}: {error.strerror or error}; is the path the same on all hosts?") from None
 
 
 def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:

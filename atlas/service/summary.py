@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from atlas.service.plan import Plan, duration, plural
-from atlas.service.progress import Progress, reason_lines, shares
+from atlas.service.plan import Plan
+from atlas.service.progress import Progress, reason_lines
 from atlas.task.task import Receipt
+from atlas.text import duration, plural, shares
 
 
 @dataclass(frozen=True)

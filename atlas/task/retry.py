@@ -25,8 +25,8 @@ class Retry:
     def selects(self, stored: dict[str, np.ndarray]) -> np.ndarray:
         """Mask of the cells of a stored tile that are to be solved again.
 
-        An undetermined cell comes out the same within the budget that it had, so it needs a larger one; that also
-        makes an interrupted retry go on where it stopped.
+        An undetermined cell comes out the same within the budget that it had, so it needs a larger one; so an
+        interrupted retry resumes where it stopped.
         """
         regime, budget = stored[REGIME.name], stored[BUDGET.name]
         worth = (regime != UNDETERMINED) | (budget < (self.max_periods or 0))

@@ -3,14 +3,15 @@
 from collections.abc import Iterator
 
 from atlas.overview.pyramid import GROUP, Pyramid
-from atlas.store.store import Header, grid_of, index_of
-from workers.results import Variable, result_variables
+from atlas.store.store import Header
+from atlas.store.tiling import chunk_index
+from workers.results import Variable
 
 
 def foreign_keys(header: Header) -> Iterator[str]:
     """The keys of all such objects, by a listing of each array's."""
-    for variable in result_variables(header.spec.settings):
-        yield from _foreign(header, "", variable, grid_of(header))
+    for variable in header.variables:
+        yield from _foreign(header, "", variable, header.tiling.grid)
     pyramid = Pyramid(header)
     for level in range(1, pyramid.levels.count + 1) if pyramid.made else ():
         for variable in pyramid.variables:
@@ -20,5 +21,5 @@ def foreign_keys(header: Header) -> Iterator[str]:
 def _foreign(header: Header, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
     root = f"{folder}{variable.name}/c/"
     whole = grid + (1,) * len(variable.extra)  # what has more numbers a cell has them all in one chunk
-    keys = (key for key in header.place.list_keys(root) if index_of(key.removeprefix(root), whole) is None)
+    keys = (key for key in header.place.list_keys(root) if chunk_index(key.removeprefix(root), whole) is None)
     yield from sorted(keys)
