@@ -24,6 +24,7 @@ from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.render import figure
 from atlas.store import store
+from atlas.store.tiles import write_tile
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers.results import PENDING, result_variables
 
@@ -40,7 +41,7 @@ def lawless(monkeypatch: pytest.MonkeyPatch) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     header = store.create(tmp_path_factory.mktemp("made") / "whole.zarr", spec_of(), (8, 8))
     for index in indices(header):
-        store.write_tile(header, index, results(header, index))
+        write_tile(header, index, results(header, index))
     keep(header)
     return header.path
 

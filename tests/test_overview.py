@@ -373,7 +373,7 @@ def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, 
         killed_after(patch, writes)
         try:
             with Overviews(header, [tile]) as overviews:  # as a run does, which goes by what the store has
-                store.write_tile(header, tile, results(header, tile, seed=1))
+                write_tile(header, tile, results(header, tile, seed=1))
                 overviews.add(tile)
                 overviews.finish()
         except Killed:
@@ -387,7 +387,7 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     spec = spec_of(nx=20, ny=18)
     whole = store.create(tmp_path / "whole.zarr", spec, (8, 8))
     fill(whole)
-    store.write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
+    write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
     keep(whole, least=10)
     header = complete(tmp_path / "a.zarr", (8, 8), spec, least=10)
     steps = 0

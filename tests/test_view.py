@@ -15,6 +15,7 @@ from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.query.window import cell_edges
 from atlas.store import store
+from atlas.store.tiles import write_tile
 from scripts import bench_render
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
@@ -142,7 +143,7 @@ def test_shares_in_a_window_are_those_of_its_cells_from_few_chunks(
 def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: list[str]) -> None:
     header = store.create(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
     for index in ((0, 0), (13, 14)):
-        store.write_tile(header, index, results(header, index))
+        write_tile(header, index, results(header, index))
     keep(header, side=256, least=128)
     keys.clear()
     with counted() as reads:
