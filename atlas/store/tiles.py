@@ -30,17 +30,14 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
     arrays = {BUDGET.name: budget, **arrays}
     if BUDGET.name in group:
         _write(group[BUDGET.name], index, arrays[BUDGET.name], sparse=True)
-    write_digest(header, index, arrays)
+    _write_digest(group, header, index, arrays)
     for variable in header.variables:
         _write(group[variable.name], index, arrays[variable.name], variable.sparse)
 
 
 def write_digest(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     """Keep the digest of a tile's arrays, ``budget`` among them; nothing in a store that has no room for it."""
-    group = open_group(header.place, "r+")
-    if DIGESTS in group:
-        digests: Any = group[DIGESTS]
-        _write(digests, index, np.uint64(digest_of(index, covered_variables(header, digests), arrays)))
+    _write_digest(open_group(header.place, "r+"), header, index, arrays)
 
 
 def drop_tile(header: Header, index: tuple[int, ...]) -> None:
@@ -113,6 +110,12 @@ def block(array: Any, index: tuple[int, ...]) -> Slices:
 def _write(array: Any, index: tuple[int, ...], values: Any, sparse: bool = False) -> None:
     """Write a tile's chunk; one of nothing but fill values too, so that a missing one is always a missing result."""
     array.with_config({"write_empty_chunks": not sparse})[block(array, index)] = values
+
+
+def _write_digest(group: Any, header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+    digests = group.get(DIGESTS)
+    if digests is not None:
+        _write(digests, index, np.uint64(digest_of(index, covered_variables(header, digests), arrays)))
 
 
 def _read_budget(header: Header, index: tuple[int, ...], arrays: dict[str, Any]) -> np.ndarray | str:
