@@ -211,8 +211,8 @@ def test_a_bad_chunk_is_named_by_whatever_reads_it(whole: store.Header, tmp_path
     for ask in asked:
         with pytest.raises(ChunkError) as error:
             ask()
-        told = f"{whole.path}: {key} {fault}: atlas verify --repair {whole.path}, then run it again"
-        assert str(error.value) == told
+        line = f"{whole.path}: {key} {fault}: atlas verify --repair {whole.path}, then run it again"
+        assert str(error.value) == line
     assert not list(tmp_path.glob("a.*"))
 
 

@@ -1,4 +1,4 @@
-"""The isoperiodic map: how many forcing periods an orbit takes over a plane, and the regime where it never closes."""
+"""The isoperiodic map: the forcing periods of each cell's orbit, and the regime where it never closes."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
