@@ -28,7 +28,7 @@ class Bifurcation:
     """Where one orbit gives way to another.
 
     kind            "symmetry breaking" (multiplier of G is -1), "period doubling" (-1; "subcritical" where no stable
-                    orbit of twice the period is stable instead), "fold" (+1) or "grazing"
+                    orbit of twice the period succeeds it), "fold" (+1) or "grazing"
     omega           where
     seed            omega at which a cell from rest settles on the orbit
     steps, half     the orbit's map: so many steps of G (half) or of the stroboscopic map
