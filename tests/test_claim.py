@@ -303,6 +303,10 @@ def test_a_claim_of_a_number_that_no_process_has_is_damaged(pid: int) -> None:
     assert Record.unpack(json.dumps(json.loads(elsewhere().pack()) | {"pid": pid}).encode()) is None
 
 
+def test_a_number_as_large_as_any_atlas_is_reported_as_it_is() -> None:
+    assert replace(elsewhere(), progress={"cells": 10**12}).number("cells") == 10**12
+
+
 @pytest.mark.parametrize("value", ["many", None, [1], True, float("nan"), float("inf"), 10**400])
 def test_a_number_that_is_none_counts_as_not_reported(value: object) -> None:
     assert replace(elsewhere(), progress={"workers": value}).number("workers") == 0

@@ -21,6 +21,7 @@ from atlas.task.attempt import run_job
 from atlas.task.retry import Retry, checked_retry
 from atlas.task.task import Job
 from workers.results import FAILED, REGIME, UNDETERMINED, result_variables
+from workers.settings import MOST_PERIODS
 from workers.tile import solve_cells
 
 FEW, MORE = 40, 60
@@ -193,6 +194,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
     [
         ("undetermined", None, f"within the same budget; give --max-periods above {FEW}"),
         ("undetermined", FEW, f"max_periods: found {FEW}, must exceed the spec's {FEW}"),
+        ("undetermined", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
         ("chaotic", MORE, "unknown regime to retry 'chaotic'"),
         ("faild", None, "did you mean 'failed'?"),
         (",", None, "retry: found none, must be one or more of undetermined, failed"),
@@ -202,6 +204,10 @@ def test_a_retry_that_could_change_nothing_is_refused(names: str, max_periods: i
     with pytest.raises(InputError) as caught:
         checked_retry(plane_of_few(), names, max_periods)
     assert told in str(caught.value)
+
+
+def test_the_largest_budget_of_any_spec_is_one_of_a_retry_too() -> None:
+    assert checked_retry(plane_of_few(), "undetermined", MOST_PERIODS).max_periods == MOST_PERIODS
 
 
 def test_the_fixed_schedule_has_no_budget_to_raise() -> None:
