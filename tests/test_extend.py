@@ -226,7 +226,7 @@ def damage(old: Path) -> None:
 @pytest.mark.parametrize(
     ("harm", "message", "tiles"),
     [
-        (lose, "old.zarr: no such store; .* takes over cells of it: put it back", 12),
+        (lose, "old.zarr: no such store; .* copies cells of it: put it back", 12),
         (swap, "another store than the one that was extended", 12),
         (damage, r"state/c/0/0/0 is damaged .*: atlas verify --repair", 4),
     ],
