@@ -1,4 +1,4 @@
-"""Stores that solver version 4 wrote (see data/README.md): read, drawn, verified and gone on with as they are."""
+"""Stores that solver version 4 wrote (see data/README.md): read, drawn, verified and resumed as they are."""
 
 import csv
 import shutil

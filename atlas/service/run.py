@@ -158,10 +158,10 @@ def _worker_count(client: "Client | None", options: RunOptions) -> int:
 
 @contextmanager
 def _claimed(place: Place, options: RunOptions) -> Iterator[Claim]:
-    """The claim of a store, once what dead runs left half made is removed; what they noted is, when this one ends.
+    """The claim of a store. What dead runs left half made is removed when it begins, their notes when it ends.
 
-    Its beats have the place's own patience: one that fails is followed by another, and none may hold up for long the
-    end of a run whose store is away. Only the clearing at the end waits as long as the options say.
+    Its beats have the place's own patience: one that fails is followed by another, and none may delay for long the end
+    of a run whose store is away. Only removing the notes waits as long as the options say.
     """
     notes = notes_of(waiting(place, options.patience))
 
