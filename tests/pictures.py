@@ -101,6 +101,7 @@ def plane() -> xr.Dataset:
             np.int32
         ),
         stuck_fraction=stuck,
+        symmetric=periodic & (upper == lower),
     )
 
 

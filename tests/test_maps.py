@@ -16,8 +16,6 @@ from workers import solve_tile
 from workers.model.system import TWO_MASS
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
 
-MAPS = [kind for kind in render.KINDS if kind not in ("sweep", "spectrum", "hysteresis")]
-
 
 def rgb(color: str) -> tuple[int, ...]:
     return tuple(round(255 * part) for part in colors.to_rgb(color))
@@ -28,7 +26,7 @@ def drawn(figure: Figure) -> np.ndarray:
     return np.asarray(figure.axes[0].images[0].get_array())
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     cells = drawn(render.figure(plane(), kind))
     regime = plane()["regime"].values
@@ -38,26 +36,26 @@ def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     assert cells[regime == PENDING][0, 3] == 0
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_invalid_and_failed_cells_are_textured_in_every_map(kind: str) -> None:
     textures = {patch.get_hatch() for patch in render.figure(plane(), kind).axes[0].patches}
     assert textures >= {"\\\\\\\\", "xxxx"}
 
 
-@pytest.mark.parametrize("kind", [kind for kind in MAPS if kind != "cost"])
+@pytest.mark.parametrize("kind", [kind for kind in render.MAPS if kind != "cost"])
 def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, kind: str) -> None:
     path = render.render(plane(), tmp_path / "map.png", kind)
     assert pixel(path, render.figure(plane(), kind), 3.5, 0.1) == colour(UNDETERMINED)[:3]
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_every_map_has_its_axes_with_symbols_and_units_and_the_fixed_parameters(kind: str) -> None:
     ax = render.figure(plane(), kind).axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$ [–]", "clearance $b$ [–]")
     assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: str) -> None:
     ds = plane()
     ds["regime"] = ds["regime"] * 0 + np.int8(PENDING)

@@ -1,8 +1,8 @@
 """Pictures: one file per kind, drawn from a dataset or an orbit alone, without a display and without pyplot.
 
 To add a kind: write ``figure`` in a file of its own, for a map ``figure(ds, options) -> Figure`` with
-``maps.Options``, for a sweep ``figure(ds) -> Figure``, and name the file in ``_KINDS``. A reference picture of it
-belongs to ``tests/reference.py``.
+``maps.Options``, for a sweep ``figure(ds) -> Figure``, and name the file in ``_KINDS``. The tests take it up from
+there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,13 +54,16 @@ _AXES = {1: "one axis", 2: "two axes"}
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "sticking" for two axes, the others for one; "hysteresis" takes two atlases."""
 
+MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
+"""Those of them that are drawn over two axes, and take overlays."""
+
 OVERLAYS = ("grazing", "boundaries", "isolines")
 """Lines that any map of two axes can carry: |Y| = b, borders of regimes, lines of equal exponent."""
 
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
 
-__all__ = ["FORMATS", "KINDS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
+__all__ = ["FORMATS", "KINDS", "MAPS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
 
 
 def figure(
