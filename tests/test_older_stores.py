@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from atlas.cli.commands import cli
 from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
 from atlas.check.reproduce import beyond_error
 from atlas.check.verify import verify
+from atlas.cli.main import main as cli
 from atlas.errors import InputError
 from atlas.store.machine import this_machine
 from atlas.store.store import done_tiles, machines, read_header
@@ -60,7 +60,7 @@ def solve(name: str, store: Path, client: Client) -> None:
     spec = spec_of(name)
     atlas.run(spec, store, client=client)
     if name == "sweep":
-        atlas.run(spec, store, client=client, retry=checked_retry(spec, "undetermined", MORE))
+        atlas.run(spec, store, client, atlas.RunOptions(retry=checked_retry(spec, "undetermined", MORE)))
 
 
 def cells(ds: xr.Dataset, names: list[str]) -> Iterator[dict[str, np.ndarray]]:

@@ -72,7 +72,7 @@ def test_cells_probed_are_distinct_and_spread_over_the_plane() -> None:
 def test_the_probe_of_costly_cells_ends_with_its_first_step() -> None:
     """On a processor on which the four cells of that step take ten seconds each."""
     spec = coarse("omega-b")
-    found = probing.probe(spec, make_plan(spec, workers=2).tile, clock=itertools.count(0.0, 40.0).__next__)
+    found = probing.probe(spec, make_plan(spec, workers=2).tiling.tile, clock=itertools.count(0.0, 40.0).__next__)
     assert found.cells == 4
     assert found.low < found.seconds_per_cell < found.high
 

@@ -258,7 +258,7 @@ def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
         attributes = {**base[axis.name].attributes, "bounds": bounds}
         made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)
         made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
-    for name in base.keys() & spec.parameters.keys():
+    for name in (name for name in spec.parameters if name in base):
         made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
     named = np.array([regime.name for regime in REGIMES], dtype="T")
     return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}

@@ -67,7 +67,7 @@ def view(
     part = find_part(ds, wanted)
     if part is None:
         return ds[wanted]
-    known = part.coarse_names
+    known = {variable.name for variable in part.pyramid.variables}
     steps = _steps(ds, pixels) if pixels and known.issuperset(wanted) else [0] * ds[REGIME.name].ndim
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
     count_reads(part.pyramid.chunks_read, min(steps), tuple(2**count for count in reversed(steps)))

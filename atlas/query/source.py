@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, InputError
-from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, level_variables, needed
+from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
 from atlas.overview.pyramid import MARKS, Pyramid
 from atlas.query.window import axis_values
 from atlas.spec.spec import Slices
 from atlas.store.store import Header, read_header
 from atlas.store.tally import done_mask
-from workers.results import PENDING, REGIME, Variable
+from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -83,18 +83,9 @@ class Part:
         """Which tiles of the store are done, as an array over the tiles."""
         return done_mask(self.header)
 
-    @cached_property
-    def _variables(self) -> tuple[Variable, ...]:
-        return level_variables(self.header.variables)
-
-    @property
-    def coarse_names(self) -> set[str]:
-        """The names of the variables that levels have."""
-        return {variable.name for variable in self._variables}
-
     def closed(self, names: Iterable[str]) -> list[str]:
         """All variables that coarsening these takes."""
-        return needed(self._variables, names)
+        return needed(self.pyramid.variables, names)
 
     def undone(self, level: int, piece: Slices) -> list[tuple[int, ...]]:
         """The tiles below a piece of a level that are not done."""
@@ -168,7 +159,7 @@ class Part:
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
         """Variables of a piece of a level without a result."""
         wanted, made = set(names), {}
-        for variable in self._variables:
+        for variable in self.pyramid.variables:
             if variable.name in wanted:
                 shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra)
                 made[variable.name] = np.full(shape, variable.fill, dtype=variable.dtype)
