@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.cell import Cell
 from workers.model.system import System, find_system
 from workers.results import (
     ARITHMETIC,
@@ -20,7 +21,7 @@ from workers.results import (
     result_variables,
 )
 from workers.settings import Settings
-from workers.solve import Cell, Solving, solving
+from workers.solve import Solving, solving
 from workers.stretch import Stretch, ended, run_stretches
 
 
