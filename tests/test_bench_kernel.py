@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scripts.bench_kernel import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
+from scripts.general_integrator import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
 from tests.oracle import symmetric_orbit
 
 pytestmark = pytest.mark.slow

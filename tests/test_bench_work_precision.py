@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from scripts import bench_work_precision as bench
-from scripts.bench_kernel import FIGURES
+from scripts.general_integrator import FIGURES
 
 pytestmark = pytest.mark.slow
 
