@@ -89,12 +89,12 @@ def ask(*command: str) -> dict[str, Any]:
         "atexit.register(lambda: print(Path('/proc/self/status').read_text(), file=sys.stderr))\n"
         "main(sys.argv[1:])"
     )
-    with tempfile.TemporaryFile("w+") as told:
+    with tempfile.TemporaryFile("w+") as output:
         before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        ended = subprocess.run([sys.executable, "-c", code, *command], stdout=told, stderr=told, check=False)
+        ended = subprocess.run([sys.executable, "-c", code, *command], stdout=output, stderr=output, check=False)
         seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-        told.seek(0)
-        text = told.read()
+        output.seek(0)
+        text = output.read()
     if ended.returncode:
         raise SystemExit(f"atlas {' '.join(command)}: {text}")
     chunks = re.search(r"(\d+) chunks read", text)

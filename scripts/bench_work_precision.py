@@ -12,9 +12,9 @@ Cells: Figs 3, 4 and 5, the orbits of tests/data/periodic_orbits.json, cells dra
 Truth: the 40-digit Floquet exponent where the file has it, else the Floquet exponent of the proved orbit (heyoka's
 averages, which share no code with it, are compared with it); for chaotic cells a plain average over twenty times
 (--long N: N times) the periods of tolerance 1e-2. What that long run does not find chaotic was a chaotic transient or
-too close to call, and is counted apart.
+too close to call, and is counted separately.
 
-Cells are timed one at a time; those of the plane once more side by side, as a tile is solved.
+Cells are timed one at a time; those of the plane once more in batches, as a tile is solved.
 
 Usage: .venv/bin/python -m scripts.bench_work_precision [--light] [--json] [--long N] [--picture FILE]
 """
@@ -165,7 +165,7 @@ def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
 
 
 def measure_together(cells: list[Cell], plan: Plan) -> dict[str, float]:
-    """Seconds for all cells of the window side by side, as a tile is solved: adaptive, and the paper's schedule."""
+    """Seconds for all cells of the window in batches, as a tile is solved: adaptive, and the paper's schedule."""
     window = [cell.params for cell in cells if cell.group == "window"]
     params = {name: np.array([one[name] for one in window]) for name in window[0]}
     schedules = {"adaptive": Settings(tolerance=plan.tolerance), "fixed": fixed(plan.paper)}

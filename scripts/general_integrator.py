@@ -21,7 +21,7 @@ FIGURES = {
 
 
 def numpy_rates(t: float, flat: Array, A: Array, force: Array, omega: float, tau: float) -> Array:
-    """d/dt of (x1, x2, v1, v2) and of the tangent vectors stored beside it as columns."""
+    """d/dt of (x1, x2, v1, v2) and of the tangent vectors stored next to it as columns."""
     rates = A @ flat.reshape(4, -1)
     drive = math.sin(omega * t + tau)
     rates[2, 0] += force[0] * drive

@@ -72,9 +72,9 @@ def test_every_command_has_help(command: str) -> None:
 
 def test_plan_prints_one_json_object(folder: Path) -> None:
     shown = call("plan", folder / "spec.toml", "--workers", 2, "--json")
-    told = json.loads(shown.stdout)
-    assert (told["cells"], told["tiles"], told["tile"]) == (24, 12, [1, 2])
-    assert told["seconds"] > 0
+    message = json.loads(shown.stdout)
+    assert (message["cells"], message["tiles"], message["tile"]) == (24, 12, [1, 2])
+    assert message["seconds"] > 0
 
 
 def test_plan_for_a_person_names_axes_and_cells(folder: Path) -> None:
@@ -88,21 +88,21 @@ def test_a_complete_run_ends_with_0_and_says_so(folder: Path) -> None:
 
 
 def test_status_counts_tiles_and_regimes(folder: Path) -> None:
-    told = json.loads(call("status", folder / "out.zarr", "--json").stdout)
-    assert (told["tiles_done"], told["tiles_pending"], told["fraction"]) == (12, 0, 1.0)
-    assert sum(told["regimes"].values()) == told["cells"] == 24
-    assert told["parameters"]["R"] == 0.7
+    message = json.loads(call("status", folder / "out.zarr", "--json").stdout)
+    assert (message["tiles_done"], message["tiles_pending"], message["fraction"]) == (12, 0, 1.0)
+    assert sum(message["regimes"].values()) == message["cells"] == 24
+    assert message["parameters"]["R"] == 0.7
     assert "12 of 12 done" in call("status", folder / "out.zarr").stdout
 
 
 def test_query_at_a_point_gives_the_nearest_cell(folder: Path) -> None:
-    told = json.loads(call("query", folder / "out.zarr", "--at", "omega=2.05", "--at", "b=.19", "--json").stdout)
-    assert (told["omega"], told["b"]) == (2.0, 0.2)
+    message = json.loads(call("query", folder / "out.zarr", "--at", "omega=2.05", "--at", "b=.19", "--json").stdout)
+    assert (message["omega"], message["b"]) == (2.0, 0.2)
 
 
 def test_query_gives_the_shares_of_regimes(folder: Path) -> None:
-    told = json.loads(call("query", folder / "out.zarr", "--window", "omega=2:3", "--json").stdout)
-    assert sum(told.values()) == pytest.approx(1.0)
+    message = json.loads(call("query", folder / "out.zarr", "--window", "omega=2:3", "--json").stdout)
+    assert sum(message.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "nc"])
@@ -121,12 +121,12 @@ def test_a_window_without_a_cell_is_refused_and_nothing_written(folder: Path, tm
     assert list(tmp_path.iterdir()) == []
 
 
-def test_query_tells_how_many_chunks_it_read(folder: Path) -> None:
+def test_query_reports_how_many_chunks_it_read(folder: Path) -> None:
     # Of the tally, once for the shares and once for the reasons.
     assert call("query", folder / "out.zarr").stderr == "2 chunks read\n"
 
 
-def test_render_takes_a_window_and_tells_how_many_chunks_it_read(folder: Path, tmp_path: Path) -> None:
+def test_render_takes_a_window_and_reports_how_many_chunks_it_read(folder: Path, tmp_path: Path) -> None:
     shown = call("render", folder / "out.zarr", "-o", tmp_path / "a.png", "--window", "omega=2:2.5")
     assert shown.exit_code == 0
     assert "8 chunks read, of the cells themselves" in shown.stderr
@@ -140,10 +140,10 @@ def test_render_writes_the_picture_and_names_it(folder: Path) -> None:
 
 def test_point_gives_every_result_of_one_cell() -> None:
     args = ("point", "--set", "omega=3", "--set", "b=0.2", "--exponents", "spectrum", "--max-periods", 300)
-    told = json.loads(call(*args, "--json").stdout)
-    assert {"regime", "largest", "spectrum", "period", "periods_used", "state"} <= told.keys()
-    assert told["parameters"]["omega"] == 3.0
-    assert told["parameters"]["mu_k"] == 5.0
+    message = json.loads(call(*args, "--json").stdout)
+    assert {"regime", "largest", "spectrum", "period", "periods_used", "state"} <= message.keys()
+    assert message["parameters"]["omega"] == 3.0
+    assert message["parameters"]["mu_k"] == 5.0
     assert "periods_used" in call(*args).stdout
 
 
@@ -179,11 +179,11 @@ BAD_SPECS = {
 
 @pytest.mark.parametrize("name", BAD_SPECS)
 def test_a_bad_spec_is_one_line_and_exit_code_2_and_writes_nothing(tmp_path: Path, name: str) -> None:
-    before, after, told = BAD_SPECS[name]
+    before, after, message = BAD_SPECS[name]
     assert before in SPEC
     spec = tmp_path / "spec.toml"
     spec.write_text(SPEC.replace(before, after, 1))
-    check_refused(call("run", spec, "-o", tmp_path / "out.zarr"), told)
+    check_refused(call("run", spec, "-o", tmp_path / "out.zarr"), message)
     assert list(tmp_path.iterdir()) == [spec]
 
 
@@ -193,14 +193,14 @@ def test_a_missing_spec_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "told"),
+    ("before", "after", "message"),
     [
         ("R = 0.7", "R = 0.6", "R = 0.7 in the store, 0.6 in the spec"),
         ("omega", "b", "axis order differs: (omega, b) in the store, (b, omega) in the spec"),
     ],
     ids=["another spec", "transposed"],
 )
-def test_a_store_of_another_spec_is_refused_and_untouched(folder: Path, before: str, after: str, told: str) -> None:
+def test_a_store_of_another_spec_is_refused_and_untouched(folder: Path, before: str, after: str, message: str) -> None:
     text = SPEC.replace(before, after)
     if after == "b":
         text = (
@@ -210,7 +210,7 @@ def test_a_store_of_another_spec_is_refused_and_untouched(folder: Path, before: 
     other = folder / "other.toml"
     other.write_text(text)
     whole = state_of(folder / "out.zarr")
-    check_refused(call("run", other, "-o", folder / "out.zarr"), told)
+    check_refused(call("run", other, "-o", folder / "out.zarr"), message)
     assert state_of(folder / "out.zarr") == whole
 
 
@@ -245,7 +245,7 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
 
 
 @pytest.mark.parametrize(
-    ("args", "told"),
+    ("args", "message"),
     [
         (("point", "--set", "R=1.2"), "R = 1.2: must satisfy 0 <= R <= 1"),
         (("point", "--set", "omgea=2"), "unknown parameter 'omgea'; did you mean 'omega'?"),
@@ -269,12 +269,12 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
         (("run", "tiny", "-o", "NONE", "--workers", "2", "--scheduler", "tcp://x:1"), "give one of the two"),
     ],
 )
-def test_a_bad_question_is_one_line_and_exit_code_2(folder: Path, args: tuple[str, ...], told: str) -> None:
+def test_a_bad_question_is_one_line_and_exit_code_2(folder: Path, args: tuple[str, ...], message: str) -> None:
     names = {"OUT": folder / "out.zarr", "NONE": folder / "none.zarr"}
     shown = call(*(names.get(arg, arg) for arg in args))
     lines = shown.stderr.splitlines()
     assert (shown.exit_code, len(lines), shown.stdout) == (2, 1, "")
-    assert told in lines[0]
+    assert message in lines[0]
     assert len(lines[0]) < 600
 
 
@@ -327,10 +327,10 @@ def test_ctrl_c_ends_with_130_and_the_line_printed_goes_on(tmp_path: Path) -> No
     assert (xr.open_zarr(tmp_path / "out.zarr").regime.values >= 0).all()
 
 
-def check_refused(shown: Result, told: str) -> None:
+def check_refused(shown: Result, message: str) -> None:
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert len(shown.stderr.splitlines()) == 1, shown.stderr
-    assert told in shown.stderr
+    assert message in shown.stderr
 
 
 def state_of(folder: Path) -> dict[Path, int]:

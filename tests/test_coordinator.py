@@ -186,7 +186,7 @@ def test_every_error_of_a_run_under_way_leaves_a_word(
     assert json.loads(shown.stdout)["ended"] == word
 
 
-def test_bad_input_is_told_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
+def test_bad_input_is_reported_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
     header = create(tmp_path / "out.zarr", PLANE, (5, 7))
     with pytest.raises(InputError, match=r"out.zarr: is of another spec: "):
         submitted(two, header.path, plane_of((5, 7), R=0.5))
@@ -207,26 +207,26 @@ def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
 def status(store: Path) -> tuple[str, dict[str, object]]:
     """The line of the run, and the object of --json."""
     timing = Timing(look=0.02, silent=0.1)
-    text, told = (CliRunner().invoke(main, ["status", str(store), *more], obj=timing) for more in ((), ("--json",)))
-    assert (text.exit_code, told.exit_code) == (0, 0)
+    text, message = (CliRunner().invoke(main, ["status", str(store), *more], obj=timing) for more in ((), ("--json",)))
+    assert (text.exit_code, message.exit_code) == (0, 0)
     line = next(line for line in text.stdout.splitlines() if line.startswith("run "))
-    return line.removeprefix("run").strip(), json.loads(told.stdout)
+    return line.removeprefix("run").strip(), json.loads(message.stdout)
 
 
 FAR = Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"workers": 3})
 
 
 def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Callable[[bytes], Path]) -> None:
-    line, told = status(claimed_store(FAR.pack()))
+    line, message = status(claimed_store(FAR.pack()))
     assert line.startswith("no sign of life of process 1 on far for ")
-    assert (told["run"], str(told["trouble"])[:24]) == ("process 1 on far", "no sign of life of proce")
+    assert (message["run"], str(message["trouble"])[:24]) == ("process 1 on far", "no sign of life of proce")
 
 
 @pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
 def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
-    line, told = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
+    line, message = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
     assert line == "none at work; the claim is damaged; the next run replaces it"
-    assert told["run"] is None
+    assert message["run"] is None
 
 
 def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[bytes], Path]) -> None:
@@ -234,6 +234,6 @@ def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[byt
         pid = sleeper.pid
         process = process_name(pid)
         sleeper.kill()
-    line, told = status(claimed_store(Record("t", 7, "here", pid, process).pack()))
+    line, message = status(claimed_store(Record("t", 7, "here", pid, process).pack()))
     gone = f"process {pid} on here is gone without releasing its claim; the next run replaces it"
-    assert (line, told["run"], told["trouble"]) == (f"none at work; {gone}", None, gone)
+    assert (line, message["run"], message["trouble"]) == (f"none at work; {gone}", None, gone)

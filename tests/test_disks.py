@@ -89,13 +89,15 @@ for name, values in expected.items():
 
 
 @pytest.mark.parametrize(
-    ("trouble", "told"),
+    ("trouble", "message"),
     [
         ("full", "No space left on device; finished tiles are kept; make room and give the same command again"),
         ("read-only", "no worker can do this run: inproc://"),
     ],
 )
-def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(tmp_path: Path, trouble: str, told: str) -> None:
+def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(
+    tmp_path: Path, trouble: str, message: str
+) -> None:
     ended = subprocess.run(
         [*APART, sys.executable, "-c", TROUBLE, tmp_path, trouble],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -106,7 +108,7 @@ def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(tmp_path: P
     )
     assert ended.returncode == 0, ended.stderr
     error, outcome = ended.stdout.splitlines()
-    assert told in error
+    assert message in error
     assert outcome == "True True 9"
 
 

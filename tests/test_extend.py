@@ -231,7 +231,7 @@ def damage(old: Path) -> None:
         (damage, r"state/c/0/0/0 is damaged .*: atlas verify --repair", 4),
     ],
 )
-def test_cells_that_cannot_be_taken_over_are_told_and_nothing_wrong_is_stored(
+def test_cells_that_cannot_be_taken_over_are_reported_and_nothing_wrong_is_stored(
     old: Path, tmp_path: Path, client: Client, harm: Callable[[Path], None], message: str, tiles: int
 ) -> None:
     seen = False

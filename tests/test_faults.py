@@ -114,7 +114,7 @@ def test_every_other_tile_is_finished_and_right(faulty: tuple[Run, subprocess.Co
             np.testing.assert_array_equal(stored[name], values, err_msg=name)
 
 
-def test_a_tile_that_raises_each_time_is_told_and_left_for_another_run(
+def test_a_tile_that_raises_each_time_is_reported_and_left_for_another_run(
     faulty: tuple[Run, subprocess.CompletedProcess[str]],
 ) -> None:
     ended = faulty[1]
@@ -301,7 +301,7 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
 
 
-def test_a_scheduler_without_this_package_is_told_of_once_and_at_once(
+def test_a_scheduler_without_this_package_is_reported_of_once_and_at_once(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unloadable(job: Job) -> None:

@@ -78,7 +78,7 @@ def assert_same_numbers(found: Path, original: Path) -> None:
         assert [name for name in names if old[name].values.tobytes() != new[name].values.tobytes()] == []
     else:
         pairs = zip(cells(old, names), cells(new, names), strict=True)
-        assert [told for one, other in pairs if (told := beyond_error(one, other))] == []
+        assert [message for one, other in pairs if (message := beyond_error(one, other))] == []
 
 
 def test_plain_xarray_opens_it_without_a_warning(older: Path) -> None:

@@ -247,7 +247,7 @@ def test_the_ledger_is_one_listing(bucket: str, client: Client, monkeypatch: pyt
         ("s3://no-such-bucket/plane.zarr", "s3://no-such-bucket/plane.zarr: cannot be written: "),
     ],
 )
-def test_a_url_that_leads_nowhere_is_told_in_one_line(bucket: str, url: str, message: str) -> None:
+def test_a_url_that_leads_nowhere_is_reported_in_one_line(bucket: str, url: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as told:
         store.find(url, plane_of())
     assert "\n" not in str(told.value)

@@ -1,4 +1,4 @@
-"""Why a cell is invalid, failed or given up: kept with the atlas, checked, and told by everything that shows cells."""
+"""Why a cell is invalid, failed or given up: kept with the atlas, checked, and shown by all that shows cells."""
 
 import csv
 import json
@@ -126,18 +126,18 @@ def test_tiles_without_a_reason_have_no_chunk_of_them(store: Path) -> None:
     assert chunks == {"0/0", "0/1", "0/2"}  # b = 0.1 and 0.2
 
 
-def test_status_tells_the_reasons(store: Path) -> None:
+def test_status_reports_the_reasons(store: Path) -> None:
     assert f"  {LINE}" in call("status", store).stdout.splitlines()
     assert json.loads(call("status", store, "--json").stdout)["reasons"] == {BEYOND: 14}
 
 
-def test_query_tells_the_reasons_of_a_window(store: Path) -> None:
+def test_query_reports_the_reasons_of_a_window(store: Path) -> None:
     assert LINE in call("query", store).stdout.splitlines()
     shown = call("query", store, "--window", "omega=2:3", "--json")
     assert json.loads(shown.stdout)["reasons"] == {BEYOND: 8}
 
 
-def test_query_of_an_atlas_without_such_cells_tells_shares_alone(store: Path) -> None:
+def test_query_of_an_atlas_without_such_cells_reports_shares_alone(store: Path) -> None:
     shares = json.loads(call("query", store, "--window", "b=0.3:0.5", "--json").stdout)
     assert sum(shares.values()) == pytest.approx(1.0)
 
@@ -147,7 +147,7 @@ def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
     assert part.atlas.reasons() == query.reasons(part.load().copy()) == {BEYOND: 5}
 
 
-def test_a_cell_asked_for_tells_its_reason_in_words(store: Path) -> None:
+def test_a_cell_asked_for_reports_its_reason_in_words(store: Path) -> None:
     assert query.at(atlas.open(store), {"omega": 3.0, "b": 0.1})["reason"] == BEYOND
     assert "reason" not in query.at(atlas.open(store), {"omega": 3.0, "b": 0.5})
 
@@ -187,7 +187,7 @@ def test_a_retry_that_solves_a_failed_cell_takes_its_reason_away(store: Path, cl
 
 
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
-def test_a_store_from_before_there_were_reasons_is_sound_and_tells_its_shares(older: Path) -> None:
+def test_a_store_from_before_there_were_reasons_is_sound_and_reports_its_shares(older: Path) -> None:
     assert verify(older, sample=35).fine
     assert read_status(read_header(older)).reasons == {}
     assert json.loads(call("query", older, "--json").stdout)["invalid"] == pytest.approx(0.4)

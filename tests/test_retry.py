@@ -190,7 +190,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
 
 
 @pytest.mark.parametrize(
-    ("names", "max_periods", "told"),
+    ("names", "max_periods", "message"),
     [
         ("undetermined", None, f"within the same budget; give --max-periods above {FEW}"),
         ("undetermined", FEW, f"max_periods: found {FEW}, must exceed the spec's {FEW}"),
@@ -200,10 +200,10 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
         (",", None, "retry: found none, must be one or more of undetermined, failed"),
     ],
 )
-def test_a_retry_that_could_change_nothing_is_refused(names: str, max_periods: int | None, told: str) -> None:
+def test_a_retry_that_could_change_nothing_is_refused(names: str, max_periods: int | None, message: str) -> None:
     with pytest.raises(InputError) as caught:
         checked_retry(plane_of_few(), names, max_periods)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_the_largest_budget_of_any_spec_is_one_of_a_retry_too() -> None:

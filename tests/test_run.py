@@ -151,7 +151,7 @@ def test_a_log_gets_plain_lines_at_intervals(tmp_path: Path, plane: atlas.Spec, 
     assert log.getvalue().splitlines()[-1].startswith("9/9 tiles, 35/35 cells, ")
 
 
-def test_a_tile_that_raises_is_told_and_the_others_finish(
+def test_a_tile_that_raises_is_reported_and_the_others_finish(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = solving.solve_cells
@@ -227,7 +227,7 @@ def test_a_patience_that_is_no_time_is_refused(given: dict[str, Any]) -> None:
         atlas.RunOptions(**given)
 
 
-def test_a_script_without_a_main_guard_is_told_what_to_do(tmp_path: Path) -> None:
+def test_a_script_without_a_main_guard_is_reported_what_to_do(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
         "import atlas\n"

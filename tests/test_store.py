@@ -177,7 +177,7 @@ def test_the_same_spec_may_go_on(header: store.Header) -> None:
 
 
 @pytest.mark.parametrize(
-    ("other", "told"),
+    ("other", "message"),
     [
         (plane_of(R=0.5), "R = 0.8 in the store, 0.5 in the spec"),
         (
@@ -196,8 +196,10 @@ def test_the_same_spec_may_go_on(header: store.Header) -> None:
     ],
     ids=["parameter", "transposed", "axes and settings", "values"],
 )
-def test_another_spec_is_refused_telling_every_difference(header: store.Header, other: atlas.Spec, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_another_spec_is_refused_by_every_difference(
+    header: store.Header, other: atlas.Spec, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
         store.find(header.path, other)
 
 

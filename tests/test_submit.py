@@ -128,17 +128,17 @@ def test_two_jobs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(ser
     until(lambda: service.ends("one.zarr") and service.ends("two.zarr"))
 
 
-def test_status_tells_of_the_run_at_work_and_cancel_stops_it(service: Service) -> None:
+def test_status_reports_the_run_at_work_and_cancel_stops_it(service: Service) -> None:
     store = service.folder / "cancelled.zarr"
     service.submit(store.name, plane_of((1, 1)))  # 35 tiles, about 6 s: a beat and a tick are 3 s
     until(lambda: read_status(read_header(store)).seconds_left is not None)
-    told = json.loads(call("status", store, "--json").stdout)
-    assert told["workers"] == 2
-    assert told["run"].startswith("process ")
-    assert told["cells_per_second"] > 0
-    assert told["cells_pending"] == told["cells"] - told["cells_done"]
+    message = json.loads(call("status", store, "--json").stdout)
+    assert message["workers"] == 2
+    assert message["run"].startswith("process ")
+    assert message["cells_per_second"] > 0
+    assert message["cells_pending"] == message["cells"] - message["cells_done"]
     ended = call("cancel", store)
-    assert (ended.exit_code, ended.stdout.splitlines()[-1]) == (0, f"{store}: {told['run']} has stopped")
+    assert (ended.exit_code, ended.stdout.splitlines()[-1]) == (0, f"{store}: {message['run']} has stopped")
     kept = service.tiles_done(store.name)
     assert kept < 35
     until(lambda: not service.client.processing() or not any(service.client.processing().values()))
@@ -165,7 +165,7 @@ def test_watch_gives_up_on_a_claim_that_stands_still(tmp_path: Path) -> None:
     assert len(seen) == 1 + TIMING.dead // 4 + 1
 
 
-def test_status_tells_how_a_run_ended_that_nobody_watched(service: Service) -> None:
+def test_status_reports_how_a_run_ended_that_nobody_watched(service: Service) -> None:
     script, store = service.folder / "faults" / "script.json", service.folder / "ended.zarr"
     before = script.read_text()
     script.write_text(json.dumps({"0-0": ["full"], "*": ["ok"]}))
@@ -174,8 +174,8 @@ def test_status_tells_how_a_run_ended_that_nobody_watched(service: Service) -> N
         until(lambda: read_status(read_header(store)).ended != "")
     finally:
         script.write_text(before)
-    told = json.loads(call("status", store, "--json").stdout)
-    assert "No space left on device; finished tiles are kept" in told["ended"]
+    message = json.loads(call("status", store, "--json").stdout)
+    assert "No space left on device; finished tiles are kept" in message["ended"]
     assert "none at work; the last one submitted ended: " in call("status", store).stdout
     service.submit(store.name)
     until(lambda: service.ends(store.name))

@@ -75,7 +75,7 @@ def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], val
     return cell
 
 
-def told(report: Report) -> list[str]:
+def message(report: Report) -> list[str]:
     return [str(fault) for fault in report.faults]
 
 
@@ -86,7 +86,7 @@ def arrays_of(path: Path) -> dict[str, bytes]:
 
 def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Path) -> None:
     report = verify(whole, sample=12)
-    assert told(report) == []
+    assert message(report) == []
     assert report.fine
     assert (report.tiles_done, report.chunks) == (4, 4 * len(VARIABLES))
     assert (report.cells_checked, report.cells_solved, report.comparison) == (12, 12, "bits")
@@ -96,28 +96,28 @@ def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Pa
 @pytest.mark.parametrize("name", VARIABLES)
 def test_a_corrupted_byte_is_found_in_every_kind_of_chunk(whole: Path, name: str, byte: int) -> None:
     flip(chunk(whole, name), byte)
-    (fault,) = told(verify(whole, sample=0))
+    (fault,) = message(verify(whole, sample=0))
     assert fault.startswith(f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is damaged (")
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 10])
 def test_a_torn_chunk_is_found(whole: Path, size: int) -> None:
     os.truncate(chunk(whole, "state"), size)
-    (fault,) = told(verify(whole, sample=0))
+    (fault,) = message(verify(whole, sample=0))
     assert "tile (0, 1): state/c/0/1/0 is damaged" in fault
 
 
 @pytest.mark.parametrize("name", [name for name in VARIABLES if name != "regime"])
 def test_a_missing_chunk_is_found(whole: Path, name: str) -> None:
     chunk(whole, name).unlink()
-    assert told(verify(whole, sample=0)) == [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing"]
+    assert message(verify(whole, sample=0)) == [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing"]
 
 
-def test_every_bad_chunk_is_told_and_not_only_the_first(whole: Path) -> None:
+def test_every_bad_chunk_is_reported_and_not_only_the_first(whole: Path) -> None:
     chunk(whole, "error").unlink()
     flip(chunk(whole, "period"), 5)
     flip(chunk(whole, "period", "1/0"), 5)
-    assert len(told(verify(whole, sample=0))) == 3
+    assert len(message(verify(whole, sample=0))) == 3
 
 
 def test_repair_and_run_give_the_same_bits_again(whole: Path, client: Client) -> None:
@@ -143,20 +143,20 @@ def test_a_corrupted_coordinate_is_found_and_restored(whole: Path, name: str) ->
     before = arrays_of(whole)
     (found,) = (path for path in (whole / name / "c", whole / name / "c" / "0") if path.is_file())
     flip(found, 6)
-    assert f"coordinate {name} is damaged" in told(verify(whole, sample=0, repair=True))[0]
+    assert f"coordinate {name} is damaged" in message(verify(whole, sample=0, repair=True))[0]
     assert verify(whole, sample=0).fine
     assert arrays_of(whole) == before
 
 
 def test_a_coordinate_with_another_value_is_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False)["omega"][1] = np.nextafter(2.4, 3)
-    assert told(verify(whole, sample=0)) == ["coordinate omega is not the spec's, or missing"]
+    assert message(verify(whole, sample=0)) == ["coordinate omega is not the spec's, or missing"]
 
 
 def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: Path) -> None:
     cell = change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: np.nextafter(x, 0))
     assert verify(whole, sample=0).fine
-    (fault,) = told(verify(whole, sample=12))
+    (fault,) = message(verify(whole, sample=12))
     assert f"cell {recheck.place_in(SPEC, cell)}: largest " in fault
     assert verify(whole, sample=12, repair=True).repaired == ((cell[0] // 2, cell[1] // 2),)
 
@@ -194,7 +194,7 @@ def test_results_that_contradict_each_other_are_found(
     whole: Path, name: str, regime: int, value: Any, rule: str
 ) -> None:
     cell = change(whole, name, lambda found: found == regime, value)
-    faults = told(verify(whole, sample=0))
+    faults = message(verify(whole, sample=0))
     assert f"tile {(cell[0] // 2, cell[1] // 2)}: {rule}: 1 cell, the first at {recheck.place_in(SPEC, cell)}" in faults
 
 
@@ -278,12 +278,12 @@ def test_failed_cells_are_not_solved_again(whole: Path) -> None:
 
 def test_metadata_that_differ_from_their_consolidated_copy_are_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False)["period"].attrs["units"] = "s"
-    assert told(verify(whole)) == ["zarr.json: its consolidated metadata are not those of period/zarr.json"]
+    assert message(verify(whole)) == ["zarr.json: its consolidated metadata are not those of period/zarr.json"]
 
 
 def test_metadata_that_are_gone_are_found(whole: Path) -> None:
     (whole / "period" / "zarr.json").unlink()
-    assert told(verify(whole)) == ["period/zarr.json is missing"]
+    assert message(verify(whole)) == ["period/zarr.json is missing"]
 
 
 def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
@@ -303,7 +303,7 @@ def test_status_of_a_store_without_a_tally_names_a_damaged_chunk(whole: Path) ->
 
 def test_a_digest_that_is_not_the_specs_is_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False).attrs["digest"] = "0" * 64
-    assert "zarr.json: the digest is not that of the spec" in told(verify(whole))
+    assert "zarr.json: the digest is not that of the spec" in message(verify(whole))
 
 
 FOREIGN = ["7777", "05/0", "0/05", "²/0", "0/²", "0/+1", "0/1_0", "0/2", "2/0", "0/1/0", "x"]
@@ -324,7 +324,7 @@ def test_names_that_are_no_chunks_are_found_and_removed(whole: Path) -> None:
     (whole / "state" / "c" / "0" / "0" / "1").write_bytes(b"?")
     report = verify(whole, sample=0, repair=True)
     expected = {f"regime/c/{name}" for name in names} | {"state/c/0/0/1"}
-    assert set(told(report)) == {f"{key} is no chunk of this atlas" for key in expected}
+    assert set(message(report)) == {f"{key} is no chunk of this atlas" for key in expected}
     assert set(report.removed) == expected
     assert verify(whole, sample=0).fine
 
@@ -365,13 +365,13 @@ def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) 
 
 def test_digests_that_are_gone_are_found(whole: Path) -> None:
     shutil.rmtree(whole / TILES)
-    (fault,) = told(verify(whole, sample=0))
+    (fault,) = message(verify(whole, sample=0))
     assert fault == "zarr.json: its consolidated metadata are not those of tiles/digest/zarr.json"
 
 
 def test_a_digest_that_is_missing_is_found(whole: Path) -> None:
     (whole / DIGESTS / "c" / "0" / "1").unlink()
-    assert told(verify(whole, sample=0)) == ["tile (0, 1): tiles/digest/c/0/1 is missing"]
+    assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/digest/c/0/1 is missing"]
 
 
 def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -386,7 +386,7 @@ def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pyte
         read_tile(header, (0, 0), arrays=arrays)
 
 
-def test_reading_a_tile_tells_what_is_wrong_with_it(whole: Path) -> None:
+def test_reading_a_tile_reports_what_is_wrong_with_it(whole: Path) -> None:
     chunk(whole, "error").unlink()
     with pytest.raises(ChunkError, match=r"error/c/0/1 is missing: atlas verify --repair"):
         read_tile(store.read_header(whole), (0, 1))
@@ -413,7 +413,7 @@ def test_a_negative_sample_is_refused(whole: Path) -> None:
         verify(whole, sample=-1)
 
 
-def test_the_command_tells_by_its_exit_code(whole: Path, tmp_path: Path) -> None:
+def test_the_command_reports_by_its_exit_code(whole: Path, tmp_path: Path) -> None:
     def call(*args: object) -> tuple[int, str]:
         result = CliRunner().invoke(main, ["verify", *map(str, args)])
         return result.exit_code, result.stdout

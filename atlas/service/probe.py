@@ -45,7 +45,7 @@ class _Measured(NamedTuple):
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:
     """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, fewer where they cost much.
 
-    A first solution, which loads the kernels, is not counted. Cells are solved side by side as in a tile. ``clock``
+    A first solution, which loads the kernels, is not counted. Cells are solved in batches, as in a tile. ``clock``
     gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
     not count. Cells that are continued are measured in short parts of lines.
     """

@@ -69,7 +69,7 @@ def tile_entry(spec: Spec, slices: tuple[slice, ...], arrays: dict[str, NDArray[
 
 
 def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Entries | ChunkError]:
-    """The entries of finished tiles from their chunks, read side by side; the error of one whose chunks are damaged."""
+    """The entries of finished tiles from their chunks, read concurrently; the error of one whose chunks are damaged."""
     if not tiles:
         return
     arrays = open_arrays(header)

@@ -53,7 +53,7 @@ def main() -> None:
 def warm_up(system: str, settings: Settings) -> None:
     """Compile the kernels, or load them, by solving the system's default cell.
 
-    Adaptive and on a fixed schedule, one alone and many side by side: they do not take the same kernels.
+    Adaptive and on a fixed schedule, one alone and many in a batch: they do not take the same kernels.
     """
     from workers.model.system import find_system
     from workers.tile import solve_cells
