@@ -2,26 +2,28 @@
 
 ``Spec`` says what to compute, ``run`` computes it into a store, ``open`` gives the store as an xarray Dataset, whose
 ``.atlas`` answers questions and draws; ``portrait`` draws the motion of a single cell.
-``extend`` computes a larger or finer atlas from it, ``verify`` tells whether it is what it says.
+``extend`` computes a larger or finer atlas from it, ``verify`` checks that it is complete and sound. ``RunOptions``
+says where and how a run computes.
 """
 
 import os
 from typing import TYPE_CHECKING
 
 from atlas.check.verify import verify
+from atlas.query.open import open_atlas
 from atlas.render import portrait
 
-# Imported here and not at first use: a function must take its name back from the module of that name.
+# Imported here and not at first use: a function must replace the module of its name as attribute of the package.
 # None of them loads Dask, Zarr, xarray or Numba before it is called.
 from atlas.service.extend import extend
+from atlas.service.options import RunOptions
 from atlas.service.run import run
 from atlas.spec.spec import Spec
-from atlas.store.store import open_atlas
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["Spec", "__version__", "extend", "open", "portrait", "run", "verify"]
+__all__ = ["RunOptions", "Spec", "__version__", "extend", "open", "portrait", "run", "verify"]
 
 
 def open(store: str | os.PathLike[str]) -> "xarray.Dataset":

@@ -1,4 +1,4 @@
-"""``ds.atlas``: questions to an atlas and pictures of it, as methods of the dataset. It keeps nothing but the dataset.
+"""``ds.atlas``: queries of an atlas and pictures of it, as methods of the dataset. It holds nothing but the dataset.
 
 Registered with xarray by ``atlas.open``, or by importing this module.
 """
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 @xr.register_dataset_accessor("atlas")
 class AtlasAccessor:
-    """Questions to the atlas that a dataset is, and pictures of it.
+    """Queries of the atlas that a dataset is, and pictures of it.
 
-    All take any selection of an atlas along its axes. A ``window`` gives, for any axis, the (low, high) ends of the
-    part that is meant. Bad input raises ``atlas.errors.InputError`` in one line.
+    All take any selection of an atlas along its axes. A ``window`` limits any axis to values from low to high, given as
+    (low, high). Bad input raises ``atlas.errors.InputError`` in one line.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
 
     def at(self, **point: float) -> dict[str, Any]:
-        """The cell nearest to a point, ``at(omega=3, b=0.15)``: all that it holds, and its distance on each axis.
+        """The cell nearest to a point, ``at(omega=3, b=0.15)``: all its results, and its distance on each axis.
 
         See ``queries.at``.
         """
@@ -72,7 +72,7 @@ class AtlasAccessor:
     def portrait(self, path: str | Path | None = None, **point: float) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
 
-        A matplotlib Figure, written to ``path`` too if given. See ``atlas.portrait``.
+        A matplotlib Figure, also written to ``path`` if given. See ``atlas.portrait``.
         """
         cell = query.at(self._ds, point)
         try:

@@ -13,7 +13,7 @@ _short.maxstring = _short.maxlong = _short.maxother = 60
 
 
 class InputError(ValueError):
-    """Bad input, told in one line: what was found and what would do. The command answers it with exit code 2."""
+    """Bad input, in one line: what was found and what is valid. The command answers it with exit code 2."""
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
@@ -24,7 +24,7 @@ class RunError(RuntimeError):
 
 
 class NetworkError(OSError):
-    """A store at a URL that did not answer for as long as it was waited for, in one line."""
+    """A store at a URL that did not answer within the time it was given, in one line."""
 
 
 def one_line(message: str) -> str:

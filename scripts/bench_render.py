@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from atlas.overview.pyramid import Overviews
-from atlas.service.plan import Tile, make_plan
+from atlas.overview.upkeep import Overviews
 from atlas.spec.spec import Spec
-from atlas.store.store import create, done_tiles, find, write_tile
+from atlas.store.store import create, done_tiles, find
 from atlas.store.tally import TallyKeeper, tile_entry
+from atlas.store.tiles import write_tile
+from atlas.store.tiling import Tile
 from workers.results import CHAOTIC, FAILED, GAVE_UP, PERIODIC, UNDETERMINED, empty_results, result_variables
 
 WINDOW = ("--window", "omega=2.5:2.6", "--window", "b=0.2:0.22")
@@ -63,9 +64,8 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
     }
     spec = Spec("two-mass", axes=axes, store={"tile": [tile, tile]})
     header = find(path, spec) or create(path, spec, (tile, tile))
-    plan = make_plan(spec, 1, header.tile)
     done = done_tiles(header)
-    missing = [each for each in plan.tiles() if each.index not in done]
+    missing = [each for each in header.tiling.tiles() if each.index not in done]
     begin = time.perf_counter()
     with Overviews(header) as overviews, TallyKeeper(header) as tallies:
         for count, each in enumerate(missing):
@@ -85,16 +85,16 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
 def ask(*command: str) -> dict[str, Any]:
     """One ``atlas`` command as a process: seconds, those of the processor, peak MB, chunks read as it says."""
     code = (
-        "import atexit, sys; from pathlib import Path; from atlas.cli.commands import cli\n"
+        "import atexit, sys; from pathlib import Path; from atlas.cli.main import main\n"
         "atexit.register(lambda: print(Path('/proc/self/status').read_text(), file=sys.stderr))\n"
-        "cli(sys.argv[1:])"
+        "main(sys.argv[1:])"
     )
-    with tempfile.TemporaryFile("w+") as told:
+    with tempfile.TemporaryFile("w+") as output:
         before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        ended = subprocess.run([sys.executable, "-c", code, *command], stdout=told, stderr=told, check=False)
+        ended = subprocess.run([sys.executable, "-c", code, *command], stdout=output, stderr=output, check=False)
         seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-        told.seek(0)
-        text = told.read()
+        output.seek(0)
+        text = output.read()
     if ended.returncode:
         raise SystemExit(f"atlas {' '.join(command)}: {text}")
     chunks = re.search(r"(\d+) chunks read", text)

@@ -32,7 +32,7 @@ from unittest import mock
 import numpy as np
 
 import atlas
-from atlas.overview import pyramid as overview
+from atlas.overview.pyramid import Pyramid
 from atlas.service import dispatch as fanout
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary
@@ -83,11 +83,11 @@ def measure(tiles: int, work: Callable[[Job], object] = fanout.work) -> Scale:
         tempfile.TemporaryDirectory(prefix="bench-scale-") as folder,
         _cluster(Path(folder)) as (address, scheduler),
         mock.patch.object(fanout, "work", work),
-        mock.patch.object(overview, "make", no_overview if work is nothing else overview.make),
+        mock.patch.object(Pyramid, "make", no_overview if work is nothing else Pyramid.make),
         _growth(os.getpid()) as ours,
         _growth(scheduler) as theirs,
     ):
-        summary = atlas.run(spec, Path(folder) / "out.zarr", scheduler=address)
+        summary = atlas.run(spec, Path(folder) / "out.zarr", options=atlas.RunOptions(scheduler=address))
     return Scale(summary, ours[0], theirs[0])
 
 

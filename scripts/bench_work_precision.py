@@ -12,9 +12,9 @@ Cells: Figs 3, 4 and 5, the orbits of tests/data/periodic_orbits.json, cells dra
 Truth: the 40-digit Floquet exponent where the file has it, else the Floquet exponent of the proved orbit (heyoka's
 averages, which share no code with it, are compared with it); for chaotic cells a plain average over twenty times
 (--long N: N times) the periods of tolerance 1e-2. What that long run does not find chaotic was a chaotic transient or
-too close to call, and is counted apart.
+too close to call, and is counted separately.
 
-Cells are timed one at a time; those of the plane once more side by side, as a tile is solved.
+Cells are timed one at a time; those of the plane once more in batches, as a tile is solved.
 
 Usage: .venv/bin/python -m scripts.bench_work_precision [--light] [--json] [--long N] [--picture FILE]
 """
@@ -27,55 +27,28 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from scripts.bench_kernel import FIGURES, GeneralIntegrator, one_core
+from scripts.bench_kernel import one_core
+from scripts.general_integrator import FIGURES, GeneralIntegrator
 from scripts.heyoka_reference import INSTALLED, Taylor
+from scripts.work_precision_report import KINDS, TARGET, Cell, Point, draw_picture, report
 from workers import Settings, solve_tile
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import CHAOTIC, PERIODIC
 
 Array = NDArray[np.float64]
 ORBITS = Path(__file__).resolve().parent.parent / "tests" / "data" / "periodic_orbits.json"
 FIG_6 = {"mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "R": 0.8, "tau": math.pi}
-KINDS = {NO_IMPACT: "periodic", PERIODIC: "periodic", QUASIPERIODIC: "quasiperiodic", CHAOTIC: "chaotic"}
-TARGET = {"periodic": 1e-4, "chaotic": 1e-2}
-"""True error of the largest exponent at which the methods are compared."""
-
 PAPER = 8000
 """Periods of the paper's schedule, 2000 of them dropped."""
-
-
-@dataclass
-class Cell:
-    """One cell: where it comes from, its parameters, what is true of it and where the truth comes from."""
-
-    group: str
-    params: dict[str, float]
-    truth: float = math.nan
-    truth_error: float = 0.0
-    source: str = ""
-    kind: str = "undetermined"
-    found: dict[str, float] = field(default_factory=dict)
-
-
-class Point(NamedTuple):
-    """One measurement: a method at one setting on one cell."""
-
-    method: str
-    setting: float
-    cell: int
-    seconds: float
-    periods: int
-    largest: float
-    stated: float
 
 
 @dataclass(frozen=True)
@@ -192,7 +165,7 @@ def measure_solver(cells: list[Cell], method: str, value: float) -> list[Point]:
 
 
 def measure_together(cells: list[Cell], plan: Plan) -> dict[str, float]:
-    """Seconds for all cells of the window side by side, as a tile is solved: adaptive, and the paper's schedule."""
+    """Seconds for all cells of the window in batches, as a tile is solved: adaptive, and the paper's schedule."""
     window = [cell.params for cell in cells if cell.group == "window"]
     params = {name: np.array([one[name] for one in window]) for name in window[0]}
     schedules = {"adaptive": Settings(tolerance=plan.tolerance), "fixed": fixed(plan.paper)}
@@ -366,64 +339,6 @@ def summary(
         **general,
         "curves": curves,
     }
-
-
-def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell], curves: dict[str, Any]) -> None:
-    """Work-precision diagram: a panel for periodic and one for chaotic cells."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    looks = {
-        "adaptive": ("#0072b2", "o"),
-        "fixed": ("#e69f00", "s"),
-        "heyoka": ("#009e73", "^"),
-        "DOP853": ("#cc79a7", "D"),
-    }
-    names = {"adaptive": "this solver, adaptive", "fixed": "this solver, fixed schedule", "heyoka": "heyoka",
-             "DOP853": "scipy DOP853"}  # fmt: skip
-    figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 4.4), sharey=True, layout="constrained")
-    for panel, kind in zip(axes, TARGET, strict=True):
-        for method, (colour, marker) in looks.items():
-            chosen = [i for i, p in enumerate(points) if p.method == method and cells[p.cell].kind == kind]
-            if not chosen:
-                continue
-            panel.plot(
-                np.maximum(errors[chosen], 1e-17), [1e3 * points[i].seconds for i in chosen], marker,
-                color=colour, ms=2.5, mew=0, alpha=0.25 if method != "DOP853" else 1.0,
-                label=names[method] if method == "DOP853" else None,
-            )  # fmt: skip
-            rows = curves.get(method, {}).get(kind, [])
-            if rows:
-                panel.plot(
-                    [row["error"] for row in rows], [1e3 * row["median_seconds"] for row in rows], marker + "-",
-                    color=colour, ms=7, mec="white", label=names[method],
-                )  # fmt: skip
-        panel.set_xscale("log")
-        panel.set_yscale("log")
-        panel.set_xlabel("true error of the largest exponent (per forcing period)")
-        panel.set_title(f"{kind} cells")
-        panel.grid(alpha=0.3)
-    axes[0].set_ylabel("milliseconds per cell, one core")
-    axes[0].legend(frameon=False)
-    figure.savefig(path, dpi=160)
-    pyplot.close(figure)
-
-
-def report(result: dict[str, Any]) -> None:
-    """Print the figures of merit, one a line."""
-    print("method     kind       setting  cells   ms a cell (median)    periods   true error")
-    for method, kinds in result["curves"].items():
-        for kind, rows in kinds.items():
-            for r in rows:
-                print(
-                    f"{method:<10} {kind:<9} {r['setting']:>8g} {r['cells']:>6} {1e3 * r['seconds']:>10.3f} "
-                    f"({1e3 * r['median_seconds']:>8.3f}) {r['periods']:>9.0f}   {r['error']:.1e}"
-                )
-    for name, value in result.items():
-        if name != "curves":
-            print(f"{name}: {value}")
 
 
 def main() -> None:

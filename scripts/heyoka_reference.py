@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scripts.bench_kernel import FIGURES, GeneralIntegrator
+from scripts.general_integrator import FIGURES, GeneralIntegrator
 
 try:
     import heyoka

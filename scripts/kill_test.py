@@ -24,7 +24,6 @@ from typing import IO
 
 import numpy as np
 
-from atlas.service.plan import make_plan
 from atlas.store.store import read_header
 from atlas.store.tiles import read_tile
 from tests.faults import attempts, environment
@@ -32,7 +31,9 @@ from tests.faults import attempts, environment
 WORKERS = 2
 IN_FLIGHT = {"worker": 1, "scheduler": WORKERS, "coordinator": WORKERS}
 """Tiles under way that the death of each may cost; every worker has one thread."""
-COORDINATOR = "import sys, atlas; atlas.run(atlas.Spec.from_toml(sys.argv[1]), sys.argv[2], scheduler=sys.argv[3])"
+COORDINATOR = """import sys, atlas
+atlas.run(atlas.Spec.from_toml(sys.argv[1]), sys.argv[2], options=atlas.RunOptions(scheduler=sys.argv[3]))
+"""
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _differences(store: Path) -> tuple[str, ...]:
 
     header = read_header(store)
     spec, found = header.spec, set()
-    for tile in make_plan(spec, workers=1, tile=header.tile).tiles():
+    for tile in header.tiling.tiles():
         stored = read_tile(header, tile.index)
         for name, values in solve_cells(spec.system, spec.cell_params(tile.slices), spec.settings).arrays.items():
             if stored[name].dtype != values.dtype or stored[name].tobytes() != np.ascontiguousarray(values).tobytes():

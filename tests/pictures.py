@@ -10,7 +10,7 @@ from matplotlib import colors
 from matplotlib.figure import Figure
 from PIL import Image
 
-from atlas.cell.orbit import Orbit
+from atlas.cell.orbit import CellOrbit
 from atlas.render import style
 from workers import Settings
 from workers.model.system import TWO_MASS
@@ -101,6 +101,7 @@ def plane() -> xr.Dataset:
             np.int32
         ),
         stuck_fraction=stuck,
+        symmetric=periodic & (upper == lower),
     )
 
 
@@ -126,14 +127,14 @@ def line(direction: str | None = None, jump: int = 4) -> xr.Dataset:
     return ds.assign_attrs(spec=json.dumps(spec), digest=f"d1ge57-{direction}")
 
 
-def orbit() -> Orbit:
+def orbit() -> CellOrbit:
     """A made-up periodic orbit of one impact at the upper stop: no solver is behind it."""
     parameters = {p.name: p.default for p in TWO_MASS.parameters}
     phase = np.linspace(0.0, 2 * np.pi, 201)
     states = np.stack([0.15 * np.cos(phase), 0.05 * np.sin(phase), -0.15 * np.sin(phase), 0.05 * np.cos(phase)], axis=1)
     exact = np.array([-0.2, -0.3, -0.5, -np.inf])
     settled = 1.0 + 1.0 / np.arange(1, 101)[:, None]
-    return Orbit(
+    return CellOrbit(
         system=TWO_MASS,
         parameters=parameters,
         settings=Settings(exponents="spectrum"),

@@ -14,7 +14,7 @@ DPI = 50
 PICTURES: dict[str, Callable[[], Figure]] = {
     **{
         kind: (lambda kind=kind: render.figure(plane(), kind))  # type: ignore[misc]
-        for kind in ("period", "impacts", "combined", "error", "cost", "sticking")
+        for kind in render.MAPS
     },
     "exponent": lambda: render.figure(plane(), "exponent", overlays=render.OVERLAYS),
     "sweep": lambda: render.figure(line()),

@@ -1,5 +1,6 @@
 """Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,8 @@ import xarray as xr
 import zarr
 
 import atlas
-from atlas.overview.pyramid import Overviews
+from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
-from atlas.service.plan import make_plan
 from atlas.store import store
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
@@ -26,7 +26,7 @@ def spec_of(nx: int = 45, ny: int = 38, **axis: object) -> atlas.Spec:
 def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.ndarray]:
     """Random results of a tile: every regime but pending and failed, exponents -inf and NaN among them."""
     rng = np.random.default_rng([seed, *index])
-    shape = tuple(p.stop - p.start for p in make_plan(header.spec, 1, header.tile).at(index).slices)
+    shape = header.tiling.at(index).shape
     made = empty_results(result_variables(header.spec.settings), shape, {"exponent": 4, "state": 4, "sample": 0})
     made["regime"] = rng.choice([0, 1, 1, 1, 2, 3, 3, 4, 5], shape).astype(np.int8)
     made["largest"] = largest = np.where(made["regime"] == CHAOTIC, 1.0, -1.0) * rng.random(shape)
@@ -40,36 +40,49 @@ def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.n
 
 
 def indices(header: store.Header) -> list[Index]:
-    return [tile.index for tile in make_plan(header.spec, 1, header.tile).tiles()]
+    return [tile.index for tile in header.tiling.tiles()]
 
 
 def fill(header: store.Header, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
     """Write all tiles but some, without overviews."""
-    plan = make_plan(header.spec, 1, header.tile)
     tiles = {index: results(header, index, seed) for index in indices(header)}
     group = zarr.open_group(header.path, mode="r+", use_consolidated=False)
-    for variable in result_variables(header.spec.settings):
+    for variable in header.variables:
         array: Any = group[variable.name]
         whole = array[...]
         for index, made in tiles.items():
-            whole[plan.at(index).slices] = made[variable.name]
+            whole[header.tiling.at(index).slices] = made[variable.name]
         array.with_config({"write_empty_chunks": True})[...] = whole  # all chunks at once: a tenth of the time
     for index in skip:
         header.path.joinpath("regime", "c", *map(str, index)).unlink()
 
 
-def keep(header: store.Header, pending: tuple[Index, ...] = ()) -> int:
+def overviews_of(header: store.Header, pending: tuple[Index, ...] = (), side: int = 8, least: int = 8) -> Overviews:
+    """Overviews with chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
+    return Overviews(header, pending, side=side, least=least)
+
+
+def keep(header: store.Header, side: int = 8, least: int = 8) -> int:
     """Make all overviews that can be made; the number of chunks made."""
-    with Overviews(header, pending) as overviews:
+    with overviews_of(header, side=side, least=least) as overviews:
         return overviews.finish()
 
 
-def complete(path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None) -> store.Header:
+def complete(
+    path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None, side: int = 8, least: int = 8
+) -> store.Header:
     """A whole store with its overviews."""
     header = store.create(path, spec or spec_of(), tile)
     fill(header)
-    keep(header)
+    keep(header, side, least)
     return header
+
+
+def set_attribute(path: Path, name: str, value: object) -> None:
+    """Change an attribute of a store's root, and nothing else there."""
+    root = json.loads((path / "zarr.json").read_text())
+    root["attributes"][name] = value
+    (path / "zarr.json").write_text(json.dumps(root))
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scripts.bench_kernel import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
+from scripts.general_integrator import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
 from tests.oracle import symmetric_orbit
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent
 # Figs 3 and 4 in 40-digit arithmetic, Fig. 5 from long averages; so far may 2100 periods be off, four standard errors

@@ -10,6 +10,8 @@ import atlas
 from scripts.bench_scale import efficiencies, main, simulate, tile_costs
 from tests.planes import plane_of
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_light_mode_prints_overhead_and_orders(
     tmp_path: Path, client: Client, capsys: pytest.CaptureFixture[str]

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from scripts import bench_work_precision as bench
-from scripts.bench_kernel import FIGURES
+from scripts.general_integrator import FIGURES
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent
 

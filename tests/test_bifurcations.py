@@ -28,7 +28,7 @@ class Bifurcation:
     """Where one orbit gives way to another.
 
     kind            "symmetry breaking" (multiplier of G is -1), "period doubling" (-1; "subcritical" where no stable
-                    orbit of twice the period takes over), "fold" (+1) or "grazing"
+                    orbit of twice the period succeeds it), "fold" (+1) or "grazing"
     omega           where
     seed            omega at which a cell from rest settles on the orbit
     steps, half     the orbit's map: so many steps of G (half) or of the stroboscopic map
@@ -104,7 +104,7 @@ def followed(bifurcation: Bifurcation) -> tuple[float, FixedPoint]:
 
 
 def doubling(bifurcation: Bifurcation) -> bool:
-    """Whether the multiplier is -1 and the orbit goes on, unstable."""
+    """Whether the multiplier is -1 and the orbit continues, unstable."""
     return bifurcation.kind not in ("fold", "grazing")
 
 

@@ -12,10 +12,12 @@ from click.testing import CliRunner
 from distributed import Client, LocalCluster, Security
 
 import atlas
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service import dispatch as fanout
 from atlas.service.cluster import Tls, local_cluster
+from atlas.service.dispatch import IN_FLIGHT
+from atlas.service.options import RunOptions
+from atlas.service.timing import Timing
 from tests.planes import plane_of
 
 
@@ -56,7 +58,9 @@ def test_a_run_reaches_an_encrypted_scheduler_by_the_files_given(
 ) -> None:
     assert encrypted.startswith("tls://")
     cert, key = certificate
-    summary = atlas.run(plane_of(), tmp_path / "out.zarr", scheduler=encrypted, tls=Tls(cert, cert, key))
+    summary = atlas.run(
+        plane_of(), tmp_path / "out.zarr", options=RunOptions(scheduler=encrypted, tls=Tls(cert, cert, key))
+    )
     assert summary.tiles_done == 9
 
 
@@ -67,11 +71,12 @@ def test_a_run_reaches_an_encrypted_scheduler_by_dasks_configuration(
     tls = "distributed.comm.tls"
     given = {f"{tls}.ca-file": cert, f"{tls}.client.cert": cert, f"{tls}.client.key": key}
     with dask.config.set(given):
-        assert atlas.run(plane_of(), tmp_path / "out.zarr", scheduler=encrypted).tiles_done == 9
+        summary = atlas.run(plane_of(), tmp_path / "out.zarr", options=RunOptions(scheduler=encrypted))
+    assert summary.tiles_done == 9
 
 
-def test_a_run_without_certificates_is_told_so_in_one_line(tmp_path: Path, encrypted: str) -> None:
-    shown = CliRunner().invoke(cli, ["run", "tiny", "-o", str(tmp_path / "out.zarr"), "--scheduler", encrypted])
+def test_a_run_without_certificates_is_reported_so_in_one_line(tmp_path: Path, encrypted: str) -> None:
+    shown = CliRunner().invoke(main, ["run", "tiny", "-o", str(tmp_path / "out.zarr"), "--scheduler", encrypted])
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
     assert f"{encrypted}: no scheduler answers" in shown.stderr
     assert list(tmp_path.iterdir()) == []
@@ -97,16 +102,12 @@ def test_the_local_cluster_is_open_to_this_machine_only() -> None:
     assert {host for host, _ in opened} == {"127.0.0.1"}
 
 
-def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(
-    tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(tmp_path: Path, client: Client) -> None:
     held: list[int] = []
-    monkeypatch.setattr(fanout, "TICK_SECONDS", 0.0)
-    atlas.run(
-        plane_of((1, 1)),
-        tmp_path / "out.zarr",
-        client=client,
+    options = RunOptions(
         on_progress=lambda _: held.append(client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))),
+        timing=Timing(tick=0.0),
     )
+    atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client, options)
     assert len(held) > 35
-    assert max(held) <= fanout.IN_FLIGHT * 2
+    assert max(held) <= IN_FLIGHT * 2

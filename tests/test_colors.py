@@ -1,4 +1,4 @@
-"""The claim that classes are told apart by colour without red or without green receptors."""
+"""The claim that classes differ in colour to every eye, without red or without green receptors too."""
 
 import itertools
 
@@ -18,7 +18,7 @@ SIGHT = {
 }
 _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "periodic")}
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
-# Others than these are told from chaos by their texture.
+# Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined")}
 _PERIODS = {f"period {first}": color for first, _, color in combined.CLASSES}
 _CHAOS = {f"chaos {i}": tuple(combined.COLORMAP(i / 4)[:3]) for i in range(5)}
@@ -47,7 +47,7 @@ def lab(color: object, sight: object) -> NDArray[np.float64]:
 @pytest.mark.parametrize("sight", SIGHT)
 @pytest.mark.parametrize("palette", PALETTES)
 def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str) -> None:
-    """About 2 is just noticeable side by side; 14 is told apart at a distance."""
+    """About 2 is just noticeable side by side; 14 is seen at a distance."""
     seen = {name: lab(color, SIGHT[sight]) for name, color in PALETTES[palette].items()}
     closest = min((float(np.linalg.norm(seen[a] - seen[b])), a, b) for a, b in itertools.combinations(seen, 2))
     assert closest[0] > 14.0, closest

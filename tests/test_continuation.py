@@ -131,8 +131,8 @@ def test_a_whole_line_is_one_tile() -> None:
         },
     )
     plan = make_plan(wide, workers=2)
-    assert plan.tile[1] == 500
-    assert plan.tile_count >= 32
+    assert plan.tiling.tile[1] == 500
+    assert plan.tiling.count >= 32
 
 
 @pytest.mark.parametrize(

@@ -13,15 +13,19 @@ from click.testing import CliRunner
 from distributed import Client, LocalCluster, Variable, get_worker
 
 import atlas
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError, RunError
-from atlas.overview.pyramid import Overviews
-from atlas.service import lease as claiming
+from atlas.overview.upkeep import Overviews
 from atlas.service import submit as submitting
 from atlas.service.dispatch import Refusal
-from atlas.service.lease import CLAIM, Record, last_word
+from atlas.service.lease import CLAIM, Record, noted_end
+from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.process import process_name
+from atlas.service.run import Target, complete
 from atlas.service.status import read_status
-from atlas.service.submit import Submission, coordinate, submit
+from atlas.service.submit import Submission, check_coordinator, coordinate, submit
+from atlas.service.timing import Timing
+from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, read_header
 from atlas.task.task import RefusedError
@@ -49,11 +53,13 @@ def two() -> Iterator[Client]:
 
 
 def submitted(client: Client, store: Path, plane: atlas.Spec = PLANE) -> str:
-    return submit(plane, store, str(client.scheduler.address))
+    return submit(plane, store, RunOptions(scheduler=str(client.scheduler.address)))
 
 
-def task_of(store: Path, run_id: str = "", solver_version: int = SOLVER_VERSION) -> Submission:
-    return Submission(PLANE, str(store), None, f"atlas-{uuid.uuid4().hex}", solver_version, run_id)
+def task_of(
+    store: Path, run_id: str = "", solver_version: int = SOLVER_VERSION, options: RunOptions = DEFAULTS
+) -> Submission:
+    return Submission(PLANE, str(store), options, f"atlas-{uuid.uuid4().hex}", solver_version, run_id)
 
 
 def restarted(client: Client, task: Submission, run_id: str) -> object:
@@ -76,27 +82,27 @@ def refuse(where: Callable[[], bool], monkeypatch: pytest.MonkeyPatch) -> list[s
         if where():
             raise RefusedError("has another solver")
 
-    monkeypatch.setattr(submitting, "_check", check)
+    monkeypatch.setattr(submitting, "check_coordinator", check)
     return asked
 
 
 def test_a_worker_with_another_solver_version_must_not_coordinate(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match=rf"^this worker has solver version {SOLVER_VERSION}, the run needs 99$"):
-        submitting._check(task_of(tmp_path / "out.zarr", solver_version=99))
+        check_coordinator(task_of(tmp_path / "out.zarr", solver_version=99))
 
 
 def test_a_worker_that_sees_another_store_must_not_coordinate(tmp_path: Path) -> None:
     store = create(tmp_path / "out.zarr", PLANE, (5, 7)).path
     with pytest.raises(RefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
-        submitting._check(task_of(store, run_id="0123"))
+        check_coordinator(task_of(store, run_id="0123"))
     with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
-        submitting._check(task_of(tmp_path / "none.zarr", run_id="0123"))
+        check_coordinator(task_of(tmp_path / "none.zarr", run_id="0123"))
 
 
 def test_the_right_worker_may_coordinate(tmp_path: Path) -> None:
     header = create(tmp_path / "out.zarr", PLANE, (5, 7))
-    submitting._check(task_of(header.path, header.run_id))
-    submitting._check(task_of(tmp_path / "new.zarr"))
+    check_coordinator(task_of(header.path, header.run_id))
+    check_coordinator(task_of(tmp_path / "new.zarr"))
 
 
 def test_another_worker_takes_the_place_of_one_that_refuses(
@@ -120,10 +126,11 @@ def test_a_submission_that_every_worker_refuses_is_an_error_with_worker_and_reas
 
 
 def test_a_new_store_gets_the_run_id_that_its_run_was_given(tmp_path: Path, client: Client) -> None:
-    atlas.run(PLANE, tmp_path / "out.zarr", client=client, run_id="0123")
+    place = place_of(tmp_path / "out.zarr")
+    complete(Target(PLANE, place, run_id="0123"), client)
     assert read_header(tmp_path / "out.zarr").run_id == "0123"
     with pytest.raises(RunError, match=r"out.zarr: not the store of run 4567"):
-        atlas.run(PLANE, tmp_path / "out.zarr", client=client, run_id="4567")
+        complete(Target(PLANE, place, run_id="4567"), client)
 
 
 def test_a_coordinator_that_starts_again_hands_a_refusal_on_to_another_worker(
@@ -137,15 +144,14 @@ def test_a_coordinator_that_starts_again_hands_a_refusal_on_to_another_worker(
     until_idle(two)
     assert len({*asked}) == 2
     assert read_status(header).fraction == 1
-    assert last_word(notes_of(header.path)) == ""
+    assert noted_end(notes_of(header.path)) == ""
 
 
 def test_a_coordinator_that_starts_again_in_another_runs_store_computes_nothing_and_leaves_word(
-    tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, two: Client
 ) -> None:
-    monkeypatch.setattr(submitting, "WORKER_SECONDS", 0)
     header = create(tmp_path / "out.zarr", PLANE, (5, 7))
-    task = task_of(header.path)
+    task = task_of(header.path, options=RunOptions(timing=Timing(worker=0.0)))
     restarted(two, task, "0123")
     until_idle(two)
     found = read_status(header)
@@ -176,23 +182,20 @@ def test_every_error_of_a_run_under_way_leaves_a_word(
     future = two.submit(coordinate, task, pure=False)
     raised = future.exception()
     assert type(raised) is type(error)
-    shown = CliRunner().invoke(cli, ["status", str(store), "--json"])
+    shown = CliRunner().invoke(main, ["status", str(store), "--json"])
     assert json.loads(shown.stdout)["ended"] == word
 
 
-def test_bad_input_is_told_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
+def test_bad_input_is_reported_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
     header = create(tmp_path / "out.zarr", PLANE, (5, 7))
     with pytest.raises(InputError, match=r"out.zarr: is of another spec: "):
         submitted(two, header.path, plane_of((5, 7), R=0.5))
-    assert last_word(notes_of(header.path)) == ""
+    assert noted_end(notes_of(header.path)) == ""
     assert [path.name for path in tmp_path.iterdir()] == ["out.zarr"]
 
 
 @pytest.fixture
-def claimed_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], Path]:
-    monkeypatch.setattr(claiming, "SILENT_SECONDS", 0.1)
-    monkeypatch.setattr(claiming, "LOOK_SECONDS", 0.02)
-
+def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
     def make(claim: bytes) -> Path:
         store = create(tmp_path / "out.zarr", PLANE, (5, 7)).path
         notes_of(store).put(CLAIM, claim, expected=None)
@@ -203,34 +206,34 @@ def claimed_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[
 
 def status(store: Path) -> tuple[str, dict[str, object]]:
     """The line of the run, and the object of --json."""
-    text, told = (CliRunner().invoke(cli, ["status", str(store), *more]) for more in ((), ("--json",)))
-    assert (text.exit_code, told.exit_code) == (0, 0)
+    timing = Timing(look=0.02, silent=0.1)
+    text, message = (CliRunner().invoke(main, ["status", str(store), *more], obj=timing) for more in ((), ("--json",)))
+    assert (text.exit_code, message.exit_code) == (0, 0)
     line = next(line for line in text.stdout.splitlines() if line.startswith("run "))
-    return line.removeprefix("run").strip(), json.loads(told.stdout)
+    return line.removeprefix("run").strip(), json.loads(message.stdout)
 
 
 FAR = Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"workers": 3})
 
 
 def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Callable[[bytes], Path]) -> None:
-    line, told = status(claimed_store(FAR.pack()))
+    line, message = status(claimed_store(FAR.pack()))
     assert line.startswith("no sign of life of process 1 on far for ")
-    assert (told["run"], str(told["trouble"])[:24]) == ("process 1 on far", "no sign of life of proce")
+    assert (message["run"], str(message["trouble"])[:24]) == ("process 1 on far", "no sign of life of proce")
 
 
 @pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
 def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
-    line, told = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
+    line, message = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
     assert line == "none at work; the claim is damaged; the next run replaces it"
-    assert told["run"] is None
+    assert message["run"] is None
 
 
 def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[bytes], Path]) -> None:
-    boot, namespace, *_ = claiming._this_process().split()
     with subprocess.Popen(["sleep", "600"]) as sleeper:
         pid = sleeper.pid
-        process = f"{boot} {namespace} {pid} {claiming._began(pid)}"
+        process = process_name(pid)
         sleeper.kill()
-    line, told = status(claimed_store(Record("t", 7, "here", pid, process).pack()))
+    line, message = status(claimed_store(Record("t", 7, "here", pid, process).pack()))
     gone = f"process {pid} on here is gone without releasing its claim; the next run replaces it"
-    assert (line, told["run"], told["trouble"]) == (f"none at work; {gone}", None, gone)
+    assert (line, message["run"], message["trouble"]) == (f"none at work; {gone}", None, gone)

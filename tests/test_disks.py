@@ -23,7 +23,10 @@ def may_mount() -> bool:
     return shown.returncode == 0
 
 
-pytestmark = pytest.mark.skipif(not may_mount(), reason="no mounts of its own for a process on this machine")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not may_mount(), reason="no mounts of its own for a process on this machine"),
+]
 
 TROUBLE = """
 import errno, subprocess, sys, time
@@ -33,16 +36,15 @@ import numpy as np
 from distributed import Client
 
 import atlas
-from atlas.service import lease as claim
-from atlas.service import dispatch as fanout
 from atlas.errors import RunError
+from atlas.service.timing import Timing
 from atlas.store.tiles import read_tile
 from atlas.store.store import done_tiles, read_header
 from tests.planes import plane_of
 from workers.tile import solve_cells
 
 disk, trouble = Path(sys.argv[1]), sys.argv[2]
-claim.PATIENCE_SECONDS = 0.5  # this very process left the claim: no other can tell that its run is over
+options = atlas.RunOptions(timing=Timing(dead=0.5))  # a claim that this very process left is watched for so long
 subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "none", disk], check=True)
 plane, store = plane_of(), disk / "out.zarr"
 
@@ -69,7 +71,7 @@ def spoil(progress):
 spoilt = []
 with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0") as client:
     try:
-        atlas.run(plane, store, client=client, on_progress=spoil)
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=spoil))
     except RunError as error:
         print(error)
     (remount("rw") if trouble == "read-only" else (disk / "ballast").unlink())
@@ -77,7 +79,7 @@ with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_addres
     kept = done_tiles(header)
     for index in kept:
         assert (read_tile(header, index)["regime"] >= 0).all()
-    summary = atlas.run(plane, store, client=client)
+    summary = atlas.run(plane, store, client, options)
 print(2 <= len(kept) < 9, summary.tiles_solved <= 9 - len(kept), summary.tiles_done)
 expected = solve_cells(plane.system, plane.cell_params((slice(0, 5), slice(0, 7))), plane.settings).arrays
 stored = atlas.open(store)
@@ -87,13 +89,15 @@ for name, values in expected.items():
 
 
 @pytest.mark.parametrize(
-    ("trouble", "told"),
+    ("trouble", "message"),
     [
-        ("full", "No space left on device; finished tiles are kept: make room and run again"),
+        ("full", "No space left on device; finished tiles are kept; make room and give the same command again"),
         ("read-only", "no worker can do this run: inproc://"),
     ],
 )
-def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(tmp_path: Path, trouble: str, told: str) -> None:
+def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(
+    tmp_path: Path, trouble: str, message: str
+) -> None:
     ended = subprocess.run(
         [*APART, sys.executable, "-c", TROUBLE, tmp_path, trouble],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -104,7 +108,7 @@ def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(tmp_path: P
     )
     assert ended.returncode == 0, ended.stderr
     error, outcome = ended.stdout.splitlines()
-    assert told in error
+    assert message in error
     assert outcome == "True True 9"
 
 

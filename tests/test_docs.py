@@ -9,8 +9,11 @@ from pathlib import Path
 import click
 import pytest
 
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.spec.spec import Spec
+from atlas.store.schema import BUDGET
+from workers import Settings
+from workers.results import REASONS, REGIMES, result_variables
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -54,8 +57,8 @@ def links(page: Path) -> list[tuple[Path, str]]:
 
 def parse(words: list[str]) -> None:
     """Let click parse a command line, as far as it does so before it runs the command."""
-    group = click.Context(cli, info_name="atlas")
-    command = cli.get_command(group, words[0])
+    group = click.Context(main, info_name="atlas")
+    command = main.get_command(group, words[0])
     assert command is not None, f"no command {words[0]}"
     command.make_context(words[0], words[1:], parent=group)
 
@@ -89,6 +92,31 @@ def test_what_a_page_links_to_exists(page: Path) -> None:
 def test_files_of_the_repository_that_a_page_names_exist(page: Path) -> None:
     named = re.findall(r"(?<![\w./])(?:atlas|workers|scripts|tests|docs)/[\w./*-]+", "\n".join(code(page)))
     assert not [name for name in named if not list(ROOT.glob(name.rstrip("./")))]
+
+
+def test_where_to_change_what_names_the_files_of_each_package_and_no_others() -> None:
+    """Pictures aside, which have one file per kind."""
+    text = (ROOT / "docs/changing.md").read_text()
+    sections = re.findall(r"^### `([\w/]+)/`:.*\n((?:(?!#).*\n)*)", text, re.MULTILINE)
+    named = {f"{folder}/{name}" for folder, below in sections for name in re.findall(r"`(\w+\.py)`", below)}
+    files = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("atlas", "workers")
+        for path in (ROOT / package).rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    pictures = {path for path in files if path.startswith("atlas/render/")}
+    assert sorted(named - files) == []
+    assert sorted(files - pictures - named) == []
+
+
+def test_every_variable_regime_and_reason_is_explained() -> None:
+    explained = {name for page in ("data.md", "regimes.md") for name in spans(ROOT / "docs" / page)}
+    settings = [Settings(exponents="spectrum", method="fixed", section_samples=1), Settings(exponents="none")]
+    variables = {variable.name for each in settings for variable in result_variables(each)} | {BUDGET.name}
+    assert (variables | {reason.name for reason in REASONS}) <= explained
+    regimes = re.findall(r"^\| (-?\d+) \| (\w+) \|", (ROOT / "docs/regimes.md").read_text(), re.MULTILINE)
+    assert [(int(code), name) for code, name in regimes] == [(regime.code, regime.name) for regime in REGIMES]
 
 
 @each_page

@@ -39,11 +39,8 @@ def test_a_csv_has_a_row_for_every_cell_x_fastest(ds: xr.Dataset, tmp_path: Path
 
 
 @pytest.mark.parametrize("block", [1, 25, 1 << 16])
-def test_a_csv_holds_exact_numbers_and_regimes_by_name(
-    ds: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
-) -> None:
-    monkeypatch.setattr("atlas.query.export._BLOCK", block)
-    export(ds, tmp_path / "a.csv")
+def test_a_csv_holds_exact_numbers_and_regimes_by_name(ds: xr.Dataset, tmp_path: Path, block: int) -> None:
+    export(ds, tmp_path / "a.csv", csv_cells=block)
     rows = rows_of(tmp_path / "a.csv")
     names = ds.regime.attrs["flag_meanings"].split()
     assert [row["regime"] for row in rows] == [names[code + 1] for code in ds.regime.values.ravel()]
@@ -95,10 +92,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing(ds: xr.Dataset, tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_a_window_too_large_for_netcdf_is_refused(
-    ds: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("atlas.query.export.NETCDF_LIMIT", 1000)
+def test_a_window_too_large_for_netcdf_is_refused(ds: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="bytes in this window, netCDF takes 1000"):
-        export(ds, tmp_path / "a.nc")
+        export(ds, tmp_path / "a.nc", netcdf_bytes=1000)
     assert list(tmp_path.iterdir()) == []

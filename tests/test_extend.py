@@ -1,6 +1,5 @@
 import re
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,17 +12,16 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.extend import extend, refined
+from atlas.service.extend import extend, keep_values, refined
 from atlas.spec.axis import Axis
 from atlas.store.machine import Machine
 from atlas.store.store import create, done_tiles, machines, read_header, record_machine
 from atlas.task.retry import checked_retry
+from tests.synthetic import set_attribute
 from workers import tile as solving
 from workers.results import FAILED, result_variables
-
-extending = sys.modules["atlas.service.extend"]  # the package has the function of that name
 
 SOLVE = {"max_periods": 400, "tolerance": 0.1, "section_samples": 2}
 
@@ -134,7 +132,7 @@ def test_a_spaced_axis_that_goes_on_takes_the_old_values_over(tmp_path: Path, sc
     old = Axis("b", tuple(atlas.Spec("two-mass", axes={"b": first}).axes[0].values), scale)
     new = atlas.Spec("two-mass", axes={"b": {"start": 0.1, "stop": stop, "num": 61, "scale": scale}}).axes[0]
     assert not set(old.values) <= set(new.values)  # the last bits differ
-    taken = extending._taking_over(old, new)
+    taken = keep_values(old, new)
     assert set(old.values) <= set(taken.values)
     assert taken.values[41:] == new.values[41:]
     np.testing.assert_allclose(taken.values, new.values, rtol=1e-14)
@@ -171,7 +169,7 @@ def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
     old: Path, tmp_path: Path, client: Client
 ) -> None:
     retry = checked_retry(spec_of(), "undetermined", 800)
-    again = atlas.run(spec_of(), old, client=client, retry=retry).cells_solved
+    again = atlas.run(spec_of(), old, client=client, options=atlas.RunOptions(retry=retry)).cells_solved
     assert again > 0
     assert verify(old, sample=12).fine
     summary = extend(old, tmp_path / "new.zarr", refine=2, client=client)
@@ -186,7 +184,7 @@ def test_an_interrupted_extension_goes_on(old: Path, tmp_path: Path, client: Cli
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        extend(old, tmp_path / "new.zarr", refine=2, client=client, on_progress=interrupt)
+        extend(old, tmp_path / "new.zarr", refine=2, client=client, options=atlas.RunOptions(on_progress=interrupt))
     assert len(done_tiles(read_header(tmp_path / "new.zarr"))) < 12
     assert extend(old, tmp_path / "new.zarr", refine=2, client=client).tiles_done == 12
 
@@ -228,12 +226,12 @@ def damage(old: Path) -> None:
 @pytest.mark.parametrize(
     ("harm", "message", "tiles"),
     [
-        (lose, "old.zarr: no such store; .* takes over cells of it: put it back", 12),
+        (lose, "old.zarr: no such store; .* copies cells of it: put it back", 12),
         (swap, "another store than the one that was extended", 12),
         (damage, r"state/c/0/0/0 is damaged .*: atlas verify --repair", 4),
     ],
 )
-def test_cells_that_cannot_be_taken_over_are_told_and_nothing_wrong_is_stored(
+def test_cells_that_cannot_be_taken_over_are_reported_and_nothing_wrong_is_stored(
     old: Path, tmp_path: Path, client: Client, harm: Callable[[Path], None], message: str, tiles: int
 ) -> None:
     seen = False
@@ -244,7 +242,7 @@ def test_cells_that_cannot_be_taken_over_are_told_and_nothing_wrong_is_stored(
             seen = True
             harm(old)
 
-    summary = extend(old, tmp_path / "new.zarr", refine=2, client=client, on_progress=once)
+    summary = extend(old, tmp_path / "new.zarr", refine=2, client=client, options=atlas.RunOptions(on_progress=once))
     assert len(summary.failures) == tiles
     assert all(re.search(message, failure.message) for failure in summary.failures)
     assert not {failure.index for failure in summary.failures} & done_tiles(read_header(tmp_path / "new.zarr"))
@@ -274,9 +272,9 @@ def test_another_axis_is_refused(old: Path, tmp_path: Path) -> None:
         extend(old, tmp_path / "new.zarr", other)
 
 
-def test_another_solver_version_is_refused(old: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extending, "SOLVER_VERSION", 99)
-    with pytest.raises(InputError, match=r"made by solver version .* their numbers do not mix"):
+def test_another_solver_version_is_refused(old: Path, tmp_path: Path) -> None:
+    set_attribute(old, "solver_version", 3)
+    with pytest.raises(InputError, match=r"made by solver version 3, .* their numbers do not mix"):
         extend(old, tmp_path / "new.zarr", refine=2)
     assert not (tmp_path / "new.zarr").exists()
 
@@ -315,11 +313,11 @@ def test_a_store_does_not_grow_in_place_or_into_one_of_another_origin(
 
 def test_the_command_refines_and_extends(old: Path, tmp_path: Path, client: Client) -> None:
     def call(*args: object) -> Any:
-        return CliRunner().invoke(cli, ["extend", *map(str, args), "--scheduler", client.scheduler.address])
+        return CliRunner().invoke(main, ["extend", *map(str, args), "--scheduler", client.scheduler.address])
 
     shown = call(old, "--refine", "omega=2", "-o", tmp_path / "a.zarr")
     assert shown.exit_code == 0, shown.output
-    assert "taking over 12 of 21 cells" in shown.stderr
+    assert "reusing 12 of 21 cells" in shown.stderr
     assert "9 cells in " in shown.stdout
     (tmp_path / "spec.toml").write_text(
         'system = "two-mass"\n[axes.omega]\nvalues = [2.0, 2.4]\n[axes.b]\nvalues = [0.1, 0.6]\n'

@@ -6,20 +6,24 @@ import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 from distributed import Client, LocalCluster, get_worker
 
 import atlas
 from atlas.errors import NetworkError, RunError
 from atlas.service import dispatch as fanout
-from atlas.store import store as storing
+from atlas.store.location import LocalPlace
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, read_header
 from atlas.store.tiles import read_tile
+from atlas.task import attempt
 from atlas.task import task as jobs
-from atlas.task.task import Job, RefusedError, StoreFullError, run_job
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, RefusedError, StoreFullError
 from tests.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import FAILED, result_variables
@@ -110,7 +114,7 @@ def test_every_other_tile_is_finished_and_right(faulty: tuple[Run, subprocess.Co
             np.testing.assert_array_equal(stored[name], values, err_msg=name)
 
 
-def test_a_tile_that_raises_each_time_is_told_and_left_for_another_run(
+def test_a_tile_that_raises_each_time_is_reported_and_left_for_another_run(
     faulty: tuple[Run, subprocess.CompletedProcess[str]],
 ) -> None:
     ended = faulty[1]
@@ -126,14 +130,14 @@ def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path)
     run = Run(tmp_path, {"1-0": ["full"]})
     first = run("--workers", "1")
     assert first.returncode == 1
-    told = f"Error: {run.store}: No space left on device; finished tiles are kept: make room and run again"
-    assert first.stderr.splitlines()[-1] == told
+    advice = "finished tiles are kept; make room and give the same command again"
+    assert first.stderr.splitlines()[-1] == f"Error: {run.store}: No space left on device; {advice}"
     kept = len(done_tiles(read_header(run.store)))
     assert kept >= 3
     run.script = {}
     second = run("--workers", "1")
     assert second.returncode == 0
-    assert f"going on: {kept} of 6 tiles are done" in second.stderr
+    assert f"resuming: {kept} of 6 tiles are done" in second.stderr
     assert run.attempts == dict.fromkeys(tiles("1-0"), 1) | {"1-0": 2}
 
 
@@ -165,7 +169,7 @@ def test_a_disk_that_fails_while_the_header_is_read_leaves_the_tile_to_be_tried_
     def fail(*_: object) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(storing, "open_group", fail)
+    monkeypatch.setattr(LocalPlace, "get", fail)
     with pytest.raises(OSError, match=os.strerror(errno.EIO)):
         run_job(made)
 
@@ -186,16 +190,16 @@ def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
     made: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     header = read_header(Path(made.store))
-    array_of = storing._array
+    whole_write = zarr.Array.__setitem__
     for variable in result_variables(header.spec.settings):
 
-        def full(group: object, name: str, at: str = variable.name) -> object:
-            if name == at and group.read_only is False:  # type: ignore[attr-defined]
+        def full(array: zarr.Array[Any], key: Any, value: Any, at: str = variable.name) -> None:
+            if array.basename == at:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            return array_of(group, name)  # type: ignore[arg-type]
+            whole_write(array, key, value)
 
         with monkeypatch.context() as patch:
-            patch.setattr(storing, "_array", full)
+            patch.setattr(zarr.Array, "__setitem__", full)
             with pytest.raises(StoreFullError, match="No space left on device"):
                 run_job(made)
         assert done_tiles(header) == set()
@@ -210,7 +214,7 @@ def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
 
 def test_a_tile_that_is_stored_is_not_solved_again(made: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     first = run_job(made)
-    monkeypatch.setattr(jobs, "solve_and_write", None)
+    monkeypatch.setattr(attempt, "solve_and_write", None)
     again = run_job(made)
     assert (again.counts, again.cells, again.periods) == (first.counts, first.cells, first.periods)
 
@@ -233,7 +237,7 @@ def test_a_tile_whose_first_attempt_did_not_live_runs_in_a_process_of_its_own(
     made: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notes_of(made.store).put("started-1-1", b"1", expected=None)
-    monkeypatch.setattr(jobs, "solve_and_write", None)  # not in this process
+    monkeypatch.setattr(attempt, "solve_and_write", None)  # not in this process
     receipt = run_job(made)
     assert receipt.cells == sum(receipt.counts.values()) == 6
     assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
@@ -297,7 +301,7 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
 
 
-def test_a_scheduler_without_this_package_is_told_of_once_and_at_once(
+def test_a_scheduler_without_this_package_is_reported_of_once_and_at_once(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unloadable(job: Job) -> None:

@@ -147,7 +147,7 @@ def test_no_impact_is_missed_or_invented_on_random_flights(blocks: int, flights:
     assert max(evaluations) < 30
 
 
-def test_grazes_from_both_sides_are_told_apart_down_to_rounding() -> None:
+def test_grazes_from_both_sides_are_distinguished_down_to_rounding() -> None:
     """Peaks, found by bisection of y', put a clearance of 1e-12 ... 1e-3 of the gap short of or past the stop."""
     rng = np.random.default_rng(6)
     evaluations: list[int] = []

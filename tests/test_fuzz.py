@@ -15,7 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from atlas import Spec
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import LONGEST_LINE, InputError
 from atlas.service.extend import refined
 from atlas.store.location import place_of
@@ -88,7 +88,7 @@ def damaged(draw: st.DrawFn) -> bytes:
 def check(args: list[str], folder: Path) -> int:
     """The exit code of a command that either does its work or refuses it in one line; it writes nothing."""
     before = sorted(folder.rglob("*"))
-    shown = CliRunner().invoke(cli, args)
+    shown = CliRunner().invoke(main, args)
     if shown.exit_code:
         assert shown.exit_code == 2, shown.stderr
         assert shown.stdout == ""
@@ -186,8 +186,8 @@ def options(option: str, value: st.SearchStrategy[str]) -> st.SearchStrategy[lis
 @fuzz(examples=100)
 @given(st.tuples(*(options(name, numbers) for name in ("--set", "--tolerance", "--max-periods"))))
 def test_any_cell_asked_for_is_solved_or_refused_in_one_line(folder: Path, found: tuple[list[str], ...]) -> None:
-    """Solved by a stand-in: test_extremes has the real one."""
-    with patch.object(import_module("atlas.point"), "point", return_value={}):
+    """Solved by a stand-in: test_out_of_range has the real one."""
+    with patch.object(import_module("atlas.cell.point"), "point", return_value={}):
         check(["point", *chain.from_iterable(found), "--json"], folder)
 
 

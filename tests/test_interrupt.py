@@ -5,7 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.faults import ATLAS, ROOT
+
+pytestmark = pytest.mark.slow
 
 SPEC = """
 system = "two-mass"
@@ -21,7 +25,7 @@ tile = [1]
 STRUCK = """
 import os, signal, sys
 from atlas.service import progress
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 
 class Striking(progress.LogReporter):
     struck = False
@@ -36,7 +40,7 @@ class Striking(progress.LogReporter):
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts with it ignored
 progress.reporter = Striking
-cli(sys.argv[3:])
+main(sys.argv[3:])
 """
 
 
@@ -64,7 +68,7 @@ def test_ctrl_c_twice_leaves_at_once_and_the_next_run_goes_on(tmp_path: Path) ->
     struck = strike(tmp_path, "SIGINT", "twice", *RUN)
     assert struck.returncode == 130
     # Python's own helper process may say after it that it cleans up.
-    assert "left at once: finished tiles are kept" in struck.stderr.splitlines()
+    assert "stopped at once: finished tiles are kept" in struck.stderr.splitlines()
     assert "Traceback" not in struck.stderr
     claim = tmp_path / ".out.zarr.run" / "claim"
     assert claim.exists()  # nobody was left to take it back
@@ -87,7 +91,7 @@ def test_sigterm_ends_an_extension_in_order_and_the_same_line_goes_on(tmp_path: 
     assert atlas_in(tmp_path, ATLAS, *RUN).returncode == 0
     struck = strike(tmp_path, "SIGTERM", "once", *line)
     assert struck.returncode == 130
-    assert struck.stderr.splitlines()[-1] == "interrupted: finished tiles are kept; the same line goes on"
+    assert struck.stderr.splitlines()[-1] == "interrupted: finished tiles are kept; the same command resumes"
     assert not (tmp_path / ".fine.zarr.run").exists()
     again = atlas_in(tmp_path, ATLAS, *line)
     assert again.returncode == 0

@@ -7,6 +7,8 @@ import pytest
 
 from scripts.kill_test import Report, kill_test
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:

@@ -114,7 +114,7 @@ def test_a_history_of_another_length_is_refused_in_one_line(periods: Any) -> Non
 def test_an_atlas_may_have_a_single_cell(axes: dict[str, Any], tmp_path: Path, client: Client) -> None:
     spec = atlas.Spec("two-mass", axes=axes, solve={"section_samples": 1})
     store = tmp_path / "one.zarr"
-    assert atlas.run(spec, store, client=client, probe=True).cells_solved == 1
+    assert atlas.run(spec, store, client=client, options=atlas.RunOptions(probe=True)).cells_solved == 1
     assert atlas.verify(store).fine
     with atlas.open(store) as ds:
         assert ds.regime.values.ravel().tolist() == [PERIODIC]

@@ -16,8 +16,6 @@ from workers import solve_tile
 from workers.model.system import TWO_MASS
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
 
-MAPS = [kind for kind in render.KINDS if kind not in ("sweep", "spectrum", "hysteresis")]
-
 
 def rgb(color: str) -> tuple[int, ...]:
     return tuple(round(255 * part) for part in colors.to_rgb(color))
@@ -28,7 +26,7 @@ def drawn(figure: Figure) -> np.ndarray:
     return np.asarray(figure.axes[0].images[0].get_array())
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     cells = drawn(render.figure(plane(), kind))
     regime = plane()["regime"].values
@@ -38,26 +36,26 @@ def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     assert cells[regime == PENDING][0, 3] == 0
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_invalid_and_failed_cells_are_textured_in_every_map(kind: str) -> None:
     textures = {patch.get_hatch() for patch in render.figure(plane(), kind).axes[0].patches}
     assert textures >= {"\\\\\\\\", "xxxx"}
 
 
-@pytest.mark.parametrize("kind", [kind for kind in MAPS if kind != "cost"])
+@pytest.mark.parametrize("kind", [kind for kind in render.MAPS if kind != "cost"])
 def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, kind: str) -> None:
     path = render.render(plane(), tmp_path / "map.png", kind)
     assert pixel(path, render.figure(plane(), kind), 3.5, 0.1) == colour(UNDETERMINED)[:3]
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_every_map_has_its_axes_with_symbols_and_units_and_the_fixed_parameters(kind: str) -> None:
     ax = render.figure(plane(), kind).axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$ [–]", "clearance $b$ [–]")
     assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", render.MAPS)
 def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: str) -> None:
     ds = plane()
     ds["regime"] = ds["regime"] * 0 + np.int8(PENDING)
@@ -124,7 +122,7 @@ def test_the_rarest_motions_share_the_class_of_others_so_that_the_legend_fits() 
     many = [(1, k, k) for k in range(1, 15)]
     frequent = many * 3 + [(7, 9, 9)]
     rgba, legend, palette = impacts.paint(*counted(*frequent))
-    assert palette[impacts.Motion(7, 9, 9)] == impacts.OTHER
+    assert palette[impacts.ImpactPattern(7, 9, 9)] == impacts.OTHER
     assert tuple(rgba[0, -1][:3]) == rgb(impacts.OTHER)
     assert len(legend) == len(impacts.HUES) + 1
 
@@ -146,10 +144,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = impacts._place(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = impacts.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert impacts._place(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert impacts.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -195,13 +193,13 @@ def test_an_error_of_zero_is_drawn_as_the_smallest() -> None:
     assert cells[1, 1] > cells[1, 6]
 
 
-def test_a_cell_that_cost_nothing_is_told_from_one_that_cost_little() -> None:
+def test_a_cell_that_cost_nothing_is_reported_from_one_that_cost_little() -> None:
     figure = render.figure(plane(), "cost")
     assert "none needed" in labels(figure)
     assert tuple(drawn(figure)[5, 7][:3]) == (0xDD, 0xDD, 0xDD) != tuple(drawn(figure)[1, 7][:3])
 
 
-def test_a_cell_that_rests_is_told_from_those_that_do_not() -> None:
+def test_a_cell_that_rests_is_reported_from_those_that_do_not() -> None:
     figure = render.figure(plane(), "sticking")
     assert "never at rest" in labels(figure)
     assert tuple(drawn(figure)[2, 8]) != tuple(drawn(figure)[2, 7]) == tuple(drawn(figure)[2, 1])
@@ -221,7 +219,7 @@ def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
 
 
 def test_a_log_scale_spans_a_decade_at_least() -> None:
-    norm = scalar._norm(np.array([50.0, 60.0]), log=True)
+    norm = scalar.color_norm(np.array([50.0, 60.0]), log=True)
     assert (norm.vmax or 0) / (norm.vmin or 1) >= 10
 
 
@@ -252,11 +250,10 @@ def test_the_grazing_line_is_that_of_the_solver() -> None:
     assert found[1] == NO_IMPACT
 
 
-def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
     x, y = (maps.read(plane(), (), "test").x, maps.read(plane(), (), "test").y)
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
-    monkeypatch.setattr(overlays, "POINTS", 12)
-    xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y, points=12)
     assert quick == pytest.approx(overlays.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
 
 

@@ -9,16 +9,19 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.store.location import ObjectPlace
-from atlas.store.notes import notes_beside
+from atlas.store.notes import notes_at_url
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, find, open_arrays, read_header
-from atlas.task.task import Job, RefusedError, run_job
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, RefusedError
 from tests.loopback import ObjectStore, Request, object_store
 from tests.planes import plane_of
 from workers.results import REGIME
+
+pytestmark = pytest.mark.slow
 
 URL = "s3://bucket/plane.zarr"
 REGIMES = "bucket/plane.zarr/regime/c/"
@@ -102,7 +105,7 @@ def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on
     server.trouble = Away(4, np.inf)
     words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
     with pytest.raises(RunError, match=words):
-        atlas.run(plane_of(), ObjectPlace(URL, patience=0.1), client=client, patience=0.3)
+        atlas.run(plane_of(), ObjectPlace(URL, patience=0.1), client=client, options=atlas.RunOptions(patience=0.3))
     server.trouble = lambda _: None
     kept = len(done_tiles(read_header(URL)))
     assert kept == 3
@@ -148,7 +151,7 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
         raise NetworkError(f"{URL}: no answer for 15 s (why)")
 
     monkeypatch.setattr(ObjectPlace, "exists", away)
-    ended = CliRunner().invoke(cli, [command, URL])
+    ended = CliRunner().invoke(main, [command, URL])
     assert (ended.exit_code, ended.stderr.splitlines()[-1]) == (1, f"Error: {URL}: no answer for 15 s (why)")
 
 
@@ -163,7 +166,7 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
 def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
     server: ObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
 ) -> None:
-    notes = notes_beside(ObjectPlace(url))
+    notes = notes_at_url(ObjectPlace(url))
     key = "bucket/.plane.zarr.run/claim"
 
     def asked() -> dict[str, str]:

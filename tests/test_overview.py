@@ -15,14 +15,16 @@ from distributed import Client
 
 import atlas
 from atlas.errors import RunError
-from atlas.overview import pyramid as overview
 from atlas.overview.coarsen import coarsen, from_cells
-from atlas.overview.pyramid import Overviews, levels, levels_of
+from atlas.overview.pyramid import Pyramid, levels_of
+from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
+from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.service.progress import Progress
 from atlas.store import store
 from atlas.store.location import LocalPlace
+from atlas.store.tiles import write_tile
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -35,29 +37,20 @@ from tests.synthetic import (
     keep,
     mean,
     mode,
+    overviews_of,
     results,
     spec_of,
 )
 from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
-    monkeypatch.setattr(levels, "CHUNK", 8)
-    monkeypatch.setattr(levels, "LEAST", 8)
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two stores of all tiles, to be copied: one without overviews, one with."""
     folder = tmp_path_factory.mktemp("made")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(levels, "CHUNK", 8)
-        patch.setattr(levels, "LEAST", 8)
-        fill(store.create(folder / "filled.zarr", spec_of(), (8, 8)))
-        shutil.copytree(folder / "filled.zarr", folder / "whole.zarr")
-        keep(store.read_header(folder / "whole.zarr"))
+    fill(store.create(folder / "filled.zarr", spec_of(), (8, 8)))
+    shutil.copytree(folder / "filled.zarr", folder / "whole.zarr")
+    keep(store.read_header(folder / "whole.zarr"))
     return folder
 
 
@@ -161,7 +154,7 @@ def test_one_failed_cell_is_shown_at_every_level(header: store.Header, level: in
         made["regime"][made["regime"] == UNDETERMINED] = PERIODIC
         if index == (1, 2):
             made["regime"][1, 2] = FAILED
-        store.write_tile(header, index, made)
+        write_tile(header, index, made)
     keep(header)
     coarse = xr.open_zarr(header.path, group=f"overviews/{level}")
     assert np.argwhere(coarse.regime_shown.values == FAILED).tolist() == [[9 >> level, 18 >> level]]
@@ -228,12 +221,67 @@ def test_an_atlas_without_overviews_is_seen_alike(header: store.Header) -> None:
     assert_view_is_true(header)
 
 
+# Made by another version
+
+
+@pytest.fixture
+def default_sizes(tmp_path: Path) -> store.Header:
+    """A whole store, with overviews of the sizes that they had before they said them of themselves."""
+    return complete(tmp_path / "a.zarr", (20, 20), spec_of(nx=300, ny=140), side=256, least=128)
+
+
+def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_sizes: store.Header) -> None:
+    group = zarr.open_group(default_sizes.path / "overviews", mode="r+", use_consolidated=False)
+    assert dict(group.attrs) == {"side": 256, "least": 128, "version": 1}
+    before = view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
+    group.attrs.put({"version": 1})
+    with counted() as reads:
+        after = view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
+    xr.testing.assert_identical(before, after)
+    assert (reads.level, reads.chunks) == (1, 2)
+    assert keep(default_sizes) == 0
+
+
+def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None:
+    with Overviews(whole) as overviews:
+        assert overviews.finish() == 0
+    assert levels_of(whole).count == 3
+
+
+@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"version": 2}])
+def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
+    whole: store.Header, attributes: dict[str, object]
+) -> None:
+    zarr.open_group(whole.path / "overviews", mode="r+", use_consolidated=False).update_attributes(attributes)
+    assert_view_is_true(whole)
+    assert keep(whole) == 14
+    assert_view_is_true(whole)
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+@pytest.mark.parametrize("name", ["reason", "min_impact_speed"])
+def test_a_result_that_an_older_store_lacks_is_lacking_in_its_overviews(filled: store.Header, name: str) -> None:
+    shutil.rmtree(filled.path / name)
+    zarr.consolidate_metadata(filled.path)
+    older = store.read_header(filled.path)
+    keep(older)
+    assert not {name, f"{name}_count"} & set(xr.open_zarr(older.path, group="overviews/1").data_vars)
+    assert_view_is_true(older)
+
+
 # During a run
 
 
-def test_a_run_leaves_overviews_of_all_levels(tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(levels, "LEAST", 4)
-    atlas.run(plane_of(), tmp_path / "a.zarr", client=client)
+@pytest.fixture
+def begun(tmp_path: Path) -> Path:
+    """A store without a tile whose overviews are to go down to 4 cells."""
+    header = store.create(tmp_path / "a.zarr", plane_of(), (2, 3))
+    keep(header, least=4)
+    return header.path
+
+
+def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, client: Client) -> None:
+    atlas.run(plane_of(), begun, client=client)
     coarse = xr.open_zarr(tmp_path / "a.zarr", group="overviews/1")
     assert (coarse.regime.values != PENDING).all()
     assert int(coarse.cells.sum()) == 35
@@ -241,11 +289,11 @@ def test_a_run_leaves_overviews_of_all_levels(tmp_path: Path, client: Client, mo
 
 
 def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header) -> None:
-    tiles = indices(header)
-    first = [tile for tile in tiles if levels_of(header).over(tile) == (0, 0)]
-    with Overviews(header) as overviews:
+    keep(header)
+    first = [tile for tile in indices(header) if levels_of(header).over(tile) == (0, 0)]
+    with overviews_of(header) as overviews:
         for tile in first:
-            store.write_tile(header, tile, results(header, tile))
+            write_tile(header, tile, results(header, tile))
             overviews.add(tile)
         overviews.finish()
     coarse = xr.open_zarr(header.path, group="overviews/1").regime.values
@@ -253,17 +301,13 @@ def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header)
     assert_view_is_true(header)
 
 
-def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(
-    tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(levels, "LEAST", 4)
-
+def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(begun: Path, tmp_path: Path, client: Client) -> None:
     def interrupt(progress: Progress) -> None:
         if progress.tiles_done == 5 and progress.stage == "solving":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        atlas.run(plane_of(), tmp_path / "a.zarr", client=client, on_progress=interrupt)
+        atlas.run(plane_of(), tmp_path / "a.zarr", client=client, options=atlas.RunOptions(on_progress=interrupt))
     assert_overviews_are_of(store.read_header(tmp_path / "a.zarr"))
     atlas.run(plane_of(), tmp_path / "a.zarr", client=client)
     assert (xr.open_zarr(tmp_path / "a.zarr", group="overviews/1").regime.values != PENDING).all()
@@ -272,7 +316,7 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(
 def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Header) -> None:
     before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
     with Overviews(whole, [(4, 5)]) as overviews:
-        store.write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
+        write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
         overviews.add((4, 5))
         assert overviews.finish() == 3
     changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
@@ -286,7 +330,7 @@ def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(wh
 
 def test_a_tile_written_once_more_than_was_said_refreshes_too(whole: store.Header) -> None:
     with Overviews(whole, []) as overviews:
-        store.write_tile(whole, (0, 0), results(whole, (0, 0), seed=1))
+        write_tile(whole, (0, 0), results(whole, (0, 0), seed=1))
         overviews.add((0, 0))
         overviews.finish()
     assert_view_is_true(whole)
@@ -297,7 +341,7 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeyp
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(overview, "make", full)
+    monkeypatch.setattr(Pyramid, "make", full)
     with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*No space"):
         keep(filled)
 
@@ -330,8 +374,8 @@ def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, 
     with monkeypatch.context() as patch:
         killed_after(patch, writes)
         try:
-            with Overviews(header, [tile]) as overviews:
-                store.write_tile(header, tile, results(header, tile, seed=1))
+            with Overviews(header, [tile]) as overviews:  # as a run does, which goes by what the store has
+                write_tile(header, tile, results(header, tile, seed=1))
                 overviews.add(tile)
                 overviews.finish()
         except Killed:
@@ -342,13 +386,12 @@ def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, 
 def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(levels, "LEAST", 10)
     spec = spec_of(nx=20, ny=18)
     whole = store.create(tmp_path / "whole.zarr", spec, (8, 8))
     fill(whole)
-    store.write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
-    keep(whole)
-    header = complete(tmp_path / "a.zarr", (8, 8), spec)
+    write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
+    keep(whole, least=10)
+    header = complete(tmp_path / "a.zarr", (8, 8), spec, least=10)
     steps = 0
     while not survive(header, monkeypatch, steps, (2, 2)):
         # A kill while the tile itself is written leaves it half new: not the overviews' matter, the claim is on them.

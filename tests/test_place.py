@@ -16,13 +16,14 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.extend import extend
 from atlas.store import location as placing
 from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
-from atlas.store.notes import notes_beside
+from atlas.store.notes import notes_at_url
+from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
 
@@ -82,7 +83,7 @@ def test_an_object_is_put_new_only_once(place: Place) -> None:
 
 def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
     place = ObjectPlace(f"{bucket}/notes/plane.zarr")
-    notes = notes_beside(place)
+    notes = notes_at_url(place)
     assert notes.read("claim") is None
     assert notes.put("claim", b"1", expected=None)
     assert not notes.put("claim", b"2", expected=None)
@@ -121,7 +122,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
 
     header = store.read_header(url)
     assert store.done_tiles(header) == {(i, j) for i in range(3) for j in range(3)}
-    store.drop_tile(header, (1, 2))
+    drop_tile(header, (1, 2))
     assert atlas.run(plane_of(), url, client=client).tiles_solved == 1
     assert arrays_of(url) == arrays_of(tmp_path / "local.zarr")
 
@@ -132,7 +133,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
 
 def test_worker_processes_write_to_a_url(bucket: str) -> None:
     spec = atlas.Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"max_periods": 50}, store={"tile": [1]})
-    assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", workers=1).tiles_done == 2
+    assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", options=atlas.RunOptions(workers=1)).tiles_done == 2
 
 
 def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) -> None:
@@ -151,7 +152,7 @@ def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) 
 
 def test_every_command_takes_a_url(bucket: str, tmp_path: Path, client: Client) -> None:
     def call(*args: object) -> str:
-        result = CliRunner().invoke(cli, [str(arg) for arg in args])
+        result = CliRunner().invoke(main, [str(arg) for arg in args])
         assert result.exit_code == 0, result.output
         return result.stdout
 
@@ -246,7 +247,7 @@ def test_the_ledger_is_one_listing(bucket: str, client: Client, monkeypatch: pyt
         ("s3://no-such-bucket/plane.zarr", "s3://no-such-bucket/plane.zarr: cannot be written: "),
     ],
 )
-def test_a_url_that_leads_nowhere_is_told_in_one_line(bucket: str, url: str, message: str) -> None:
+def test_a_url_that_leads_nowhere_is_reported_in_one_line(bucket: str, url: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as told:
         store.find(url, plane_of())
     assert "\n" not in str(told.value)
@@ -305,7 +306,7 @@ def test_a_path_is_made_absolute_and_a_file_url_is_a_path(given: str) -> None:
 
 def test_a_store_at_a_bucket_itself_has_no_room_for_notes(bucket: str) -> None:
     with pytest.raises(InputError, match="needs a name below the bucket"):
-        notes_beside(ObjectPlace(bucket))
+        notes_at_url(ObjectPlace(bucket))
 
 
 def test_a_chunk_that_was_never_written_reads_as_pending(place: Place) -> None:

@@ -1,7 +1,6 @@
 """What the probe says of the cost of an atlas, against what its solution costs."""
 
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,7 @@ def coarse(name: str, continuation: dict[str, str] | None = None) -> atlas.Spec:
 
 
 def probed(spec: atlas.Spec) -> Probe:
-    return probing.probe(spec, make_plan(spec, workers=2).tile)
+    return probing.probe(spec, make_plan(spec, workers=2).tiling.tile)
 
 
 @pytest.mark.parametrize("name", example_names())
@@ -63,54 +62,29 @@ def test_cells_that_are_all_probed_leave_no_range() -> None:
 
 
 def test_cells_probed_are_distinct_and_spread_over_the_plane() -> None:
-    starts, _ = probing._starts(coarse("omega-b"))
+    starts, _ = probing.spread_cells(coarse("omega-b"))
     assert len(set(starts)) == len(starts) == probing.CELLS
     quarters = np.array(starts) // (18, 24)
     for quarter in itertools.product((0, 1), repeat=2):
         assert (quarters == quarter).all(axis=1).sum() == pytest.approx(64, abs=4)
 
 
-class SlowClock:
-    """A processor on which every cell takes ten seconds."""
-
-    def __init__(self) -> None:
-        self.cells = 0
-
-    def thread_time(self) -> float:
-        return 10.0 * self.cells
-
-
-@pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowClock]:
-    clock, solve = SlowClock(), probing._solve
-
-    def counted(spec, settings, starts, length):  # type: ignore[no-untyped-def]
-        clock.cells += len(starts) * length
-        return solve(spec, settings, starts, length)
-
-    monkeypatch.setattr(probing, "time", clock)
-    monkeypatch.setattr(probing, "_solve", counted)
-    return clock
-
-
-def test_the_probe_of_costly_cells_ends_with_its_first_step(slow: SlowClock) -> None:
-    found = probed(coarse("omega-b"))
-    assert (found.cells, slow.cells) == (4, 4)
+def test_the_probe_of_costly_cells_ends_with_its_first_step() -> None:
+    """On a processor on which the four cells of that step take ten seconds each."""
+    spec = coarse("omega-b")
+    found = probing.probe(spec, make_plan(spec, workers=2).tiling.tile, clock=itertools.count(0.0, 40.0).__next__)
+    assert found.cells == 4
     assert found.low < found.seconds_per_cell < found.high
 
 
-@pytest.mark.usefixtures("slow")
-def test_no_probed_cell_costs_more_than_the_probe_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_probed_cell_costs_more_than_the_probe_allows() -> None:
     """Truth: a chaotic cell that never comes to its tolerance spends nine tenths of its budget."""
     settings = Settings(tolerance=1e-9, max_periods=10_000_000)
+    solved = solve_tile("two-mass", naive.FIGURES[5], probing.brief(settings)[0])
+    assert solved["regime"] == CHAOTIC
+    assert solved["periods_used"] <= probing.LONGEST
     spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
-    solved = []
-    solve = probing._solve
-    monkeypatch.setattr(probing, "_solve", lambda *given: solved.append(solve(*given)) or solved[-1])
-    found = probed(spec)
-    assert solved[0].arrays["regime"] == CHAOTIC
-    assert solved[0].arrays["periods_used"] <= probing.LONGEST
-    assert found.periods_per_cell == pytest.approx(0.9 * settings.max_periods, rel=0.01)
+    assert probed(spec).periods_per_cell == pytest.approx(0.9 * settings.max_periods, rel=0.01)
 
 
 def test_a_long_schedule_is_probed_on_a_short_one() -> None:

@@ -37,7 +37,7 @@ def test_at_finds_the_cell_whose_values_are_asked_for() -> None:
     assert (cell["omega"], cell["b"], cell["largest"]) == (3.0, 0.2, 5.0)
 
 
-def test_at_takes_the_nearest_cell_and_tells_its_distance_per_axis() -> None:
+def test_at_takes_the_nearest_cell_and_reports_its_distance_per_axis() -> None:
     cell = query.at(plane([1, 2, 3], [0.1, 0.2]), {"omega": 1.75, "b": 0.1})
     assert cell["omega"] == 2.0
     assert cell["distance"] == {"omega": 0.25, "b": 0.0}

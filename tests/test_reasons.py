@@ -1,4 +1,4 @@
-"""Why a cell is invalid, failed or given up: kept with the atlas, checked, and told by everything that shows cells."""
+"""Why a cell is invalid, failed or given up: kept with the atlas, checked, and shown by all that shows cells."""
 
 import csv
 import json
@@ -15,7 +15,7 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.query import queries as query
 from atlas.service.extend import extend
 from atlas.service.status import read_status
@@ -59,15 +59,15 @@ def store(solved: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def older(store: Path) -> Path:
-    """A store as it was made before there were reasons and a tally."""
-    shutil.rmtree(store / "reason")
-    shutil.rmtree(store / "tally")
+    """A store as it was made before there were reasons, digests and a tally."""
+    for name in ("reason", "tiles", "tally"):
+        shutil.rmtree(store / name)
     zarr.consolidate_metadata(store)
     return store
 
 
 def call(*args: object) -> Result:
-    return CliRunner().invoke(cli, [str(arg) for arg in args])
+    return CliRunner().invoke(main, [str(arg) for arg in args])
 
 
 def test_codes_are_the_places_in_the_table_and_their_names_differ() -> None:
@@ -126,18 +126,18 @@ def test_tiles_without_a_reason_have_no_chunk_of_them(store: Path) -> None:
     assert chunks == {"0/0", "0/1", "0/2"}  # b = 0.1 and 0.2
 
 
-def test_status_tells_the_reasons(store: Path) -> None:
+def test_status_reports_the_reasons(store: Path) -> None:
     assert f"  {LINE}" in call("status", store).stdout.splitlines()
     assert json.loads(call("status", store, "--json").stdout)["reasons"] == {BEYOND: 14}
 
 
-def test_query_tells_the_reasons_of_a_window(store: Path) -> None:
+def test_query_reports_the_reasons_of_a_window(store: Path) -> None:
     assert LINE in call("query", store).stdout.splitlines()
     shown = call("query", store, "--window", "omega=2:3", "--json")
     assert json.loads(shown.stdout)["reasons"] == {BEYOND: 8}
 
 
-def test_query_of_an_atlas_without_such_cells_tells_shares_alone(store: Path) -> None:
+def test_query_of_an_atlas_without_such_cells_reports_shares_alone(store: Path) -> None:
     shares = json.loads(call("query", store, "--window", "b=0.3:0.5", "--json").stdout)
     assert sum(shares.values()) == pytest.approx(1.0)
 
@@ -147,7 +147,7 @@ def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
     assert part.atlas.reasons() == query.reasons(part.load().copy()) == {BEYOND: 5}
 
 
-def test_a_cell_asked_for_tells_its_reason_in_words(store: Path) -> None:
+def test_a_cell_asked_for_reports_its_reason_in_words(store: Path) -> None:
     assert query.at(atlas.open(store), {"omega": 3.0, "b": 0.1})["reason"] == BEYOND
     assert "reason" not in query.at(atlas.open(store), {"omega": 3.0, "b": 0.5})
 
@@ -164,14 +164,16 @@ def test_an_export_names_the_reason_of_every_cell(store: Path, tmp_path: Path) -
 
 def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) -> None:
     (store / "reason" / "c" / "0" / "1").unlink()
-    (fault,) = verify(store, sample=0).faults
+    fault, digest = verify(store, sample=0).faults
+    assert digest.what.startswith("its chunks are not those that were written here together")
     assert fault.what.startswith("reason is missing in an invalid or failed cell: 6 cells")
 
 
 @pytest.mark.parametrize(("cell", "code"), [((0, 0), WORK_SPENT), ((0, 0), 99), ((4, 0), BEYOND_STOP)])
 def test_a_reason_of_another_regime_is_a_fault(store: Path, cell: tuple[int, int], code: int) -> None:
     zarr.open_group(store, mode="r+")["reason"][cell] = code
-    (fault,) = verify(store, sample=0).faults
+    fault, digest = verify(store, sample=0).faults
+    assert digest.what.startswith("its chunks are not those that were written here together")
     assert fault.what.startswith("reason is not one for this regime: 1 cell,")
 
 
@@ -179,13 +181,13 @@ def test_a_retry_that_solves_a_failed_cell_takes_its_reason_away(store: Path, cl
     group = zarr.open_group(store, mode="r+")
     for name, value in {"regime": FAILED, "reason": 1}.items():
         group[name][4, 0] = value
-    atlas.run(plane_of(x1=0.25), store, client=client, retry=Retry((FAILED,)))
+    atlas.run(plane_of(x1=0.25), store, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert zarr.open_group(store, mode="r")["reason"][4, 0] == NO_REASON
     assert verify(store, sample=35).fine
 
 
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
-def test_a_store_from_before_there_were_reasons_is_sound_and_tells_its_shares(older: Path) -> None:
+def test_a_store_from_before_there_were_reasons_is_sound_and_reports_its_shares(older: Path) -> None:
     assert verify(older, sample=35).fine
     assert read_status(read_header(older)).reasons == {}
     assert json.loads(call("query", older, "--json").stdout)["invalid"] == pytest.approx(0.4)
@@ -199,7 +201,7 @@ def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path,
     summary = atlas.run(plane_of(x1=0.25), older, client=client)
     assert (summary.tiles_solved, summary.reasons) == (1, {BEYOND: 6})
     zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
-    assert atlas.run(plane_of(x1=0.25), older, client=client, retry=Retry((FAILED,))).cells_solved == 1
+    assert atlas.run(plane_of(x1=0.25), older, client, atlas.RunOptions(retry=Retry((FAILED,)))).cells_solved == 1
     assert not (older / "reason").exists()
     assert read_status(read_header(older)).reasons == {}
     assert verify(older, sample=35).fine

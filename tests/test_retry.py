@@ -1,25 +1,27 @@
 """Solving failed and undetermined cells of finished tiles again."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas.cli.commands import cli
+from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.plan import make_plan
-from atlas.store import store as storing
 from atlas.store.sidecar import notes_of
-from atlas.store.store import add_budget, done_tiles, read_header, write_tile
-from atlas.store.tiles import read_tile
-from atlas.task import isolated as apart
+from atlas.store.store import add_budget, done_tiles, read_header
+from atlas.store.tiles import read_tile, write_tile
+from atlas.task import attempt
+from atlas.task.attempt import run_job
 from atlas.task.retry import Retry, checked_retry
-from atlas.task.task import Job, run_job
+from atlas.task.task import Job
 from workers.results import FAILED, REGIME, UNDETERMINED, result_variables
+from workers.settings import MOST_PERIODS
 from workers.tile import solve_cells
 
 FEW, MORE = 40, 60
@@ -56,7 +58,7 @@ def test_only_the_chosen_cells_are_solved_again_and_come_out_as_with_that_budget
     before, spec = whole(store), plane_of_few()
     chosen = before["regime"] == UNDETERMINED
     assert 3 < chosen.sum() < 35
-    summary = atlas.run(spec, store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    summary = atlas.run(spec, store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     assert summary.cells_solved == chosen.sum()
     after = whole(store)
     fresh = plane_of_few(MORE)
@@ -71,7 +73,7 @@ def test_the_store_says_what_each_cell_might_cost(store: Path, client: Client) -
     before = whole(store)
     assert "budget" not in before
     chosen = before["regime"] == UNDETERMINED
-    atlas.run(plane_of_few(), store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     after = whole(store)
     np.testing.assert_array_equal(after["budget"], np.where(chosen, MORE, FEW))
     assert (after["periods_used"] <= after["budget"]).all()
@@ -79,9 +81,9 @@ def test_the_store_says_what_each_cell_might_cost(store: Path, client: Client) -
 
 def test_a_retry_done_twice_solves_nothing_the_second_time(store: Path, client: Client) -> None:
     retry = Retry((UNDETERMINED,), MORE)
-    atlas.run(plane_of_few(), store, client=client, retry=retry)
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=retry))
     assert (whole(store)["regime"] == UNDETERMINED).any()
-    assert atlas.run(plane_of_few(), store, client=client, retry=retry).cells_solved == 0
+    assert atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=retry)).cells_solved == 0
 
 
 def test_tiles_without_such_cells_are_not_touched(store: Path, client: Client) -> None:
@@ -93,7 +95,7 @@ def test_tiles_without_such_cells_are_not_touched(store: Path, client: Client) -
     }
     assert 0 < len(due) < 9
     kept = {p: p.stat().st_mtime_ns for p in (store / "regime" / "c").rglob("*") if p.is_file()}
-    atlas.run(plane_of_few(), store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     changed = {p for p, time in kept.items() if p.stat().st_mtime_ns != time}
     assert {(int(p.parent.name), int(p.name)) for p in changed} == due
 
@@ -104,7 +106,7 @@ def test_failed_cells_are_solved_again_within_the_budget_they_had(store: Path, c
     arrays["regime"][0, :2] = FAILED
     write_tile(header, (1, 1), arrays)
     assert (whole(store)["regime"] == FAILED).sum() == 2
-    summary = atlas.run(plane_of_few(), store, client=client, retry=Retry((FAILED,)))
+    summary = atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert summary.cells_solved == 2
     after = whole(store)
     for name, values in before.items():
@@ -118,13 +120,13 @@ def test_a_tile_at_the_edge_is_unfinished_too_while_it_is_written_again(
     arrays = read_tile(header, edge)
     assert arrays["regime"].shape == (1, 1)
     seen: list[bool] = []
-    array_of = storing._array
+    whole_write = zarr.Array.__setitem__
 
-    def looking(group: object, name: str) -> object:
+    def looking(array: zarr.Array[Any], key: Any, value: Any) -> None:
         seen.append(edge in done_tiles(header))
-        return array_of(group, name)  # type: ignore[arg-type]
+        whole_write(array, key, value)
 
-    monkeypatch.setattr(storing, "_array", looking)
+    monkeypatch.setattr(zarr.Array, "__setitem__", looking)
     assert edge in done_tiles(header)
     write_tile(header, edge, arrays)
     assert seen
@@ -139,22 +141,22 @@ def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixtur
     index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == UNDETERMINED).any())
     job = Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE))
     names = [variable.name for variable in result_variables(header.spec.settings)]
-    array_of = storing._array
+    whole_write = zarr.Array.__setitem__
     everything = done_tiles(header)
     for dies_at in names:
 
-        def dying(group: object, name: str, dies_at: str = dies_at) -> object:
-            if name == dies_at and done_tiles(header) != everything:
+        def dying(array: zarr.Array[Any], key: Any, value: Any, dies_at: str = dies_at) -> None:
+            if array.basename == dies_at:
                 raise KeyboardInterrupt
-            return array_of(group, name)  # type: ignore[arg-type]
+            whole_write(array, key, value)
 
         with monkeypatch.context() as patch:
-            patch.setattr(storing, "_array", dying)
+            patch.setattr(zarr.Array, "__setitem__", dying)
             with pytest.raises(KeyboardInterrupt):
                 run_job(job)
         assert done_tiles(header) == everything - {index}, dies_at
         run_job(Job(index, str(store), header.run_id, header.solver_version))  # as the next plain run does
-    block = make_plan(header.spec, workers=1, tile=header.tile).at(index).slices
+    block = header.tiling.at(index).slices
     fresh = solve_cells("two-mass", header.spec.cell_params(block), header.spec.settings).arrays
     stored = read_tile(header, index)
     for name, values in fresh.items():
@@ -162,7 +164,7 @@ def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixtur
 
 
 def test_a_plain_run_after_a_retry_that_was_killed_takes_the_larger_budget_back(store: Path, client: Client) -> None:
-    atlas.run(plane_of_few(), store, client=client, retry=Retry((UNDETERMINED,), MORE))
+    atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     (store / "regime" / "c" / "1" / "1").unlink()
     atlas.run(plane_of_few(), store, client=client)
     assert (read_tile(read_header(store), (1, 1))["budget"] == FEW).all()
@@ -176,7 +178,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
     before = read_tile(header, index)
     chosen = before["regime"] == UNDETERMINED
     notes_of(store).put("started-" + "-".join(map(str, index)), b"1", expected=None)
-    monkeypatch.setattr(apart, "run_apart", lambda job: "it died")
+    monkeypatch.setattr(attempt, "run_isolated", lambda job: "it died")
     add_budget(header)
     receipt = run_job(Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE)))
     assert receipt.reasons == {"it died": int(chosen.sum())}
@@ -188,19 +190,24 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
 
 
 @pytest.mark.parametrize(
-    ("names", "max_periods", "told"),
+    ("names", "max_periods", "message"),
     [
         ("undetermined", None, f"within the same budget; give --max-periods above {FEW}"),
         ("undetermined", FEW, f"max_periods: found {FEW}, must exceed the spec's {FEW}"),
+        ("undetermined", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
         ("chaotic", MORE, "unknown regime to retry 'chaotic'"),
         ("faild", None, "did you mean 'failed'?"),
         (",", None, "retry: found none, must be one or more of undetermined, failed"),
     ],
 )
-def test_a_retry_that_could_change_nothing_is_refused(names: str, max_periods: int | None, told: str) -> None:
+def test_a_retry_that_could_change_nothing_is_refused(names: str, max_periods: int | None, message: str) -> None:
     with pytest.raises(InputError) as caught:
         checked_retry(plane_of_few(), names, max_periods)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_the_largest_budget_of_any_spec_is_one_of_a_retry_too() -> None:
+    assert checked_retry(plane_of_few(), "undetermined", MOST_PERIODS).max_periods == MOST_PERIODS
 
 
 def test_the_fixed_schedule_has_no_budget_to_raise() -> None:
@@ -210,7 +217,7 @@ def test_the_fixed_schedule_has_no_budget_to_raise() -> None:
 
 
 def call(*args: object) -> Result:
-    return CliRunner().invoke(cli, [str(arg) for arg in args])
+    return CliRunner().invoke(main, [str(arg) for arg in args])
 
 
 def test_a_retry_without_a_store_is_refused_and_writes_nothing(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import random
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,7 +108,7 @@ def test_the_tile_shape_of_the_store_wins_when_going_on(tmp_path: Path, client: 
 def test_a_complete_store_needs_no_cluster(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
     atlas.run(plane, tmp_path / "out.zarr", client=client)
     told: list[Progress] = []
-    summary = atlas.run(plane, tmp_path / "out.zarr", on_progress=told.append)
+    summary = atlas.run(plane, tmp_path / "out.zarr", options=atlas.RunOptions(on_progress=told.append))
     assert (summary.tiles_solved, summary.tiles_done) == (0, 9)
     assert not any("worker" in progress.stage for progress in told)
 
@@ -120,7 +121,9 @@ def test_a_client_passed_is_left_open(tmp_path: Path, plane: atlas.Spec, client:
 
 def test_progress_ends_with_every_cell_done(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
     told: list[Progress] = []
-    atlas.run(plane, tmp_path / "out.zarr", client=client, on_progress=told.append, probe=True)
+    atlas.run(
+        plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=told.append, probe=True)
+    )
     assert (told[-1].cells_done, told[-1].tiles_done) == (35, 9)
     assert told[-1].plan is not None
     assert told[-1].plan.probe is not None
@@ -134,7 +137,7 @@ def test_a_terminal_shows_speed_and_regimes(tmp_path: Path, plane: atlas.Spec, c
 
     screen = Terminal()
     with reporter(screen) as show:
-        summary = atlas.run(plane, tmp_path / "out.zarr", client=client, on_progress=show)
+        summary = atlas.run(plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=show))
     assert "9 tiles of 2 x 3" in screen.getvalue()
     assert "cells/s" in screen.getvalue()
     assert max(summary.counts, key=summary.counts.__getitem__) in screen.getvalue()
@@ -143,12 +146,12 @@ def test_a_terminal_shows_speed_and_regimes(tmp_path: Path, plane: atlas.Spec, c
 def test_a_log_gets_plain_lines_at_intervals(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
     log = io.StringIO()
     with LogReporter(log, interval=0.0) as show:
-        atlas.run(plane, tmp_path / "out.zarr", client=client, on_progress=show)
+        atlas.run(plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=show))
     assert "\x1b" not in log.getvalue()
     assert log.getvalue().splitlines()[-1].startswith("9/9 tiles, 35/35 cells, ")
 
 
-def test_a_tile_that_raises_is_told_and_the_others_finish(
+def test_a_tile_that_raises_is_reported_and_the_others_finish(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = solving.solve_cells
@@ -180,7 +183,7 @@ def test_an_interrupt_leaves_no_task_on_the_callers_cluster(tmp_path: Path, plan
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        atlas.run(plane, tmp_path / "out.zarr", client=client, on_progress=interrupt)
+        atlas.run(plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=interrupt))
     assert not [key for key in client.futures if str(key).startswith("tile-")]
     assert atlas.run(plane, tmp_path / "out.zarr", client=client).tiles_done == 9
 
@@ -202,22 +205,34 @@ def test_a_lost_scheduler_ends_the_run(tmp_path: Path, plane: atlas.Spec) -> Non
                 cluster.close()
 
         with pytest.raises(RunError, match="the cluster was lost"):
-            atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=lost, on_progress=lose)
+            atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=lost, options=atlas.RunOptions(on_progress=lose))
         lost.close()
 
 
 @pytest.mark.parametrize("given", [{"workers": 0}, {"workers": 2, "scheduler": "tcp://127.0.0.1:1"}])
-def test_workers_that_make_no_sense_are_refused(tmp_path: Path, plane: atlas.Spec, given: dict[str, object]) -> None:
+def test_workers_that_make_no_sense_are_refused(given: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="workers: found"):
-        atlas.run(plane, tmp_path / "out.zarr", **given)
+        atlas.RunOptions(**given)
 
 
-def test_a_script_without_a_main_guard_is_told_what_to_do(tmp_path: Path) -> None:
+def test_workers_of_this_machine_do_not_go_with_a_client(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
+    with pytest.raises(InputError, match="workers: found 2, goes with a local cluster only"):
+        atlas.run(plane, tmp_path / "out.zarr", client, atlas.RunOptions(workers=2))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("given", [{"patience": -1.0}, {"patience": float("nan")}])
+def test_a_patience_that_is_no_time_is_refused(given: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="patience: found"):
+        atlas.RunOptions(**given)
+
+
+def test_a_script_without_a_main_guard_is_reported_what_to_do(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
         "import atlas\n"
         'spec = atlas.Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"max_periods": 50})\n'
-        f"atlas.run(spec, {str(tmp_path / 'out.zarr')!r}, workers=1)\n"
+        f"atlas.run(spec, {str(tmp_path / 'out.zarr')!r}, options=atlas.RunOptions(workers=1))\n"
     )
     ended = subprocess.run(
         [sys.executable, script],

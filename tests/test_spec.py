@@ -66,7 +66,7 @@ def test_tile_shape_does_not_enter_the_digest() -> None:
     ],
     ids=["axis order", "parameter", "setting", "last bit of an axis value"],
 )
-def test_the_digest_tells_apart(changes: dict[str, object]) -> None:
+def test_the_digest_reports_apart(changes: dict[str, object]) -> None:
     assert make(**changes).digest != make().digest
 
 
@@ -150,11 +150,11 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "told"), BAD, ids=[told for _, told in BAD])
-def test_bad_input_is_told_in_one_line(changes: dict[str, object], told: str) -> None:
+@pytest.mark.parametrize(("changes", "message"), BAD, ids=[message for _, message in BAD])
+def test_bad_input_is_reported_in_one_line(changes: dict[str, object], message: str) -> None:
     with pytest.raises(InputError) as caught:
         make(**changes)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 200
 
@@ -174,13 +174,13 @@ BAD_FILES = [
 ]
 
 
-@pytest.mark.parametrize(("text", "told"), BAD_FILES, ids=[told for _, told in BAD_FILES])
-def test_a_bad_file_is_told_with_its_name(tmp_path: Path, text: str, told: str) -> None:
+@pytest.mark.parametrize(("text", "message"), BAD_FILES, ids=[message for _, message in BAD_FILES])
+def test_a_bad_file_is_reported_with_its_name(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=r"bad\.toml") as caught:
         Spec.from_toml(path)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_missing_file_names_the_nearest_example() -> None:
@@ -188,7 +188,7 @@ def test_a_missing_file_names_the_nearest_example() -> None:
         Spec.from_toml("tinny")
 
 
-def test_bytes_that_are_not_text_are_told_with_their_place(tmp_path: Path) -> None:
+def test_bytes_that_are_not_text_are_reported_with_their_place(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_bytes(b"system = '\xff'")
     with pytest.raises(InputError, match="not a TOML file: byte 10 is not UTF-8 text"):
         Spec.from_toml(tmp_path / "a.toml")

@@ -12,6 +12,8 @@ from workers import Settings
 from workers.results import PERIODIC
 from workers.tile import solve_cells
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_light_mode_finds_nothing_that_must_not_happen(capsys: pytest.CaptureFixture[str]) -> None:
     code = stress.main(["--light", "--json"])

@@ -53,7 +53,7 @@ def test_sweeps_that_agree_are_not_shaded() -> None:
     assert labels(figure) == [r"rising $\omega$", r"falling $\omega$"]
 
 
-def test_exponents_that_agree_within_their_errors_do_not_tell_motions_apart() -> None:
+def test_exponents_that_agree_within_their_errors_do_not_report_motions_apart() -> None:
     first, second = line(), line()
     second["largest"] = second["largest"] + 0.01
     assert hysteresis.differ(first, second).all()
@@ -61,7 +61,7 @@ def test_exponents_that_agree_within_their_errors_do_not_tell_motions_apart() ->
     assert not hysteresis.differ(first, second).any()
 
 
-def test_a_cell_that_is_not_known_in_both_is_not_told_apart() -> None:
+def test_a_cell_that_is_not_known_in_both_is_not_distinguished() -> None:
     first, second = line(jump=8), line(jump=0)
     second["regime"].values[3] = -1
     first["regime"].values[4] = 4

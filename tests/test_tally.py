@@ -13,13 +13,15 @@ from distributed import Client
 import atlas
 from atlas.overview.pyramid import drop
 from atlas.query.queries import fractions
-from atlas.query.source import counted
+from atlas.query.reads import counted
 from atlas.service.status import Status, read_status
-from atlas.store.store import Header, done_tiles, drop_tile, read_header, tally, write_tile
+from atlas.store import tally
+from atlas.store.store import Header, done_tiles, read_header
 from atlas.store.tally import TallyKeeper
-from atlas.store.tiles import read_tile
+from atlas.store.tiles import drop_tile, read_tile, write_tile
+from atlas.task.attempt import run_job
 from atlas.task.retry import Retry
-from atlas.task.task import Job, run_job
+from atlas.task.task import Job
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, keep, results, spec_of
 from workers.results import FAILED, GAVE_UP, REGIMES
@@ -204,7 +206,7 @@ def test_a_retry_leaves_the_tally_true(tmp_path: Path, client: Client, keys: lis
     before = read_status(read_header(path))
     fail(read_header(path), (1, 1))
     assert read_status(read_header(path)).regimes["failed"] == 2
-    atlas.run(spec, path, client=client, retry=Retry((FAILED,)))
+    atlas.run(spec, path, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     keys.clear()
     assert read_status(read_header(path)).regimes == before.regimes
     assert keys == []
@@ -238,7 +240,7 @@ def test_a_coordinator_killed_after_a_retried_tile_leaves_no_wrong_entry(
     monkeypatch.setattr(TallyKeeper, "add", killed)
     monkeypatch.setattr(TallyKeeper, "_flush", lambda _: None)
     with pytest.raises(Killed):
-        atlas.run(spec, path, client=client, retry=Retry((FAILED,)))
+        atlas.run(spec, path, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert "failed" not in counts_of(path)
     assert_true(read_status(header), path)
 

@@ -1,7 +1,6 @@
 import json
 import os
 import shutil
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,18 +16,18 @@ from distributed import Client
 import atlas
 from atlas.check import reproduce as recheck
 from atlas.check.rules import law_of
-from atlas.check.verify import Fault, Report, verify
-from atlas.cli.commands import cli
+from atlas.check.verify import Fault, Report, draw_cells, verify
+from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
-from atlas.store import digests, store
-from atlas.store.machine import Machine
-from atlas.store.tiles import read_tile
+from atlas.store import store
+from atlas.store.digests import DIGESTS, TILES
+from atlas.store.machine import Machine, this_machine
+from atlas.store.tiles import read_tile, write_digest
+from tests.synthetic import set_attribute
 from workers.exponents import sum_of_exponents
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, GAVE_UP, INVALID, NO_IMPACT, PERIODIC, result_variables
-
-verifying = sys.modules["atlas.check.verify"]  # the package has the function of that name
 
 SPEC = atlas.Spec(
     "two-mass",
@@ -71,11 +70,12 @@ def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], val
     values[cell] = value(values[cell]) if callable(value) else value
     group[name].with_config({"write_empty_chunks": True})[...] = values
     tile = (cell[0] // 2, cell[1] // 2)
-    digests.write_digest(group, SPEC, tile, read_tile(store.read_header(path), tile))
+    header = store.read_header(path)
+    write_digest(header, tile, read_tile(header, tile))
     return cell
 
 
-def told(report: Report) -> list[str]:
+def message(report: Report) -> list[str]:
     return [str(fault) for fault in report.faults]
 
 
@@ -86,7 +86,7 @@ def arrays_of(path: Path) -> dict[str, bytes]:
 
 def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Path) -> None:
     report = verify(whole, sample=12)
-    assert told(report) == []
+    assert message(report) == []
     assert report.fine
     assert (report.tiles_done, report.chunks) == (4, 4 * len(VARIABLES))
     assert (report.cells_checked, report.cells_solved, report.comparison) == (12, 12, "bits")
@@ -96,28 +96,28 @@ def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Pa
 @pytest.mark.parametrize("name", VARIABLES)
 def test_a_corrupted_byte_is_found_in_every_kind_of_chunk(whole: Path, name: str, byte: int) -> None:
     flip(chunk(whole, name), byte)
-    (fault,) = told(verify(whole, sample=0))
+    (fault,) = message(verify(whole, sample=0))
     assert fault.startswith(f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is damaged (")
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 10])
 def test_a_torn_chunk_is_found(whole: Path, size: int) -> None:
     os.truncate(chunk(whole, "state"), size)
-    (fault,) = told(verify(whole, sample=0))
+    (fault,) = message(verify(whole, sample=0))
     assert "tile (0, 1): state/c/0/1/0 is damaged" in fault
 
 
 @pytest.mark.parametrize("name", [name for name in VARIABLES if name != "regime"])
 def test_a_missing_chunk_is_found(whole: Path, name: str) -> None:
     chunk(whole, name).unlink()
-    assert told(verify(whole, sample=0)) == [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing"]
+    assert message(verify(whole, sample=0)) == [f"tile (0, 1): {chunk(whole, name).relative_to(whole)} is missing"]
 
 
-def test_every_bad_chunk_is_told_and_not_only_the_first(whole: Path) -> None:
+def test_every_bad_chunk_is_reported_and_not_only_the_first(whole: Path) -> None:
     chunk(whole, "error").unlink()
     flip(chunk(whole, "period"), 5)
     flip(chunk(whole, "period", "1/0"), 5)
-    assert len(told(verify(whole, sample=0))) == 3
+    assert len(message(verify(whole, sample=0))) == 3
 
 
 def test_repair_and_run_give_the_same_bits_again(whole: Path, client: Client) -> None:
@@ -143,20 +143,20 @@ def test_a_corrupted_coordinate_is_found_and_restored(whole: Path, name: str) ->
     before = arrays_of(whole)
     (found,) = (path for path in (whole / name / "c", whole / name / "c" / "0") if path.is_file())
     flip(found, 6)
-    assert f"coordinate {name} is damaged" in told(verify(whole, sample=0, repair=True))[0]
+    assert f"coordinate {name} is damaged" in message(verify(whole, sample=0, repair=True))[0]
     assert verify(whole, sample=0).fine
     assert arrays_of(whole) == before
 
 
 def test_a_coordinate_with_another_value_is_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False)["omega"][1] = np.nextafter(2.4, 3)
-    assert told(verify(whole, sample=0)) == ["coordinate omega is not the spec's, or missing"]
+    assert message(verify(whole, sample=0)) == ["coordinate omega is not the spec's, or missing"]
 
 
 def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: Path) -> None:
     cell = change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: np.nextafter(x, 0))
     assert verify(whole, sample=0).fine
-    (fault,) = told(verify(whole, sample=12))
+    (fault,) = message(verify(whole, sample=12))
     assert f"cell {recheck.place_in(SPEC, cell)}: largest " in fault
     assert verify(whole, sample=12, repair=True).repaired == ((cell[0] // 2, cell[1] // 2),)
 
@@ -194,7 +194,7 @@ def test_results_that_contradict_each_other_are_found(
     whole: Path, name: str, regime: int, value: Any, rule: str
 ) -> None:
     cell = change(whole, name, lambda found: found == regime, value)
-    faults = told(verify(whole, sample=0))
+    faults = message(verify(whole, sample=0))
     assert f"tile {(cell[0] // 2, cell[1] // 2)}: {rule}: 1 cell, the first at {recheck.place_in(SPEC, cell)}" in faults
 
 
@@ -229,9 +229,10 @@ def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) 
 
 
 @pytest.fixture
-def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """This machine is of another kind than the one that solved the stores."""
-    monkeypatch.setattr(verifying, "this_machine", lambda: Machine("another", {}))
+def elsewhere(whole: Path) -> None:
+    """The store was solved by a machine of another kind."""
+    shutil.rmtree(whole / "machines" / this_machine().name)
+    store.record_machine(store.read_header(whole), Machine("another", {"processor": "Z80"}))
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -260,30 +261,29 @@ def test_tiles_of_two_kinds_of_machine_are_compared_within_error(whole: Path) ->
     assert verify(whole).comparison == "error"
 
 
-def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verifying, "SOLVER_VERSION", 99)
+def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path) -> None:
+    set_attribute(whole, "solver_version", 3)
     report = verify(whole)
     assert (report.fine, report.cells_solved) == (True, 0)
-    assert "sample   not solved again: the store is of solver version" in str(report)
+    assert "sample   not solved again: the store is of solver version 3, this program's is" in str(report)
 
 
-def test_failed_cells_are_not_solved_again(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_cells_are_not_solved_again(whole: Path) -> None:
     values = {v.name: v.fill for v in result_variables(SPEC.settings)} | {"regime": FAILED, "reason": GAVE_UP}
     for name, value in values.items():
         change(whole, name, lambda regime: np.arange(regime.size).reshape(regime.shape) == 0, value)
-    monkeypatch.setattr(verifying, "solve_again", lambda _, one: pytest.fail("0") if one.cell == (0, 0) else one.stored)
     report = verify(whole, sample=12)
     assert (report.fine, report.cells_solved) == (True, 11)
 
 
 def test_metadata_that_differ_from_their_consolidated_copy_are_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False)["period"].attrs["units"] = "s"
-    assert told(verify(whole)) == ["zarr.json: its consolidated metadata are not those of period/zarr.json"]
+    assert message(verify(whole)) == ["zarr.json: its consolidated metadata are not those of period/zarr.json"]
 
 
 def test_metadata_that_are_gone_are_found(whole: Path) -> None:
     (whole / "period" / "zarr.json").unlink()
-    assert told(verify(whole)) == ["period/zarr.json is missing"]
+    assert message(verify(whole)) == ["period/zarr.json is missing"]
 
 
 def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
@@ -295,7 +295,7 @@ def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
 def test_status_of_a_store_without_a_tally_names_a_damaged_chunk(whole: Path) -> None:
     shutil.rmtree(whole / "tally")
     flip(chunk(whole, "regime"), 3)
-    result = CliRunner().invoke(cli, ["status", str(whole)])
+    result = CliRunner().invoke(main, ["status", str(whole)])
     assert result.exit_code == 1
     assert "regime/c/0/1 is damaged (" in result.stderr
     assert f"atlas verify --repair {whole}" in result.stderr
@@ -303,7 +303,7 @@ def test_status_of_a_store_without_a_tally_names_a_damaged_chunk(whole: Path) ->
 
 def test_a_digest_that_is_not_the_specs_is_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False).attrs["digest"] = "0" * 64
-    assert "zarr.json: the digest is not that of the spec" in told(verify(whole))
+    assert "zarr.json: the digest is not that of the spec" in message(verify(whole))
 
 
 FOREIGN = ["7777", "05/0", "0/05", "²/0", "0/²", "0/+1", "0/1_0", "0/2", "2/0", "0/1/0", "x"]
@@ -324,7 +324,7 @@ def test_names_that_are_no_chunks_are_found_and_removed(whole: Path) -> None:
     (whole / "state" / "c" / "0" / "0" / "1").write_bytes(b"?")
     report = verify(whole, sample=0, repair=True)
     expected = {f"regime/c/{name}" for name in names} | {"state/c/0/0/1"}
-    assert set(told(report)) == {f"{key} is no chunk of this atlas" for key in expected}
+    assert set(message(report)) == {f"{key} is no chunk of this atlas" for key in expected}
     assert set(report.removed) == expected
     assert verify(whole, sample=0).fine
 
@@ -333,7 +333,7 @@ def test_names_that_are_no_chunks_are_no_tiles(whole: Path, client: Client) -> N
     chunk(whole, "regime").unlink()
     lay(whole, FOREIGN)
     assert store.done_tiles(store.read_header(whole)) == {(0, 0), (1, 0), (1, 1)}
-    assert json.loads(CliRunner().invoke(cli, ["status", "--json", str(whole)]).stdout)["tiles_done"] == 3
+    assert json.loads(CliRunner().invoke(main, ["status", "--json", str(whole)]).stdout)["tiles_done"] == 3
     (whole / "regime" / "c" / "0" / "1" / "0").unlink()
     (whole / "regime" / "c" / "0" / "1").rmdir()
     assert atlas.run(SPEC, whole, client=client).tiles_done == 4
@@ -347,7 +347,7 @@ def exchange(path: Path, one: str, other: str, names: list[str]) -> None:
             file.write_bytes(content)
 
 
-@pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, digests.PATH], ["largest"], [digests.PATH]])
+@pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, DIGESTS], ["largest"], [DIGESTS]])
 def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, names: list[str]) -> None:
     exchange(whole, "0/0", "1/1", names)
     exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "exchanged with another" in fault.what]
@@ -355,7 +355,7 @@ def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, nam
 
 
 def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) -> None:
-    shutil.rmtree(whole / digests.GROUP)
+    shutil.rmtree(whole / TILES)
     with warnings.catch_warnings(action="ignore"):  # Zarr's, that consolidated metadata are an extension
         zarr.consolidate_metadata(whole)
     report = verify(whole, sample=0)
@@ -364,14 +364,14 @@ def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) 
 
 
 def test_digests_that_are_gone_are_found(whole: Path) -> None:
-    shutil.rmtree(whole / digests.GROUP)
-    (fault,) = told(verify(whole, sample=0))
+    shutil.rmtree(whole / TILES)
+    (fault,) = message(verify(whole, sample=0))
     assert fault == "zarr.json: its consolidated metadata are not those of tiles/digest/zarr.json"
 
 
 def test_a_digest_that_is_missing_is_found(whole: Path) -> None:
-    (whole / digests.PATH / "c" / "0" / "1").unlink()
-    assert told(verify(whole, sample=0)) == ["tile (0, 1): tiles/digest/c/0/1 is missing"]
+    (whole / DIGESTS / "c" / "0" / "1").unlink()
+    assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/digest/c/0/1 is missing"]
 
 
 def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -386,19 +386,19 @@ def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pyte
         read_tile(header, (0, 0), arrays=arrays)
 
 
-def test_reading_a_tile_tells_what_is_wrong_with_it(whole: Path) -> None:
+def test_reading_a_tile_reports_what_is_wrong_with_it(whole: Path) -> None:
     chunk(whole, "error").unlink()
     with pytest.raises(ChunkError, match=r"error/c/0/1 is missing: atlas verify --repair"):
         read_tile(store.read_header(whole), (0, 1))
 
 
-def test_the_sample_is_that_of_its_seed(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[tuple[int, ...]] = []
-    monkeypatch.setattr(verifying, "solve_again", lambda _, one: drawn.append(one.cell) or one.stored)
-    for seed in (1, 1, 2):
-        verify(whole, sample=4, seed=seed)
-    assert len(set(drawn[:4])) == 4
-    assert drawn[:4] == drawn[4:8] != drawn[8:]
+def test_the_sample_is_that_of_its_seed(whole: Path) -> None:
+    header = store.read_header(whole)
+    done = sorted(store.done_tiles(header))
+    first, again, other = (draw_cells(header.tiling, done, 4, seed) for seed in (1, 1, 2))
+    assert sum(map(len, first.values())) == 4
+    assert first == again != other
+    assert verify(whole, sample=4).cells_solved == 4
 
 
 def test_progress_ends_with_every_cell_read(whole: Path) -> None:
@@ -413,9 +413,9 @@ def test_a_negative_sample_is_refused(whole: Path) -> None:
         verify(whole, sample=-1)
 
 
-def test_the_command_tells_by_its_exit_code(whole: Path, tmp_path: Path) -> None:
+def test_the_command_reports_by_its_exit_code(whole: Path, tmp_path: Path) -> None:
     def call(*args: object) -> tuple[int, str]:
-        result = CliRunner().invoke(cli, ["verify", *map(str, args)])
+        result = CliRunner().invoke(main, ["verify", *map(str, args)])
         return result.exit_code, result.stdout
 
     assert call(whole, "--sample", 2)[0] == 0

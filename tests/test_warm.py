@@ -24,7 +24,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return True
 
     monkeypatch.setattr(jit, "CACHE", tmp_path)
-    monkeypatch.setattr(warm, "warm_up_apart", slowly)
+    monkeypatch.setattr(warm, "warm_up_in_child", slowly)
     return done
 
 
@@ -50,14 +50,14 @@ def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(warm, "warm_up_apart", stopped)
+        patch.setattr(warm, "warm_up_in_child", stopped)
         warm.compile_once("two-mass", Settings())
     assert warm.warming("largest") == COMPILING
     warm.compile_once("two-mass", Settings())
     assert compiled == ["largest"]
 
 
-def test_the_user_is_told_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
+def test_the_user_is_reported_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
     assert warm.warming("largest") == COMPILING
     warm.compile_once("two-mass", Settings())
     assert warm.warming("largest") == LOADING
@@ -72,7 +72,7 @@ def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     assert compiled == []
 
 
-def test_the_child_that_compiles_is_told_what() -> None:
+def test_the_child_that_compiles_is_reported_what() -> None:
     """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
-    assert warm.warm_up_apart("two-mass", Settings(max_period=8))
-    assert not warm.warm_up_apart("three-mass", Settings())
+    assert warm.warm_up_in_child("two-mass", Settings(max_period=8))
+    assert not warm.warm_up_in_child("three-mass", Settings())

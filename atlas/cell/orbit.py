@@ -1,4 +1,4 @@
-"""One cell's motion in detail: its path through the impacts, its section, its exponents as they converge."""
+"""One cell's motion in detail: its path from impact to impact, its section, its exponents as they converge."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 SAMPLES = 400
 """Points of the path per forcing period."""
 OPEN_PATH = 40
-"""Forcing periods of the path of a motion that does not close; a closed one is followed once around."""
-SECTION = 4000
+"""Forcing periods of the path of a motion that does not close; a closed one is shown once around."""
+SECTION_STATES = 4000
 """Section states of a motion that does not close."""
 CONVERGENCE = (8000, 1000, 100, 10)
 """Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
@@ -27,7 +27,7 @@ _RECORD = 4096
 
 
 @dataclass(frozen=True)
-class Orbit:
+class CellOrbit:
     """The motion of one cell on its attractor.
 
     settings    how it was solved
@@ -65,7 +65,7 @@ class Orbit:
         return digest_of({"system": self.system.name, "parameters": dict(self.parameters), "axes": [], "solve": solve})
 
 
-def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Settings | None = None) -> Orbit:
+def cell_orbit(given: Mapping[str, Any], system: str = "two-mass", settings: Settings | None = None) -> CellOrbit:
     """The orbit of one cell; ``given`` are the parameters that differ from the defaults.
 
     All exponents and the section are computed whatever ``settings`` say of them; a section with fewer samples than
@@ -79,7 +79,7 @@ def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Setting
     asked = replace(
         settings or Settings(),
         exponents="spectrum",
-        section_samples=max(SECTION, (settings or Settings()).section_samples),
+        section_samples=max(SECTION_STATES, (settings or Settings()).section_samples),
     )
     solution = solve_cells(record.name, parameters, asked)
     cell: dict[str, Any] = {name: array[()] for name, array in solution.arrays.items()}
@@ -92,7 +92,7 @@ def follow(given: Mapping[str, Any], system: str = "two-mass", settings: Setting
     running = _running(record, here, asked)
     times, states, impacts = _path(record, here, closes or OPEN_PATH)
     osc = record.build(parameters)
-    return Orbit(
+    return CellOrbit(
         system=record,
         parameters=parameters,
         settings=asked,
@@ -164,15 +164,15 @@ def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
     """The state with its gap coordinate on a stop and moving with this velocity, all else as it is."""
     row = np.array(osc.gap_row)
     n = row.size
-    place = osc.b_upper if side > 0 else -osc.b_lower
+    stop = osc.b_upper if side > 0 else -osc.b_lower
     kick = np.array(osc.to_physical) @ np.array(osc.kick)[:, 1]  # what an impact changes the velocities along
     on_stop = state.copy()
-    on_stop[:n] += row / (row @ row) * (place - row @ state[:n])
+    on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
     on_stop[n:] += kick * (velocity - row @ state[n:])
     return on_stop
 
 
-def describe(orbit: Orbit) -> str:
+def describe(orbit: CellOrbit) -> str:
     """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``."""
     cell = orbit.cell
     code = int(cell[REGIME.name])

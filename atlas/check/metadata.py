@@ -1,18 +1,25 @@
-"""What a store's metadata and coordinates say, held against what its spec says that they must."""
+"""A store's metadata and coordinates, held against its spec, and its two copies of the metadata against each other."""
 
 import numpy as np
 
 from atlas.errors import message_of
-from atlas.store.digests import PATH as DIGESTS
-from atlas.store.schema import coordinates, extra_sizes
+from atlas.spec.spec import resolved_digest
+from atlas.store.digests import DIGESTS
+from atlas.store.schema import BUDGET, extra_sizes
 from atlas.store.store import ROOT, Header, open_arrays, open_digests
+from atlas.store.tiles import covered_variables
 from workers.results import result_variables
 
 
 def metadata_faults(header: Header) -> list[str]:
-    """What of the metadata is not as a new store has them; each in a few words."""
+    """Contradictions between a store's metadata and its spec, or within its metadata; each in a few words.
+
+    The store itself says which results it has: one made before a result was added has none of it.
+    """
     spec = header.spec
-    faults = [] if spec.digest == header.digest else [f"{ROOT}: the digest is not that of the spec"]
+    faults = []
+    if resolved_digest(header.resolved) != header.digest:
+        faults.append(f"{ROOT}: the digest is not that of the spec")
     try:
         own, copied = open_arrays(header), open_arrays(header, consolidated=True)
         digests = open_digests(header), open_digests(header, consolidated=True)
@@ -20,22 +27,29 @@ def metadata_faults(header: Header) -> list[str]:
         raise
     except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
         return [*faults, f"metadata are damaged: {message_of(error)}"]
-    variables, sizes = result_variables(spec.settings), extra_sizes(spec)
-    shapes = {name: coordinate.values.shape for name, coordinate in coordinates(spec).items()}
+    sizes, variables = extra_sizes(spec), header.variables
+    shapes = {name: coordinate.values.shape for name, coordinate in header.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
-    later = {v.name for v in variables if v.sparse}  # an older store has none
-    for name, shape in shapes.items():
-        if name in later and name not in own and name not in copied:
-            continue
+    for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:
         where = f"{name}/{ROOT}"
+        if name == BUDGET.name and name not in copied:
+            continue  # a kill has come between the two; the next run copies it
         if name not in own:
             faults.append(f"{where} is missing")
-        elif own[name].shape != shape:
-            faults.append(f"{where}: shape {own[name].shape}, must be {shape}")
+        elif name in shapes and own[name].shape != shapes[name]:
+            faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata are not those of {where}")
+    for variable in result_variables(spec.settings):
+        if variable.name not in shapes and any(header.place.list_keys(f"{variable.name}/c/")):
+            faults.append(f"{variable.name}/{ROOT} is missing")
     if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:
         faults.append(f"{ROOT}: its consolidated metadata are not those of {DIGESTS}/{ROOT}")
+    elif digests[0] is not None:
+        try:
+            covered_variables(header, digests[0])
+        except KeyError as error:
+            faults.append(f"{DIGESTS}/{ROOT}: covers {error}, which the store does not have")
     for variable in variables:
         array = own.get(variable.name)
         if array is None:
@@ -52,7 +66,7 @@ def metadata_faults(header: Header) -> list[str]:
 def coordinate_faults(header: Header) -> list[str]:
     """Coordinates that cannot be read or are not the spec's to the bit; each in a few words."""
     arrays, faults = open_arrays(header), []
-    for name, coordinate in coordinates(header.spec).items():
+    for name, coordinate in header.coordinates.items():
         try:
             values = np.asarray(arrays[name][...])
         except OSError:

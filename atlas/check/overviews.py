@@ -9,22 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError
-from atlas.overview.coarsen import CODES, coarsen, level_variables
+from atlas.overview.coarsen import CODES, coarsen
 from atlas.overview.levels import Index
 from atlas.overview.pyramid import (
     GROUP,
     MARKS,
     Pyramid,
     drop_all,
-    drop_chunks,
     level_coordinates,
     level_key,
-    levels_of,
-    stored_chunks,
 )
 from atlas.query.source import Part
-from atlas.service.plan import plural
 from atlas.store.store import READERS, ROOT, Header
+from atlas.text import plural
 from workers.results import REGIME
 
 ROUNDING = 1e-9
@@ -55,17 +52,17 @@ class _Checked:
     sound: bool
 
 
-def check_overviews(header: Header, bad: set[Index], tell: Callable[[int], None]) -> OverviewReport:
+def check_overviews(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> OverviewReport:
     """Read every chunk of every level, from the first level on; ``bad`` are the finished tiles that are not sound.
 
-    ``tell`` is called with each level before it is read.
+    ``on_level`` is called with each level before it is read.
     """
     if misformed := _form_faults(header):
         return OverviewReport(0, tuple(misformed), (), misformed=True)
     chunks = 0
     faults: list[str] = []
     dropped: list[tuple[int, Index]] = []
-    for level, checked in _checked(header, bad, tell):
+    for level, checked in _checked(header, bad, on_level):
         chunks += checked.arrays
         faults += checked.faults
         dropped += [] if checked.sound else [(level, checked.index)]
@@ -76,15 +73,16 @@ def drop_unsound(header: Header, report: OverviewReport) -> None:
     """Drop what must not stay, and all that lies over it; the next run makes it anew."""
     if report.misformed:
         drop_all(header)
-    drop_chunks(header, report.unsound)
+    Pyramid(header).drop_chunks(report.unsound)
 
 
 def _form_faults(header: Header) -> list[str]:
     """What of the metadata and coordinates of overviews cannot be read, or is not as new ones have it."""
-    pyramid, levels, faults = Pyramid(header), levels_of(header), []
+    pyramid, faults = Pyramid(header), []
+    levels = pyramid.levels
     for level in range(1, levels.count + 1) if pyramid.made else ():
         shape = levels.shape_of(level)
-        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in level_variables(header.spec.settings)}
+        shapes = {v.name: shape + (CODES.size,) * len(v.extra) for v in pyramid.variables}
         for name, expected in shapes.items():
             try:
                 found = pyramid.array(level, name).shape
@@ -102,7 +100,7 @@ def _form_faults(header: Header) -> list[str]:
     return faults
 
 
-def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> Iterator[tuple[int, _Checked]]:
+def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, _Checked]]:
     pyramid = Pyramid(header)
     if not pyramid.made:
         return
@@ -111,8 +109,8 @@ def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> It
     unsound: set[Index] = set()
     with ThreadPoolExecutor(READERS) as readers:
         for level in range(1, pyramid.levels.count + 1):
-            tell(level)
-            complete, shown = (stored_chunks(header, level, mark) for mark in MARKS)
+            on_level(level)
+            complete, shown = (pyramid.stored(level, mark) for mark in MARKS)
             # Over what is not sound nothing can be computed, whether or not a chunk between the two is stored.
             over = {tuple(i // 2 for i in index) for index in unsound}
             if level == 1:
@@ -129,7 +127,7 @@ def _checked(header: Header, bad: set[Index], tell: Callable[[int], None]) -> It
 def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> _Checked:
     levels = part.pyramid.levels
     place = levels.block(level, index)
-    variables = level_variables(part.header.spec.settings)
+    variables = part.pyramid.variables
     stored, faults = {}, []
     for variable in variables:
         if variable.name == REGIME.name and not complete:
@@ -144,7 +142,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
         faults.append(f"{key} stands for tile {undone[0]}, which is not done")
     elif not over_unsound:
         finer = levels.finer(level, place)
-        widths = tuple(width[f] for width, f in zip(part.widths[level - 1], finer, strict=True))
+        widths = tuple(width[f] for width, f in zip(part.pyramid.widths[level - 1], finer, strict=True))
         made = coarsen(part.read(level - 1, finer, [variable.name for variable in variables]), widths)
         for variable, values in stored.items():
             wrong = int(np.count_nonzero(~_same(values, made[variable.name])))

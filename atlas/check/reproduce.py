@@ -43,7 +43,7 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
 def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
     """How two solutions of a cell differ in any bit; empty where they do not."""
     names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
-    return _told(stored, again, names)
+    return _in_words(stored, again, names)
 
 
 def beyond_error(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
@@ -61,7 +61,7 @@ def beyond_error(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarra
         room = ERRORS * (first_error + second_error) + ROUNDING * max(1.0, abs(first))
         if first != second and not abs(first - second) <= room:
             names.append("largest")
-    return _told(stored, again, names)
+    return _in_words(stored, again, names)
 
 
 def place_in(spec: Spec, cell: tuple[int, ...]) -> str:
@@ -70,7 +70,7 @@ def place_in(spec: Spec, cell: tuple[int, ...]) -> str:
     return ", ".join(f"{axis.name} = {axis.values[i]!r}" for axis, i in pairs)
 
 
-def _told(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray], names: list[str]) -> str:
+def _in_words(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray], names: list[str]) -> str:
     parts = [f"{name} {_text(name, stored[name])}, solved again {_text(name, again[name])}" for name in names[:3]]
     return "; ".join(parts + ([f"and {len(names) - 3} more"] if len(names) > 3 else []))
 

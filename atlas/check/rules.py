@@ -37,12 +37,12 @@ SAME = 1e-6
 def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     """The rules that some cells of a tile break, each in words, with the mask of those cells.
 
-    ``arrays`` holds the result variables over the cells ``slices``; a rule about one that was not asked for is left
+    ``arrays`` holds the result variables over the cells ``slices``; a rule about one that is not among them is left
     out. Where the spectrum is stored, its sum is held against the exact law of ``workers.exponents``.
     """
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
         found = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
-        if "spectrum" in arrays:
+        if {"spectrum", "sum_law_defect", "impacts_per_period", "sticks"} <= arrays.keys():
             found |= {text: mask for text, mask in _sum_law(spec, slices, arrays) if mask.any()}
     return found
 
@@ -55,7 +55,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     known = (regime >= NO_IMPACT) & (regime <= CHAOTIC)
 
     for variable in result_variables(spec.settings):
-        if variable.name in (REGIME.name, REASON.name, "periods_used"):
+        if variable.name in (REGIME.name, REASON.name, "periods_used") or variable.name not in arrays:
             continue
         values = arrays[variable.name].reshape(*regime.shape, -1)
         empty = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
@@ -66,33 +66,24 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         yield "reason is missing in an invalid or failed cell", blank & (reason == NO_REASON)
         yield "reason is not one for this regime", (reason != NO_REASON) & ~_goes_with(reason, regime)
 
-    yield from _exponent_rules(arrays, known)
-
-    period, sticks = arrays["period"], arrays["sticks"]
-    yield "period is not 1 without impact", still & (period != 1)
-    yield "period is not positive in a periodic cell", periodic & (period < 1)
-    yield "period is not 0 outside orbits", ~(still | periodic) & (period != 0)
-
-    hits, mean = arrays["impacts_upper"] + arrays["impacts_lower"], arrays["impacts_per_period"]
-    for name in ("impacts_upper", "impacts_lower"):
-        yield f"{name} is not 0 outside orbits", ~periodic & (arrays[name] != 0)
-        yield f"{name} is not -1 in an orbit that sticks", periodic & sticks & (arrays[name] != -1)
-        yield f"{name} is negative", periodic & ~sticks & (arrays[name] < 0)
-    yield "impacts_per_period is not NaN where it sticks", sticks & ~np.isnan(mean)
-    yield "impacts_per_period is negative", mean < 0
-    yield "impacts_per_period is not 0 without impact", still & (mean != 0)
-    counted = np.isclose(mean * period, hits, rtol=1e-9, atol=0)
-    yield "impacts_per_period is not the orbit's impacts over its period", periodic & ~sticks & ~counted
-
-    share = arrays["stuck_fraction"]
-    yield "stuck_fraction is outside 0 to 1", (share < 0) | (share > 1 + 1e-9)
-    yield "stuck_fraction does not go with sticks", (share > 0) != sticks
-    yield "symmetric outside orbits", ~(still | periodic) & arrays["symmetric"]
-    speed = arrays["min_impact_speed"]
-    yield "min_impact_speed is negative", speed < 0
-    yield "min_impact_speed without impact", still & ~np.isnan(speed)
-    yield "periods_used is negative", arrays["periods_used"] < 0
-    yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
+    for rules, needed in (
+        (_exponent_rules, {"largest", "error"}),
+        (_period_rules, {"period"}),
+        (_impact_rules, {"period", "sticks", "impacts_upper", "impacts_lower", "impacts_per_period"}),
+        (_rest_rules, {"sticks", "stuck_fraction"}),
+    ):
+        if needed <= arrays.keys():
+            yield from rules(arrays, known)
+    if "symmetric" in arrays:
+        yield "symmetric outside orbits", ~(still | periodic) & arrays["symmetric"]
+    if "min_impact_speed" in arrays:
+        speed = arrays["min_impact_speed"]
+        yield "min_impact_speed is negative", speed < 0
+        yield "min_impact_speed without impact", still & ~np.isnan(speed)
+    if "periods_used" in arrays:
+        yield "periods_used is negative", arrays["periods_used"] < 0
+    if "state" in arrays:
+        yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
 
 
 def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
@@ -104,8 +95,6 @@ def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
 
 
 def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
-    if "largest" not in arrays:
-        return
     regime, largest, error = arrays[REGIME.name], arrays["largest"], arrays["error"]
     averaged = (regime == CHAOTIC) | (regime == QUASIPERIODIC)
     yield "largest is NaN", known & np.isnan(largest)
@@ -134,6 +123,33 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     first = spectrum[..., 0]
     same = (first == largest) | (np.abs(first - largest) <= SAME + 5.0 * error)
     yield "largest is not the first of the spectrum", known & ~same
+
+
+def _period_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
+    still, periodic, period = arrays[REGIME.name] == NO_IMPACT, arrays[REGIME.name] == PERIODIC, arrays["period"]
+    yield "period is not 1 without impact", still & (period != 1)
+    yield "period is not positive in a periodic cell", periodic & (period < 1)
+    yield "period is not 0 outside orbits", ~(still | periodic) & (period != 0)
+
+
+def _impact_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
+    still, periodic, sticks = arrays[REGIME.name] == NO_IMPACT, arrays[REGIME.name] == PERIODIC, arrays["sticks"]
+    hits, mean = arrays["impacts_upper"] + arrays["impacts_lower"], arrays["impacts_per_period"]
+    for name in ("impacts_upper", "impacts_lower"):
+        yield f"{name} is not 0 outside orbits", ~periodic & (arrays[name] != 0)
+        yield f"{name} is not -1 in an orbit that sticks", periodic & sticks & (arrays[name] != -1)
+        yield f"{name} is negative", periodic & ~sticks & (arrays[name] < 0)
+    yield "impacts_per_period is not NaN where it sticks", sticks & ~np.isnan(mean)
+    yield "impacts_per_period is negative", mean < 0
+    yield "impacts_per_period is not 0 without impact", still & (mean != 0)
+    counted = np.isclose(mean * arrays["period"], hits, rtol=1e-9, atol=0)
+    yield "impacts_per_period is not the orbit's impacts over its period", periodic & ~sticks & ~counted
+
+
+def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
+    share = arrays["stuck_fraction"]
+    yield "stuck_fraction is outside 0 to 1", (share < 0) | (share > 1 + 1e-9)
+    yield "stuck_fraction does not go with sticks", (share > 0) != arrays["sticks"]
 
 
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:

@@ -1,6 +1,5 @@
 """Whether a store is what it says: everything in it read and held against everything known of it."""
 
-import math
 import os
 import random
 import time
@@ -14,32 +13,33 @@ from typing import Any
 
 import numpy as np
 
+from atlas.check.foreign import foreign_keys
 from atlas.check.metadata import coordinate_faults, metadata_faults
 from atlas.check.overviews import check_overviews, drop_unsound
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
 from atlas.errors import ChunkError, InputError
-from atlas.foreign import foreign_keys
 from atlas.overview.pyramid import drop
 from atlas.service.lease import claimed
-from atlas.service.plan import Plan, make_plan, plural
 from atlas.service.progress import Progress
 from atlas.store.machine import this_machine
+from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
 from atlas.store.store import (
     READERS,
     Header,
     done_tiles,
-    drop_tile,
     machines,
     open_arrays,
     open_digests,
     read_header,
     restore_coordinates,
 )
-from atlas.store.tiles import digest_faults, read_tile
+from atlas.store.tiles import covered_variables, digest_faults, drop_tile, read_tile
+from atlas.store.tiling import Tiling
+from atlas.text import plural
 from workers import SOLVER_VERSION
-from workers.results import FAILED, REASON, result_variables
+from workers.results import FAILED
 
 SAMPLE = 32
 SHOWN = 50
@@ -105,7 +105,7 @@ class Report:
     def __str__(self) -> str:
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
         lines = [
-            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run goes on"),
+            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
             f"chunks   {self.chunks} read, their checksums right",
             f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
             f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
@@ -160,7 +160,7 @@ def verify(
     """Read a whole store, while no run is at work on it, and report all that is wrong in it.
 
     Metadata and coordinates are held against the spec; every chunk of every finished tile is read, which checks its
-    checksum, and all of a tile against its digest; every cell is held against the rules of ``consistency``, the sum
+    checksum, and all of a tile against its digest; every cell is held against ``rules``, the sum
     law among them; every chunk of an overview is held against what it stands for. Of ``sample`` cells
     that ``seed`` draws (failed ones left out), the solution is made again: on the kind of machine that solved them
     it has to be the same to the bit, elsewhere within the errors. ``repair`` makes every tile with a fault unfinished,
@@ -172,15 +172,13 @@ def verify(
         raise InputError(f"sample: found {sample}, must be 0 or more")
     header = read_header(store)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
-    tell = on_progress or (lambda _: None)
-    plan = make_plan(header.spec, workers=1, tile=header.tile)
-    tell(Progress("listing the tiles"))
+    notify = on_progress or (lambda _: None)
+    tiling = header.tiling
+    notify(Progress("listing the tiles"))
     done = sorted(done_tiles(header))
-    report = Report(
-        str(header.place), plan.tile_count, len(done), 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
-    )
+    report = Report(str(header.place), tiling.count, len(done), 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
     faults = [Fault(None, what) for what in metadata_faults(header)]
-    if faults:  # whatever is read through wrong metadata tells nothing
+    if faults:  # whatever is read through wrong metadata means nothing
         return replace(report, comparison="the metadata are damaged", faults=tuple(faults))
     report = replace(report, digests=open_digests(header) is not None)
     worn = coordinate_faults(header)
@@ -190,7 +188,7 @@ def verify(
 
     chunks = cells = 0
     samples: list[Sample] = []
-    for tile in _read_all(header, plan, done, _drawn(plan, done, sample, random.Random(seed)), tell):
+    for tile in _read_all(header, done, draw_cells(tiling, done, sample, seed), notify):
         faults += [Fault(tile.index, what) for what in tile.faults]
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
@@ -200,9 +198,9 @@ def verify(
     doubts: list[Fault] = []
     if report.comparison in ("bits", "error"):
         exact = report.comparison == "bits"
-        tell(Progress(f"solving {plural(len(samples), 'cell')} again"))
+        notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
         for k, one in enumerate(samples, 1):
-            tell(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
+            notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
             again = solve_again(header.spec, one)
             different = unequal(one.stored, again) if exact else beyond_error(one.stored, again)
             if different:
@@ -210,7 +208,7 @@ def verify(
                 (faults if exact else doubts).append(found)
         report = replace(report, cells_solved=len(samples))
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
-    overviews = check_overviews(header, set(bad), lambda level: tell(Progress(f"checking overview {level}")))
+    overviews = check_overviews(header, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
     faults += [Fault(None, what) for what in overviews.faults]
     report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
@@ -240,55 +238,53 @@ class _Checked:
 
 
 def _read_all(
-    header: Header, plan: Plan, done: list[Index], drawn: dict[Index, list[int]], tell: Callable[[Progress], None]
+    header: Header, done: list[Index], drawn: dict[Index, list[int]], notify: Callable[[Progress], None]
 ) -> Iterator[_Checked]:
     """Read and check the finished tiles, several at once."""
-    arrays, digests = open_arrays(header), open_digests(header)
-    sizes = [plan.size(index) for index in done]
-    pending = plan.cells - sum(sizes)  # counted as read, so that the time left is that of reading
+    arrays, digests, tiling = open_arrays(header), open_digests(header), header.tiling
+    sizes = [tiling.at(index).size for index in done]
+    pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
-    stage = Progress("reading", plan, plan.tile_count, plan.cells, plan.tile_count - len(done), pending)
-    tell(stage)
+    unfinished = tiling.count - len(done)
+    stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
+    notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check(header, plan, arrays, digests, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check(header, arrays, digests, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
-            tiles = plan.tile_count - len(done) + read
-            tell(replace(stage, tiles_done=tiles, cells_done=pending + cells, cells_solved=cells, seconds=seconds))
+            tiles = unfinished + read
+            notify(replace(stage, tiles_done=tiles, cells_done=pending + cells, cells_solved=cells, seconds=seconds))
             yield tile
 
 
-def _check(
-    header: Header, plan: Plan, arrays: dict[str, Any], digests: Any | None, index: Index, drawn: list[int]
-) -> _Checked:
-    slices = plan.at(index).slices
+def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: Index, drawn: list[int]) -> _Checked:
+    tile = header.tiling.at(index)
+    needed = {variable.name for variable in (*header.variables, BUDGET)}
+    if digests is not None:
+        needed |= {variable.name for variable in covered_variables(header, digests)}
+    stored = needed & arrays.keys()
     try:
-        values = read_tile(header, index, arrays=arrays)
+        values = read_tile(header, index, needed, arrays)
     except ChunkError as error:
-        told = tuple(f"{key} {fault}" for key, fault in error.faults.items())
-        return _Checked(index, len(result_variables(header.spec.settings)) - len(told), 0, told, ())
-    broken = broken_rules(header.spec, slices, values)
-    shape = tuple(part.stop - part.start for part in slices)
+        bad = tuple(f"{key} {fault}" for key, fault in error.faults.items())
+        return _Checked(index, len(stored) - len(bad), 0, bad, ())
+    broken = broken_rules(header.spec, tile.slices, values)
     faults = tuple(
-        f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(header.spec, _first(mask, slices))}"
+        f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(header.spec, _first(mask, tile.slices))}"
         for text, mask in broken.items()
     )
     if digests is not None:
         faults += digest_faults(header, digests, index, values)
     samples = []
     for flat in drawn:
-        inner = tuple(int(i) for i in np.unravel_index(flat, shape))
-        cell = tuple(part.start + i for part, i in zip(slices, inner, strict=True))
-        block = tuple(slice(i, i + 1) for i in inner)
-        samples.append(Sample(cell, index, {name: array[block].copy() for name, array in values.items()}))
+        inner = tuple(int(i) for i in np.unravel_index(flat, tile.shape))
+        cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
+        one = tuple(slice(i, i + 1) for i in inner)
+        samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
+    absent = [v.name for v in (*header.variables, *header.unknown) if v.sparse and v.name in values]
+    chunks = len(stored) - sum(1 for name in absent if not values[name].any())
     # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
-    return _Checked(
-        index,
-        len(values.keys() & arrays.keys()) - (REASON.name in values and not values[REASON.name].any()),
-        math.prod(shape),
-        faults,
-        tuple(one for one in samples if one.regime != FAILED),
-    )
+    return _Checked(index, chunks, tile.size, faults, tuple(one for one in samples if one.regime != FAILED))
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
@@ -296,9 +292,10 @@ def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
     return tuple(part.start + int(found[0]) for part, found in zip(slices, np.nonzero(mask), strict=True))
 
 
-def _drawn(plan: Plan, done: list[Index], count: int, rng: random.Random) -> dict[Index, list[int]]:
+def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
     """So many cells of the finished tiles, each as likely as any other: flat indices within their tiles."""
-    ends = list(accumulate(plan.size(index) for index in done))
+    rng = random.Random(seed)
+    ends = list(accumulate(tiling.at(index).size for index in done))
     total = ends[-1] if ends else 0
     drawn: defaultdict[Index, list[int]] = defaultdict(list)
     for flat in sorted(rng.sample(range(total), min(count, total))):

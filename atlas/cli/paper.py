@@ -1,13 +1,22 @@
 """The figures of Li & Tan (2011): which cells and which sweep they show, computed and drawn."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError, RunError
+from atlas.query.open import open_atlas
+from atlas.render import FORMATS, render, render_orbit
+from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import Progress
+from atlas.service.run import run
 from atlas.spec.spec import Spec
 from workers import Settings
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 _COMMON = {"R": 0.8, "tau": math.pi}
 CELLS = {
@@ -27,21 +36,18 @@ SWEEP = "fig6"
 def figures(
     folder: str | Path,
     formats: Sequence[str] = ("png",),
-    workers: int | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    client: "Client | None" = None,
+    options: RunOptions = DEFAULTS,
+    settings: Settings = SETTINGS,
+    sweep: Spec | None = None,
 ) -> list[Path]:
     """Draw Figs 3 to 6 of Li & Tan, Chin. Phys. B 20 (2011) 040505, into a folder, and return the files' paths.
 
-    Fig. 6 is computed into ``fig6.zarr`` there; what of it is done already is not computed again. ``workers`` is as
-    for ``atlas.run``; ``on_progress`` is called with each Progress, those of the run included.
+    Fig. 6 is computed into ``fig6.zarr`` there, a ``sweep`` of fewer cells in its place where one is given; tiles that
+    are finished already are kept. ``client`` and ``options`` are those of ``atlas.run``, ``settings`` those of the
+    cells of Figs 3 to 5.
     Raises InputError for a folder that cannot be written and for an unknown format.
     """
-    from atlas.cell.orbit import follow
-    from atlas.render import FORMATS, render, render_orbit
-    from atlas.service.run import run
-    from atlas.store.store import open_atlas
-
-    tell = on_progress or (lambda _: None)
     for each in formats:
         if each not in FORMATS:
             raise InputError(f"unknown format {each!r}; possible: {', '.join(FORMATS)}")
@@ -52,15 +58,15 @@ def figures(
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
     written = []
     for name, parameters in CELLS.items():
-        tell(Progress(f"{name}: solving and drawing"))
-        orbit = follow(parameters, settings=SETTINGS)
+        options.report(Progress(f"{name}: solving and drawing"))
+        orbit = cell_orbit(parameters, settings=settings)
         written += [render_orbit(orbit, target / f"{name}.{each}") for each in formats]
     store = target / f"{SWEEP}.zarr"
-    tell(Progress(f"{SWEEP}: computing the sweep into {store}"))
-    summary = run(Spec.from_toml(SWEEP), store, workers=workers, on_progress=tell)
+    options.report(Progress(f"{SWEEP}: computing the sweep into {store}"))
+    summary = run(sweep or Spec.from_toml(SWEEP), store, client, options)
     if summary.failures:
         raise RunError(f"{SWEEP}: tile {summary.failures[0].index} failed: {summary.failures[0].message}")
-    tell(Progress(f"{SWEEP}: drawing"))
-    sweep = open_atlas(store)
-    written += [render(sweep, target / f"{SWEEP}.{each}") for each in formats]
+    options.report(Progress(f"{SWEEP}: drawing"))
+    drawn = open_atlas(store)
+    written += [render(drawn, target / f"{SWEEP}.{each}") for each in formats]
     return written

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from atlas.overview.levels import Levels
 from atlas.spec.spec import Spec
-from workers import Settings
 from workers.results import (
     FAILED,
     LARGEST,
@@ -49,19 +48,19 @@ CELLS = Variable("cells", "int32", 0, "solved cells behind a coarse cell", "1")
 POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive values among the finite ones", "1")
 PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
 CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
-"""The regime that each place along the dimension "class" stands for."""
+"""The regime of each entry along the dimension "class"."""
 
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
 
-def level_variables(settings: Settings) -> tuple[Variable, ...]:
-    """The variables of every level of an atlas with these settings; ``regime`` is the last, as it is the last written.
+def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
+    """The variables of every level of an atlas that has these results; ``regime`` is the last, as it is written last.
 
     Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
     """
     found: list[Variable] = []
-    for variable in result_variables(settings):
+    for variable in results:
         if variable.extra or variable.name in (REASON.name, REGIME.name):
             continue
         if variable.name in CLASSES:
@@ -79,8 +78,9 @@ def level_variables(settings: Settings) -> tuple[Variable, ...]:
 
 def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
     """Bytes of all levels of an atlas, uncompressed."""
-    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.settings)]
-    return Levels(spec.shape, tile).cells() * sum(sizes)
+    results = result_variables(spec.settings)
+    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
+    return Levels(spec.shape, tile).cell_count() * sum(sizes)
 
 
 def count_of(name: str) -> str:
@@ -166,11 +166,11 @@ def halved(width: NDArray[np.float64]) -> NDArray[np.float64]:
 def _below(values: NDArray[Any], dims: Sequence[int], fill: float) -> NDArray[Any]:
     """The cells below each coarse cell along a new first axis: 2 for one dimension, 4 for two; ``fill`` where none."""
     odd = [(0, n % 2 if dim in dims else 0) for dim, n in enumerate(values.shape)]
-    parts = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]
+    below = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]
     for dim in dims:
         before = (slice(None),) * dim
-        parts = [part[(*before, slice(start, None, 2))] for part in parts for start in (0, 1)]
-    return np.stack(parts)
+        below = [each[(*before, slice(start, None, 2))] for each in below for start in (0, 1)]
+    return np.stack(below)
 
 
 def _mean(values: NDArray[Any], counts: NDArray[Any]) -> NDArray[np.float64]:
@@ -206,7 +206,7 @@ def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
 
 
 def _shown(share: NDArray[np.float64], regime: NDArray[np.int8]) -> NDArray[np.int8]:
-    part = {code: share[..., place] for place, code in enumerate(CODES.tolist())}
-    shown = np.where(part[UNDETERMINED] >= SHOWN - 1e-9, UNDETERMINED, regime)
-    shown = np.where(part[PENDING] > 0, PENDING, shown)
-    return np.where(part[FAILED] > 0, FAILED, shown).astype(np.int8)
+    of = {code: share[..., i] for i, code in enumerate(CODES.tolist())}
+    shown = np.where(of[UNDETERMINED] >= SHOWN - 1e-9, UNDETERMINED, regime)
+    shown = np.where(of[PENDING] > 0, PENDING, shown)
+    return np.where(of[FAILED] > 0, FAILED, shown).astype(np.int8)

@@ -8,35 +8,32 @@ checksum looked at as it comes in.
 import asyncio
 import atexit
 import errno
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import google_crc32c
 from zarr.storage import WrapperStore
 
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
-from atlas.store.location import Place
 from atlas.store.remote import zarr_store
-from atlas.store.schema import BUDGET, OVERVIEWS, coordinates
-from workers.results import REGIME, result_variables
-
-if TYPE_CHECKING:
-    from atlas.spec.spec import Spec
+from atlas.store.schema import BUDGET, OVERVIEWS
+from atlas.store.store import Header
+from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
 _PATIENCE_SECONDS = 10.0
 
 
 class GuardedStore(WrapperStore[Any]):
-    """Zarr's own store of a place, read only; ``get`` raises ChunkError. It counts the chunks that it gives."""
+    """Zarr's own store of an atlas, read only; ``get`` raises ChunkError. It counts the chunks that it gives."""
 
-    def __init__(self, place: Place, spec: "Spec") -> None:
-        super().__init__(zarr_store(place, read_only=True))
-        results, levels = result_variables(spec.settings), level_variables(spec.settings)
-        self.place, self.chunks_read = place, 0
-        self._dims = len(spec.shape)
-        self._complete = {variable.name for variable in (*results, *levels) if not variable.sparse}
-        self._checked = {variable.name for variable in results} | {BUDGET.name, *coordinates(spec)}
+    def __init__(self, header: Header) -> None:
+        super().__init__(zarr_store(header.place, read_only=True))
+        levels = level_variables(header.variables)
+        self.place, self.chunks_read = header.place, 0
+        self._dims = len(header.spec.shape)
+        self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
+        self._checked = {variable.name for variable in header.variables} | {BUDGET.name, *header.coordinates}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """An object, None where there is none and none has to be."""

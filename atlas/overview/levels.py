@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from atlas.spec.spec import Slices
 
-CHUNK = 256
+SIDE = 256
 """Cells along each side of a chunk, about: a picture of a whole plane reads some tens of such chunks."""
 LEAST = 128
 """A level is coarsened again while one of its sides is longer: nobody looks at a smaller picture."""
@@ -22,21 +22,29 @@ Index = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Levels:
-    """The levels over a grid of cells: ``shape`` of the grid, ``tile`` and ``chunk`` shapes, all slowest first."""
+    """The levels over a grid of cells.
+
+    shape   cells of the grid along each dimension, slowest first
+    tile    cells of a tile, likewise
+    side    cells along each side of a chunk, about: a whole number of tiles
+    least   the length of a side from which on it is not coarsened again
+    """
 
     shape: Index
     tile: Index
+    side: int = SIDE
+    least: int = LEAST
 
     @property
     def chunk(self) -> Index:
         """Cells of a level in one chunk; the last chunks may hold fewer."""
-        return tuple(t * max(1, CHUNK // t) for t in self.tile)
+        return tuple(t * max(1, self.side // t) for t in self.tile)
 
     @property
     def count(self) -> int:
         """Levels above the cells themselves; 0 for a small atlas."""
         count = 0
-        while max(self.shape_of(count)) > LEAST:
+        while max(self.shape_of(count)) > self.least:
             count += 1
         return count
 
@@ -62,9 +70,8 @@ class Levels:
         return tuple(i * t // (2 * c) for i, t, c in zip(tile, self.tile, self.chunk, strict=True))
 
     def children(self, level: int, index: Index) -> Iterator[Index]:
-        """What a chunk is made of: chunks of the level before, or tiles where that is level 0."""
-        grid, step = (self.grid(level - 1), (2,) * len(index)) if level > 1 else (self._tiles(), self._tiles_below())
-        spans = (range(i * s, min((i + 1) * s, n)) for i, s, n in zip(index, step, grid, strict=True))
+        """The chunks of the level before that a chunk of a level from the second on is made of."""
+        spans = (range(2 * i, min(2 * i + 2, n)) for i, n in zip(index, self.grid(level - 1), strict=True))
         return itertools.product(*spans)
 
     def finer(self, level: int, part: Slices) -> Slices:
@@ -73,12 +80,25 @@ class Levels:
             slice(2 * s.start, min(2 * s.stop, n)) for s, n in zip(part, self.shape_of(level - 1), strict=True)
         )
 
-    def cells(self) -> int:
+    def tiles_below(self, level: int, part: Slices) -> Slices:
+        """The tiles that have cells below a part of a level."""
+        ends = zip(part, self.tile, self.shape, strict=True)
+        return tuple(slice((s.start << level) // t, -(-min(s.stop << level, n) // t)) for s, t, n in ends)
+
+    def tiles_within(self, level: int, part: Slices) -> Slices:
+        """The tiles that have all their cells below a part of a level; where there are none, slices without a tile."""
+        ends = zip(part, self.tile, self.shape, strict=True)
+        return tuple(
+            slice(-(-(s.start << level) // t), -(-n // t) if s.stop << level >= n else (s.stop << level) // t)
+            for s, t, n in ends
+        )
+
+    def cells_of(self, tiles: Slices) -> Slices:
+        """The cells of the grid that tiles hold."""
+        return tuple(
+            slice(s.start * t, min(s.stop * t, n)) for s, t, n in zip(tiles, self.tile, self.shape, strict=True)
+        )
+
+    def cell_count(self) -> int:
         """Cells of all levels together."""
         return sum(math.prod(self.shape_of(level)) for level in range(1, self.count + 1))
-
-    def _tiles(self) -> Index:
-        return tuple(-(-n // t) for n, t in zip(self.shape, self.tile, strict=True))
-
-    def _tiles_below(self) -> Index:
-        return tuple(2 * c // t for c, t in zip(self.chunk, self.tile, strict=True))

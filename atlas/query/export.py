@@ -18,29 +18,40 @@ if TYPE_CHECKING:
     import xarray as xr
 
 FORMATS = (".csv", ".nc")
-NETCDF_LIMIT = 2**32 - 4
-"""Bytes that one variable may have in netCDF 3."""
-_BLOCK = 1 << 16
+NETCDF_BYTES = 2**32 - 4
+"""What one variable may have in netCDF 3."""
+CSV_CELLS = 1 << 16
 """Cells read at a time for CSV."""
 
 
-def export(ds: "xr.Dataset", path: str | Path, window: Window | None = None) -> int:
+def export(
+    ds: "xr.Dataset",
+    path: str | Path,
+    window: Window | None = None,
+    *,
+    csv_cells: int = CSV_CELLS,
+    netcdf_bytes: int = NETCDF_BYTES,
+) -> int:
     """Write the cells of a window to a file, in full and not coarsened, and return their number.
 
     CSV: one row a cell, x fastest: the axes, then every variable, with a column for each component of one that has
     several (``state_x1``, ``spectrum_1``), regime and reason by name; numbers in their shortest exact form, NaN
     and -inf as such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed
     parameters as scalar coordinates. The file appears whole or not at all.
-    Raises InputError for another suffix, an unknown axis, a window without a cell, and a path that cannot be written.
+    ``csv_cells`` are read at a time for CSV, one row at least; ``netcdf_bytes`` is the most that a variable may have.
+    Raises InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
+    that cannot be written.
     """
     target = Path(path)
     check_path(target)
-    part = within(ds, window)
-    count = int(np.prod([part.sizes[name] for name in axis_names(part)]))
-    write = _write_csv if target.suffix.lower() == ".csv" else _write_netcdf
+    shown = within(ds, window)
+    count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
     try:
         with _whole(target) as unfinished:
-            write(part, unfinished)
+            if target.suffix.lower() == ".csv":
+                _write_csv(shown, unfinished, csv_cells)
+            else:
+                _write_netcdf(shown, unfinished, netcdf_bytes)
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
     return count
@@ -63,7 +74,7 @@ def _whole(target: Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
-def _write_csv(ds: "xr.Dataset", path: Path) -> None:
+def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
     names = axis_names(ds)
     dims = tuple(reversed(names))
     ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
@@ -73,7 +84,7 @@ def _write_csv(ds: "xr.Dataset", path: Path) -> None:
         REASON.name: {reason.code: reason.name for reason in REASONS},
     }
     x, y = ds[names[0]].values.tolist(), ds[names[1]].values.tolist() if len(names) == 2 else [None]
-    rows = max(1, _BLOCK // len(x))
+    rows = max(1, cells_at_a_time // len(x))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*names, *(column for several in columns.values() for column in several)])
@@ -102,12 +113,10 @@ def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]
     return columns
 
 
-def _write_netcdf(ds: "xr.Dataset", path: Path) -> None:
+def _write_netcdf(ds: "xr.Dataset", path: Path, limit: int) -> None:
     for name in ds.data_vars:
-        if ds[name].nbytes > NETCDF_LIMIT:
-            raise InputError(
-                f"{name} has {ds[name].nbytes} bytes in this window, netCDF takes {NETCDF_LIMIT}: narrow it"
-            )
+        if ds[name].nbytes > limit:
+            raise InputError(f"{name} has {ds[name].nbytes} bytes in this window, netCDF takes {limit}: narrow it")
     plain = ds.drop_encoding()
     for array in plain.variables.values():
         if "flag_values" in array.attrs:  # CF: of the variable's own type

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
-from atlas.query.resample import regime_areas, view
+from atlas.query.reads import count_reads
+from atlas.query.resample import view
 from atlas.query.source import find_part
+from atlas.query.totals import Totals
 from atlas.query.window import (
     Window,
     axis_names,
@@ -62,7 +64,7 @@ _CODES = {regime.name: regime.code for regime in REGIMES}
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000
-"""Cells along each axis, about, on which boundaries are drawn where a window has more."""
+"""Cells along each axis, about, on which boundaries are traced where a window has more."""
 
 
 def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
@@ -104,9 +106,13 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     Reads the regimes in the window and nothing else; of a large window the overviews and the store's tally, and cells
     along its border.
     """
-    areas = regime_areas(ds, window)
-    if areas is None:
-        areas = _areas_of_cells(within(ds, window), ds, inside(ds, window))
+    shown = within(ds, window)
+    part = find_part(shown, [REGIME.name])
+    if part is None:
+        areas = _areas_of_cells(shown, ds, inside(ds, window))
+    else:
+        areas = Totals(part).areas()
+        count_reads(part.pyramid.chunks_read)
     total = sum(areas.values())
     return {name: area / total for code, name in sorted(_NAMES.items()) if (area := areas[code])}
 
@@ -122,8 +128,8 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     part = find_part(ds, [REGIME.name, REASON.name])
     if part is None:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
-    counts = part.reasons().tolist()
-    part.tell()
+    counts = Totals(part).reasons().tolist()
+    count_reads(part.pyramid.chunks_read)
     return {each.text: n for each, n in zip(REASONS, counts, strict=True) if n and each.code != NO_REASON}
 
 
@@ -170,7 +176,7 @@ def boundary(
     edges = [cell_edges(seen, name) for name in names]
     along = [(edge, np.arange(edge.size) - 0.5) for edge in edges]
     return [
-        np.stack([np.interp(line[:, i], place, edge) for i, (edge, place) in enumerate(along)], axis=1)
+        np.stack([np.interp(line[:, i], numbers, edge) for i, (edge, numbers) in enumerate(along)], axis=1)
         for line in map(np.asarray, lines)
     ]
 
@@ -189,8 +195,8 @@ def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
     made = {}
     for name in present:
         made[name] = (ds[name] * rate).transpose(*ds[name].dims)
-        told = str(ds[name].attrs.get("long_name", name)).replace("per forcing period", "per unit time")
-        made[name].attrs = {**ds[name].attrs, "units": "1/time", "long_name": told}
+        meaning = str(ds[name].attrs.get("long_name", name)).replace("per forcing period", "per unit time")
+        made[name].attrs = {**ds[name].attrs, "units": "1/time", "long_name": meaning}
     return ds.assign(made)
 
 
@@ -202,7 +208,7 @@ def codes_of(regimes: Iterable[str]) -> list[int]:
 
 
 def _frequency(ds: "xr.Dataset") -> str:
-    """The name of the forcing frequency, as the systems tell it."""
+    """The name of the forcing frequency, as the systems name it."""
     meant = {p.name for system in SYSTEMS.values() for p in system.parameters if p.meaning == "forcing frequency"}
     found = [name for name in meant if name in ds.coords]
     if len(found) != 1:
@@ -210,11 +216,13 @@ def _frequency(ds: "xr.Dataset") -> str:
     return found[0]
 
 
-def _areas_of_cells(part: "xr.Dataset", whole: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]) -> dict[int, float]:
+def _areas_of_cells(
+    shown: "xr.Dataset", whole: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]
+) -> dict[int, float]:
     """Areas of each regime from the cells themselves; their widths are those that they have in the whole."""
     names = axis_names(whole)
     widths = {name: cell_widths(whole, name)[cells[name]] for name in names}
-    codes = part[REGIME.name].values
+    codes = shown[REGIME.name].values
     first = min(_NAMES)
     area = np.zeros(max(_NAMES) - first + 1)
     # One row at a time: weights of a whole plane would take eight times the memory of its regimes.

@@ -1,7 +1,7 @@
 """What a picture or a query reads of an atlas: the cells in view, at the level that matches the pixels, no more.
 
-``view`` is the door: the same dataset that ``atlas.open`` gives, read, and coarsened where cells are finer than
-pixels. Data that are not what a store holds (computed, changed, put together) are taken as they are.
+``view`` gives the same dataset as ``atlas.open``, read, and coarsened where cells are finer than pixels. Data that are
+not what a store holds (computed, changed, put together) are taken as they are.
 """
 
 import math
@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from atlas.overview.coarsen import (
     CLASSES,
-    CODES,
     REGIME_SHOWN,
     SHARE,
     Cells,
     coarsen,
     halved,
-    level_variables,
 )
 from atlas.overview.pyramid import bounds_name, centres
+from atlas.query.reads import count_reads
 from atlas.query.source import Part, find_part
 from atlas.query.window import LOG_SPAN, Window, axis_names, axis_values, is_log, within
 from atlas.spec.cells import edges_of
@@ -68,25 +67,11 @@ def view(
     part = find_part(ds, wanted)
     if part is None:
         return ds[wanted]
-    known = {variable.name for variable in level_variables(part.header.spec.settings)}
+    known = {variable.name for variable in part.pyramid.variables}
     steps = _steps(ds, pixels) if pixels and known.issuperset(wanted) else [0] * ds[REGIME.name].ndim
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
-    part.tell(steps)
+    count_reads(part.pyramid.chunks_read, min(steps), tuple(2**count for count in reversed(steps)))
     return seen
-
-
-def regime_areas(ds: "xr.Dataset", window: Window | None = None) -> dict[int, float] | None:
-    """The area of each regime code in a window, cells counted by their widths; None for data not read from a store.
-
-    Exact: the inside of the window is taken from the coarsest level that fits, its border from ever finer ones.
-    """
-    ds = within(ds, window)
-    part = find_part(ds, [REGIME.name])
-    if part is None:
-        return None
-    total = sum((part.areas(level, piece) for level, piece in part.pieces()), np.zeros(CODES.size))
-    part.tell()
-    return dict(zip(CODES.tolist(), total.tolist(), strict=True))
 
 
 def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
@@ -151,7 +136,7 @@ def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[
     for first in range(piece[0].start // rows * rows, piece[0].stop, rows):
         block = (slice(max(first, piece[0].start), min(first + rows, piece[0].stop)), *piece[1:])
         cells = part.read(level, block, part.closed(names))
-        widths = [w[p] for w, p in zip(part.widths[level], block, strict=True)]
+        widths = [w[b] for w, b in zip(part.pyramid.widths[level], block, strict=True)]
         for dim, count in enumerate(more):
             for _ in range(count):
                 cells = coarsen(cells, tuple(widths), [dim])

@@ -32,7 +32,7 @@ def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
 
 
 def known_axis(ds: "xr.Dataset", name: str) -> None:
-    """Raise InputError, telling the axes there are, unless the atlas has an axis of that name."""
+    """Raise InputError, which names the axes there are, unless the atlas has an axis of that name."""
     names = axis_names(ds)
     if name in names:
         return
@@ -107,6 +107,6 @@ def _between(name: str, values: NDArray[np.float64], bounds: tuple[float, float]
 
 
 def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Neighbouring indices as a slice, which leaves a dataset lazy and its place in the store known."""
+    """Neighbouring indices as a slice, by which a dataset stays lazy and its block of the store known."""
     first, last = int(indices[0]), int(indices[-1])
     return slice(first, last + 1) if last - first + 1 == indices.size else indices

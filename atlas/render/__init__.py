@@ -1,6 +1,8 @@
 """Pictures: one file per kind, drawn from a dataset or an orbit alone, without a display and without pyplot.
 
-To add a kind: write ``figure(ds) -> Figure`` in a file of its own and name it in ``_KINDS``.
+To add a kind: write ``figure`` in a file of its own, for a map ``figure(ds, options) -> Figure`` with
+``maps.Options``, for a sweep ``figure(ds) -> Figure``, and name the file in ``_KINDS``. The tests take it up from
+there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,10 +11,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from atlas.cell.orbit import follow
+from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
 from atlas.query.queries import fractions
-from atlas.query.source import counted
+from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from workers import Settings
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
@@ -21,8 +23,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from atlas.cell.orbit import Orbit
-    from atlas.render.style import Origin
+    from atlas.cell.orbit import CellOrbit
+    from atlas.render.style import Provenance
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,12 @@ _KINDS = {
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
     "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
 }
-_COUNT = {1: "one axis", 2: "two axes"}
+_AXES = {1: "one axis", 2: "two axes"}
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "sticking" for two axes, the others for one; "hysteresis" takes two atlases."""
+
+MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
+"""Those of them that are drawn over two axes, and take overlays."""
 
 OVERLAYS = ("grazing", "boundaries", "isolines")
 """Lines that any map of two axes can carry: |Y| = b, borders of regimes, lines of equal exponent."""
@@ -58,7 +63,7 @@ OVERLAYS = ("grazing", "boundaries", "isolines")
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
 
-__all__ = ["FORMATS", "KINDS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
+__all__ = ["FORMATS", "KINDS", "MAPS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
 
 
 def figure(
@@ -68,20 +73,24 @@ def figure(
     *,
     overlays: Sequence[str] = (),
     against: "xr.Dataset | None" = None,
+    pixels: tuple[int, int] | None = None,
 ) -> "Figure":
-    """A matplotlib Figure of an atlas, for notebooks; arguments and errors as in ``render``."""
+    """A matplotlib Figure of an atlas, for notebooks; arguments and errors as in ``render``.
+
+    ``pixels`` is the size, (x, y), of the plot area that a map's cells are to fill, where it is not that of a file.
+    """
     axes = axis_names(ds)
     atlases = 1 if against is None else 2
     fitting = [name for name, need in _KINDS.items() if need.axes == len(axes)]
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
     if not possible:
-        raise InputError(f"two atlases are drawn together as sweeps, found {_COUNT[len(axes)]} ({', '.join(axes)})")
+        raise InputError(f"two atlases are drawn together as sweeps, found {_AXES[len(axes)]} ({', '.join(axes)})")
     chosen = next((name for name in possible if _KINDS[name].variable in ds), possible[0]) if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")
     if chosen not in fitting:
         raise InputError(
-            f"kind {chosen!r} draws {_COUNT[_KINDS[chosen].axes]}, found {_COUNT[len(axes)]} ({', '.join(axes)}); "
+            f"kind {chosen!r} draws {_AXES[_KINDS[chosen].axes]}, found {_AXES[len(axes)]} ({', '.join(axes)}); "
             f"possible here: {', '.join(possible)}"
         )
     if chosen not in possible:
@@ -91,25 +100,27 @@ def figure(
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
     if overlays and len(axes) != 2:
-        raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_COUNT[len(axes)]} ({', '.join(axes)})")
+        raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_AXES[len(axes)]} ({', '.join(axes)})")
     units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
     if units != LARGEST.units:
         raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
-    module, part = import_module(f"atlas.render.{chosen}"), within(ds, window)
+    module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
     drawn: Figure
     with counted() as reads:
         if against is not None:
-            drawn = module.figure(part, within(against, window))
+            drawn = module.figure(shown, within(against, window))
         elif len(axes) == 2:
-            drawn = module.figure(part, overlays)
+            from atlas.render import maps  # with it matplotlib
+
+            drawn = module.figure(shown, maps.Options(tuple(overlays), pixels or maps.PIXELS))
         else:
-            drawn = module.figure(part)
+            drawn = module.figure(shown)
     if max(reads.block) > 1:
-        _tell_coarse(drawn, part, reads.block)
+        _note_coarseness(drawn, shown, reads.block)
     return drawn
 
 
-def _tell_coarse(drawn: "Figure", ds: "xr.Dataset", block: tuple[int, ...]) -> None:
+def _note_coarseness(drawn: "Figure", ds: "xr.Dataset", block: tuple[int, ...]) -> None:
     """Say above a map that it is coarser than its atlas, and the exact shares of doubtful cells, too few to be seen."""
     from matplotlib import rc_context
 
@@ -118,12 +129,12 @@ def _tell_coarse(drawn: "Figure", ds: "xr.Dataset", block: tuple[int, ...]) -> N
     shares = fractions(ds)
     doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
     least = 1e-4  # less is not worth its digits, but that there is some is
-    parts = {name: f"{100 * shares[name]:.2g} %" if shares[name] >= least else "< 0.01 %" for name in shares}
-    told = "".join(f",  {name} {parts[name]}" for name in doubtful if name in parts)
+    percent = {name: f"{100 * shares[name]:.2g} %" if shares[name] >= least else "< 0.01 %" for name in shares}
+    listed = "".join(f",  {name} {percent[name]}" for name in doubtful if name in percent)
     cells = " × ".join(map(str, block))
     ax = drawn.axes[0]
     with rc_context(STYLE):
-        ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{told}".strip(), loc="left")
+        ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{listed}".strip(), loc="left")
 
 
 def render(
@@ -149,19 +160,19 @@ def render(
     """
     target, suffix = _target(path)
     drawn = figure(ds, kind, window, overlays=overlays, against=against)
-    from atlas.render.style import origin_of
+    from atlas.render.style import provenance_of
 
-    return _write(drawn, target, suffix, origin_of(ds, *([] if against is None else [against])))
+    return _write(drawn, target, suffix, provenance_of(ds, *([] if against is None else [against])))
 
 
-def orbit_figure(orbit: "Orbit") -> "Figure":
+def orbit_figure(orbit: "CellOrbit") -> "Figure":
     """A matplotlib Figure of one cell's orbit."""
     from atlas.render import orbit as picture
 
     return picture.figure(orbit)
 
 
-def render_orbit(orbit: "Orbit", path: str | Path, drawn: "Figure | None" = None) -> Path:
+def render_orbit(orbit: "CellOrbit", path: str | Path, drawn: "Figure | None" = None) -> Path:
     """Draw one cell's orbit to a file and return its path; suffixes, metadata and errors as in ``render``.
 
     ``drawn`` is the orbit's figure where there is one already.
@@ -169,7 +180,7 @@ def render_orbit(orbit: "Orbit", path: str | Path, drawn: "Figure | None" = None
     target, suffix = _target(path)
     from atlas.render import orbit as picture
 
-    return _write(drawn or picture.figure(orbit), target, suffix, picture.origin(orbit))
+    return _write(drawn or picture.figure(orbit), target, suffix, picture.provenance(orbit))
 
 
 def portrait(
@@ -182,13 +193,13 @@ def portrait(
     """The portrait of one cell as a matplotlib Figure; written to ``path`` too (.png, .svg or .pdf) if given.
 
     Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
-    exponents as they converge, beside their exact values where the motion is periodic. ``given`` are the parameters
+    exponents as they converge, with their exact values where the motion is periodic. ``given`` are the parameters
     that differ from the defaults, initial state included: with several attractors it decides which is shown.
     Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
     """
     if path is not None:
         check_path(path)
-    orbit = follow(given or {}, system, settings)
+    orbit = cell_orbit(given or {}, system, settings)
     drawn = orbit_figure(orbit)
     if path is not None:
         render_orbit(orbit, path, drawn)
@@ -209,11 +220,11 @@ def _target(path: str | Path) -> tuple[Path, str]:
     return target, suffix
 
 
-def _write(drawn: "Figure", target: Path, suffix: str, origin: "Origin") -> Path:
+def _write(drawn: "Figure", target: Path, suffix: str, provenance: "Provenance") -> Path:
     from atlas.render.style import save
 
     try:
-        save(drawn, target, suffix, origin)
+        save(drawn, target, suffix, provenance)
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target

@@ -19,7 +19,7 @@ from atlas.spec.cells import is_uniform
 
 
 @dataclass(frozen=True)
-class Axis:
+class DrawnAxis:
     """One axis of a picture: its points in rising order, their cells' edges, its scale and its label."""
 
     name: str
@@ -34,7 +34,7 @@ class Axis:
         return not self.log and is_uniform(self.values)
 
 
-def rising(ds: xr.Dataset) -> tuple[xr.Dataset, tuple[Axis, ...]]:
+def rising(ds: xr.Dataset) -> tuple[xr.Dataset, tuple[DrawnAxis, ...]]:
     """The dataset with every axis in rising order, and its axes, x first."""
     names = axis_names(ds)
     for name in names:
@@ -43,13 +43,13 @@ def rising(ds: xr.Dataset) -> tuple[xr.Dataset, tuple[Axis, ...]]:
     return ds, tuple(_axis(ds, name) for name in names)
 
 
-def _axis(ds: xr.Dataset, name: str) -> Axis:
+def _axis(ds: xr.Dataset, name: str) -> DrawnAxis:
     values = np.asarray(ds[name].values, dtype=np.float64)
     log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
-    return Axis(name, values, cell_edges(ds, name), log, axis_label(ds, name))
+    return DrawnAxis(name, values, cell_edges(ds, name), log, axis_label(ds, name))
 
 
-def scale_x(ax: Axes, x: Axis, label: bool = True) -> None:
+def scale_x(ax: Axes, x: DrawnAxis, label: bool = True) -> None:
     """Give the horizontal axis its scale, limits and ticks, and its label if asked."""
     if x.log:
         ax.set_xscale("log")
@@ -59,7 +59,7 @@ def scale_x(ax: Axes, x: Axis, label: bool = True) -> None:
         ax.set_xlabel(x.label)
 
 
-def scale_y(ax: Axes, y: Axis) -> None:
+def scale_y(ax: Axes, y: DrawnAxis) -> None:
     """Give the vertical axis its scale, limits, ticks and label."""
     if y.log:
         ax.set_yscale("log")
@@ -68,7 +68,7 @@ def scale_y(ax: Axes, y: Axis) -> None:
     ax.set_ylabel(y.label)
 
 
-def draw_cells(ax: Axes, x: Axis, y: Axis, rgba: NDArray[np.uint8]) -> None:
+def draw_cells(ax: Axes, x: DrawnAxis, y: DrawnAxis, rgba: NDArray[np.uint8]) -> None:
     """Draw an array (y, x, 4) of colours, each cell from edge to edge, as pixels in vector files too.
 
     An image where all cells are equal; quadrilaterals otherwise. Colours are never blended between cells.
@@ -82,7 +82,7 @@ def draw_cells(ax: Axes, x: Axis, y: Axis, rgba: NDArray[np.uint8]) -> None:
     scale_y(ax, y)
 
 
-def outline(ax: Axes, x: Axis, y: Axis, inside: NDArray[np.bool_], color: str, width: float) -> None:
+def outline(ax: Axes, x: DrawnAxis, y: DrawnAxis, inside: NDArray[np.bool_], color: str, width: float) -> None:
     """Draw the boundary of a set of cells along the cells' edges; the picture's own frame is left out."""
     rows, columns = np.nonzero(inside[:, 1:] != inside[:, :-1])
     at = x.edges[columns + 1]
@@ -95,7 +95,7 @@ def outline(ax: Axes, x: Axis, y: Axis, inside: NDArray[np.bool_], color: str, w
     ax.add_collection(lines, autolim=False)
 
 
-def hatch(ax: Axes, x: Axis, y: Axis, inside: NDArray[np.bool_], pattern: str, color: str) -> None:
+def hatch(ax: Axes, x: DrawnAxis, y: DrawnAxis, inside: NDArray[np.bool_], pattern: str, color: str) -> None:
     """Cover a set of cells with a texture that lets their colours through."""
     padded = np.pad(inside, ((0, 0), (1, 1))).astype(np.int8)
     change = np.diff(padded, axis=1)
@@ -110,7 +110,7 @@ def hatch(ax: Axes, x: Axis, y: Axis, inside: NDArray[np.bool_], pattern: str, c
         ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
 
 
-def _log_ticks(axis: XAxis | YAxis, scale: Axis) -> None:
+def _log_ticks(axis: XAxis | YAxis, scale: DrawnAxis) -> None:
     if math.log10(scale.values[-1] / scale.values[0]) > 3.0:
         return
     # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.

@@ -1,7 +1,5 @@
 """The combined map: the period where motion is periodic, the largest exponent where it is chaotic."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
@@ -35,16 +33,16 @@ greatest least difference between any two, also as seen without red or without g
 COLORMAP = LinearSegmentedColormap.from_list("chaos", exponent.CHAOTIC_COLORS, N=512)
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The combined map as a figure; InputError where the atlas lacks periods or exponents."""
-    plane = maps.read(ds, ("period", LARGEST.name, *overlays.variables(overlaid)), "combined")
+    plane = overlays.read(ds, ["period", LARGEST.name], "combined", options)
     largest = np.where(plane.regime == CHAOTIC, plane[LARGEST.name], np.nan)
     norm = Normalize(0.0, exponent.scale_ends(largest)[1])
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend = paint(plane.regime, plane["period"], largest, norm)
         maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
         bar = drawn.colorbar(
             ScalarMappable(norm, COLORMAP),
             ax=ax,

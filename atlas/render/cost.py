@@ -1,7 +1,5 @@
 """The cost map: how many forcing periods were simulated for every cell."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from matplotlib.colors import LinearSegmentedColormap
@@ -16,12 +14,13 @@ COLORMAP = LinearSegmentedColormap.from_list(
 SCALE = scalar.Scale(COLORMAP, True, "forcing periods simulated")
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
-    """The cost map as a figure; InputError where the atlas does not hold it. Cells that cost nothing are apart.
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
+    """The cost map as a figure; InputError where the atlas does not hold it.
 
-    An undetermined cell shows what it cost, which is the most that a cell may.
+    Cells that cost nothing have a colour of their own. An undetermined cell shows what it cost, which is the most that
+    a cell may.
     """
-    plane = maps.read(ds, ("periods_used", *overlays.variables(overlaid)), "cost")
+    plane = overlays.read(ds, ["periods_used"], "cost", options)
     solved = ~np.isin(plane.regime, (PENDING, INVALID, FAILED))
     used = np.where(solved, plane["periods_used"].astype(float), np.nan)
-    return scalar.figure(ds, plane, used, SCALE, overlaid, zero=("#dddddd", "none needed"))
+    return scalar.figure(ds, plane, used, SCALE, options.overlays, zero=("#dddddd", "none needed"))

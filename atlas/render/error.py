@@ -1,7 +1,5 @@
 """The error map: how well the largest exponent of every cell is known."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
@@ -16,14 +14,14 @@ COLORMAP = LinearSegmentedColormap.from_list("error", colormaps["magma_r"](np.li
 SCALE = scalar.Scale(COLORMAP, True, r"error of $\lambda_1$ [per forcing period]")
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The error map as a figure; InputError where the atlas holds no errors.
 
     Numerical where the motion is periodic or without impact, a standard error where it is chaotic, the difference
     of two windows on a torus: see the README's table of variables.
     """
-    plane = maps.read(ds, (ERROR.name, *overlays.variables(overlaid)), "error")
+    plane = overlays.read(ds, [ERROR.name], "error", options)
     error = np.where(maps.determined(plane.regime), plane[ERROR.name], np.nan)
     # Nothing is known better than to rounding; an error of zero would have no place on a log scale.
     known = np.where(np.isfinite(error), np.maximum(error, np.finfo(float).tiny), np.nan)
-    return scalar.figure(ds, plane, np.where(error == 0.0, np.finfo(float).eps, known), SCALE, overlaid)
+    return scalar.figure(ds, plane, np.where(error == 0.0, np.finfo(float).eps, known), SCALE, options.overlays)

@@ -1,7 +1,5 @@
 """The chaos map: the largest Lyapunov exponent over a plane, blue where motion is stable, yellow to red in chaos."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
@@ -36,9 +34,9 @@ def _two_sided() -> LinearSegmentedColormap:
 COLORMAP = _two_sided()
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
-    """The chaos map as a figure, with these overlays; InputError where the atlas holds no exponents."""
-    plane = maps.read(ds, (LARGEST.name, *overlays.variables(overlaid)), "exponent")
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
+    """The chaos map as a figure, with its overlays; InputError where the atlas holds no exponents."""
+    plane = overlays.read(ds, [LARGEST.name], "exponent", options)
     largest = np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
     norm = TwoSlopeNorm(0.0, *scale_ends(largest))
     with rc_context(style.STYLE):
@@ -46,7 +44,7 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
         rgba, legend = paint(plane.regime, largest, norm)
         maps.draw(ax, plane, rgba)
         entries: list[Artist] = [*legend, *_mark_no_impact(ax, plane, norm)]
-        entries += overlays.draw(ax, ds, plane, overlaid)
+        entries += overlays.draw(ax, ds, plane, options.overlays)
         _colour_bar(drawn, ax, norm, largest)
         maps.legend_below(drawn, entries)
     return drawn

@@ -32,13 +32,13 @@ def figure(ds: xr.Dataset, against: xr.Dataset) -> Figure:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
     optional = [name for name in (ERROR.name, *_COUNTS, LARGEST.name) if all(name in each for each in atlases)]
     (first, x), (second, _) = (sweep.line(each, [*names, *optional]) for each in atlases)
-    apart = differ(first, second)
+    differs = differ(first, second)
 
     def draw(name: str) -> sweep.Panel:
-        def panel(ax: Axes, read: xr.Dataset, x: axes.Axis) -> None:
-            _shade(ax, x, apart)
-            for place, each in enumerate((first, second)):
-                _points(ax, each[name].values, x, place)
+        def panel(ax: Axes, read: xr.Dataset, x: axes.DrawnAxis) -> None:
+            _shade(ax, x, differs)
+            for number, each in enumerate((first, second)):
+                _points(ax, each[name].values, x, number)
             if name == LARGEST.name:
                 ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(sweep.state_label(ds) if name == SECTION.name else sweep.LARGEST_LABEL)
@@ -46,24 +46,24 @@ def figure(ds: xr.Dataset, against: xr.Dataset) -> Figure:
         return panel
 
     with rc_context(style.STYLE):
-        return sweep.stack(ds, first, x, {name: draw(name) for name in names}, _legend(atlases, x, bool(apart.any())))
+        return sweep.stack(ds, first, x, {name: draw(name) for name in names}, _legend(atlases, x, bool(differs.any())))
 
 
 def differ(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.bool_]:
     """Where two sweeps end on different motions: of another regime, period or impact counts, or of exponents that
-    differ by more than four of their errors. Cells whose motion is not known in both are not told apart.
+    differ by more than four of their errors. Cells whose motion is not known in both count as equal.
     """
     one, two = first[REGIME.name].values, second[REGIME.name].values
     known = (one >= NO_IMPACT) & (one <= CHAOTIC) & (two >= NO_IMPACT) & (two <= CHAOTIC)
-    apart = one != two
+    unlike = one != two
     for name in _COUNTS:
         if name in first:
-            apart |= first[name].values != second[name].values
+            unlike |= first[name].values != second[name].values
     if LARGEST.name in first and ERROR.name in first:
         distance = np.abs(first[LARGEST.name].values - second[LARGEST.name].values)
         errors = np.hypot(first[ERROR.name].values, second[ERROR.name].values)
-        apart |= distance > 4.0 * errors + 1e-9
-    return np.asarray(known & apart)
+        unlike |= distance > 4.0 * errors + 1e-9
+    return np.asarray(known & unlike)
 
 
 def _check_same_axis(ds: xr.Dataset, against: xr.Dataset) -> None:
@@ -84,39 +84,39 @@ def _check_same_axis(ds: xr.Dataset, against: xr.Dataset) -> None:
             raise InputError(f"the atlases differ in {key}: {float(ds[key]):g} and {float(against[key]):g}")
 
 
-def _points(ax: Axes, values: NDArray[np.float64], x: axes.Axis, place: int) -> None:
+def _points(ax: Axes, values: NDArray[np.float64], x: axes.DrawnAxis, number: int) -> None:
     values = values[..., 0] if values.ndim == 3 else values[:, None]
     at = np.broadcast_to(x.values[:, None], values.shape)
     shown = np.isfinite(values)
     # The second on top and smaller, so that both are seen where they agree.
-    size = sweep.point_size(x, 2.0) * (1.5, 0.8)[place]
+    size = sweep.point_size(x, 2.0) * (1.5, 0.8)[number]
     ax.plot(
         at[shown],
         values[shown],
         ".",
-        color=COLORS[place],
-        alpha=(0.55, 1.0)[place],
+        color=COLORS[number],
+        alpha=(0.55, 1.0)[number],
         markersize=size,
         markeredgewidth=0,
-        zorder=2 + place,
+        zorder=2 + number,
         rasterized=True,
     )
 
 
-def _shade(ax: Axes, x: axes.Axis, apart: NDArray[np.bool_]) -> None:
-    change = np.diff(np.pad(apart, 1).astype(np.int8))
+def _shade(ax: Axes, x: axes.DrawnAxis, differs: NDArray[np.bool_]) -> None:
+    change = np.diff(np.pad(differs, 1).astype(np.int8))
     for low, high in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
         ax.axvspan(x.edges[low], x.edges[high], color=_SHADE, linewidth=0, zorder=0)
 
 
-def _legend(atlases: Sequence[xr.Dataset], x: axes.Axis, apart: bool) -> list[Artist]:
+def _legend(atlases: Sequence[xr.Dataset], x: axes.DrawnAxis, differ_somewhere: bool) -> list[Artist]:
     entries: list[Artist] = [
         Line2D([], [], linestyle="", marker="o", markersize=(6, 3.5)[i], color=color, label=_direction(each, x.name))
         for i, (each, color) in enumerate(zip(atlases, COLORS, strict=True))
     ]
     return (
         [*entries, Patch(facecolor=_SHADE, edgecolor="#a9a4b8", linewidth=0.4, label="different motions")]
-        if apart
+        if differ_somewhere
         else entries
     )
 

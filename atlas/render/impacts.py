@@ -1,6 +1,5 @@
 """The impact map: periodic motions by period and impacts at either stop, n-p-q, as this field names them."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,8 +39,11 @@ OTHER = "#b9ad98"
 _LABEL_SIZE = 7.5
 
 
-class Motion(NamedTuple):
-    """A periodic motion: n forcing periods, p impacts at the upper stop, q at the lower; p = q = -1 where it sticks."""
+class ImpactPattern(NamedTuple):
+    """What names a periodic motion: n forcing periods, p impacts at the upper stop and q at the lower.
+
+    Both are -1 where it sticks.
+    """
 
     n: int
     p: int
@@ -53,9 +55,9 @@ class Motion(NamedTuple):
         return f"{self.n}-{self.p}-{self.q}" if self.p >= 0 else "periodic, sticks"
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The impact map as a figure; InputError where the atlas holds no impact counts."""
-    plane = maps.read(ds, (*VARIABLES, *overlays.variables(overlaid)), "impacts")
+    plane = overlays.read(ds, VARIABLES, "impacts", options)
     counts = tuple(plane[name] for name in VARIABLES)
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
@@ -63,32 +65,32 @@ def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
         maps.draw(ax, plane, rgba)
         rests = (plane.regime == PERIODIC) & (counts[1] < 0)
         axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
         maps.legend_beside(drawn, entries, title="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
         drawn.draw_without_rendering()  # from here on the plot has its size
         _name_regions(ax, plane, counts, colors)
     return drawn
 
 
-def palette(shares: dict[Motion, int]) -> dict[Motion, str]:
+def palette(shares: dict[ImpactPattern, int]) -> dict[ImpactPattern, str]:
     """A colour for every motion, given its number of cells: hues by area, mirror images one hue, the rest OTHER."""
-    groups: dict[Motion, int] = {}
+    groups: dict[ImpactPattern, int] = {}
     for motion, cells in shares.items():
         if motion.p >= 0:
-            group = Motion(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+            group = ImpactPattern(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
             groups[group] = groups.get(group, 0) + cells
     by_area = sorted(groups, key=lambda group: (-groups[group], group))
     hue = dict(zip(by_area, HUES, strict=False))
     colors = {}
     for motion in shares:
-        group = Motion(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+        group = ImpactPattern(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
         colors[motion] = STICKS if motion.p < 0 else hue[group][motion.p < motion.q] if group in hue else OTHER
     return colors
 
 
 def paint(
     regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
-) -> tuple[NDArray[np.uint8], list[Patch], dict[Motion, str]]:
+) -> tuple[NDArray[np.uint8], list[Patch], dict[ImpactPattern, str]]:
     """The colour of every cell, (y, x, 4) in bytes, legend entries, and the colour of each motion."""
     rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
     counted = (regime == PERIODIC) & (period >= 1)
@@ -96,7 +98,7 @@ def paint(
     rests = counted & (upper < 0)
     triples = np.stack([np.where(rests, 0, period), np.where(rests, -1, upper), np.where(rests, -1, lower)], axis=-1)
     kinds, which, cells = np.unique(triples[counted], axis=0, return_inverse=True, return_counts=True)
-    motions = [Motion(*map(int, kind)) for kind in kinds]
+    motions = [ImpactPattern(*map(int, kind)) for kind in kinds]
     colors = palette(dict(zip(motions, cells.tolist(), strict=True)))
     if motions:
         rgba[counted] = np.array([style.rgb(colors[motion]) for motion in motions], np.uint8)[which.ravel()]
@@ -110,7 +112,7 @@ def paint(
 
 
 def _name_regions(
-    ax: Axes, plane: maps.Plane, counts: tuple[NDArray[np.int32], ...], colors: dict[Motion, str]
+    ax: Axes, plane: maps.Plane, counts: tuple[NDArray[np.int32], ...], colors: dict[ImpactPattern, str]
 ) -> None:
     """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
     if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
@@ -131,28 +133,29 @@ def _name_regions(
         boxes = ndimage.find_objects(regions)
         for number in np.argsort(-sizes[1:], kind="stable")[:2] + 1:
             box = boxes[number - 1]
-            place = _place(regions[box] == number, step, half) if sizes[number] >= least else None
-            if place is not None:
+            spot = label_spot(regions[box] == number, step, half) if sizes[number] >= least else None
+            if spot is not None:
+                row, column, angle = spot
                 ax.text(
-                    plane.x.values[box[1].start + place[1]],
-                    plane.y.values[box[0].start + place[0]],
+                    plane.x.values[box[1].start + column],
+                    plane.y.values[box[0].start + row],
                     motion.label,
                     color=style.ink_on(color),
                     fontsize=_LABEL_SIZE,
-                    rotation=place[2],
+                    rotation=angle,
                     ha="center",
                     va="center_baseline",
                     zorder=4,
                 )
 
 
-def _place(
+def label_spot(
     region: NDArray[np.bool_], step: tuple[float, float], half: tuple[float, float]
 ) -> tuple[int, int, float] | None:
     """Row, column and angle in degrees where a box of half sizes (along, across) in points lies inside a region.
 
     ``step`` are the points per cell (y, x). The angle follows the region, so that a name fits in a band; the widest
-    places are tried first. None where none will do.
+    spots are tried first. None where none will do.
     """
     # A frame of cells that do not belong: a name must not run over the picture's edge.
     room = ndimage.distance_transform_edt(np.pad(region, 1), sampling=step)[1:-1, 1:-1]

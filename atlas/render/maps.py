@@ -24,7 +24,6 @@ HEIGHT = 4.7
 PIXELS = (1500, 1100)
 """Least size, (x, y), of a map's plot area in a file, in pixels: cells not smaller than these are all drawn."""
 
-
 SIZE = np.array([5.6, 3.75]) * 72.0
 """Nominal width and height of a map's plot area in points, for what must be known before the figure is laid out."""
 
@@ -35,11 +34,26 @@ _MOST_MARKS = 300
 
 
 @dataclass(frozen=True)
+class Options:
+    """What a map is drawn with besides the colours of its cells.
+
+    overlays   names of lines over it
+    pixels     size, (x, y), of the plot area that its cells are to fill: finer ones are read from an overview
+    """
+
+    overlays: tuple[str, ...] = ()
+    pixels: tuple[int, int] = PIXELS
+
+
+PLAIN = Options()
+
+
+@dataclass(frozen=True)
 class Plane:
     """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
 
-    x: axes.Axis
-    y: axes.Axis
+    x: axes.DrawnAxis
+    y: axes.DrawnAxis
     regime: NDArray[np.int8]
     values: Mapping[str, NDArray[Any]]
 
@@ -47,8 +61,8 @@ class Plane:
         return self.values[name]
 
 
-def read(ds: xr.Dataset, variables: Iterable[str], kind: str) -> Plane:
-    """Read these variables and the regimes of a plane, nothing else and not finer than PIXELS.
+def read(ds: xr.Dataset, variables: Iterable[str], kind: str, pixels: tuple[int, int] = PIXELS) -> Plane:
+    """Read these variables and the regimes of a plane, nothing else and not finer than pixels.
 
     InputError if the atlas does not hold one. The only place where the pictures of planes read an atlas.
     """
@@ -56,7 +70,7 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str) -> Plane:
     for name in names:
         if name not in ds:
             raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold")
-    ds, (x, y) = axes.rising(view(ds, names, pixels=PIXELS))
+    ds, (x, y) = axes.rising(view(ds, names, pixels=pixels))
     return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
 
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from atlas.cell.orbit import Orbit, describe
+from atlas.cell.orbit import CellOrbit, describe
 from atlas.render import style
 from atlas.render.spectrum import color
 from workers.results import REGIME, SPECTRUM
@@ -18,7 +18,7 @@ _SHOWN = 6
 _LINE, _UPPER, _LOWER, _STOP = "#3a6ea5", "#cc3311", "#e08a00", "#6f6f6f"
 
 
-def figure(orbit: Orbit) -> Figure:
+def figure(orbit: CellOrbit) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page."""
     n = len(orbit.system.states) // 2
     masses = range(min(n, 2))
@@ -40,37 +40,37 @@ def figure(orbit: Orbit) -> Figure:
         if n > 1:
             _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, 0, 1)
         _section(drawn.add_subplot(grid[row + 1, :2]), orbit, 0, n)
-        beside = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.0])
-        _convergence(drawn.add_subplot(beside[0]), orbit)
-        _write_values(drawn.add_subplot(beside[1]), orbit)
+        exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.0])
+        _convergence(drawn.add_subplot(exponents[0]), orbit)
+        _write_values(drawn.add_subplot(exponents[1]), orbit)
         drawn.legend(handles=_legend(orbit), loc="outside lower center", ncols=4, handlelength=1.4)
     return drawn
 
 
-def origin(orbit: Orbit) -> style.Origin:
-    """What the file of a portrait says of its origin."""
-    return style.Origin(
+def provenance(orbit: CellOrbit) -> style.Provenance:
+    """The provenance of a portrait."""
+    return style.Provenance(
         f"impact-atlas: {orbit.system.name}, one cell", orbit.digest, f"impact-atlas {style.own_version()}"
     )
 
 
-def symbol(orbit: Orbit, i: int) -> str:
+def symbol(orbit: CellOrbit, i: int) -> str:
     """The symbol of a component of the state; the system knows it as the parameter that sets its initial value."""
     return orbit.system.parameter(orbit.system.states[i]).symbol.removesuffix("(0)")
 
 
-def _label(orbit: Orbit, i: int) -> str:
+def _label(orbit: CellOrbit, i: int) -> str:
     unit = style.unit_text(orbit.system.parameter(orbit.system.states[i]).unit)
     return f"${symbol(orbit, i)}$ [{unit}]"
 
 
-def _stops_of(orbit: Orbit, i: int) -> tuple[float, ...]:
+def _stops_of(orbit: CellOrbit, i: int) -> tuple[float, ...]:
     """The stops as values of a displacement, where it is the one that they stop."""
     row = np.array(orbit.system.build(orbit.parameters).gap_row)
     return orbit.stops if row[i] == 1.0 and np.count_nonzero(row) == 1 else ()
 
 
-def _history(ax: Axes, orbit: Orbit, i: int) -> None:
+def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:
     shown = min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
     times, states = _repeated(orbit, shown)
     ax.plot(times / orbit.period, states[:, i], color=_LINE, linewidth=0.9)
@@ -88,7 +88,7 @@ def _history(ax: Axes, orbit: Orbit, i: int) -> None:
         ax.set_xlabel("time $t/T$ [forcing periods]")
 
 
-def _phase_plane(ax: Axes, orbit: Orbit, i: int, k: int) -> None:
+def _phase_plane(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
     states = orbit.states
     closed = bool(orbit.cell["period"])
     ax.plot(states[:, i], states[:, k], color=_LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
@@ -101,7 +101,7 @@ def _phase_plane(ax: Axes, orbit: Orbit, i: int, k: int) -> None:
     ax.set_ylabel(_label(orbit, k), labelpad=1.0)
 
 
-def _section(ax: Axes, orbit: Orbit, i: int, k: int) -> None:
+def _section(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
     x, y = orbit.section[:, i], orbit.section[:, k]
     few = x.size <= 64
     ink = style.INK[int(orbit.cell[REGIME.name])]
@@ -117,7 +117,7 @@ def _section(ax: Axes, orbit: Orbit, i: int, k: int) -> None:
     ax.ticklabel_format(useOffset=False)
 
 
-def _convergence(ax: Axes, orbit: Orbit) -> None:
+def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     periods = np.arange(1, len(orbit.running) + 1)
     spectrum = np.asarray(orbit.cell[SPECTRUM.name])
     ax.axhline(0.0, color="black", linewidth=0.6)
@@ -135,7 +135,7 @@ def _convergence(ax: Axes, orbit: Orbit) -> None:
     ax.set_ylabel(r"$\lambda_i$ [per forcing period]")
 
 
-def _write_values(ax: Axes, orbit: Orbit) -> None:
+def _write_values(ax: Axes, orbit: CellOrbit) -> None:
     """The exponents in numbers, as many digits as are known, in a plot area of their own."""
     ax.set_axis_off()
     spectrum, error = np.asarray(orbit.cell[SPECTRUM.name]), float(orbit.cell["error"])
@@ -159,7 +159,7 @@ def _range(values: NDArray[np.float64], spectrum: NDArray[np.float64]) -> tuple[
     return low - room, high + room
 
 
-def _repeated(orbit: Orbit, shown: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _repeated(orbit: CellOrbit, shown: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The path over so many periods; a closed orbit that is shorter begins again."""
     span = _span(orbit)
     if span >= shown:
@@ -169,7 +169,7 @@ def _repeated(orbit: Orbit, shown: int) -> tuple[NDArray[np.float64], NDArray[np
     return times, np.concatenate([orbit.states] * turns)
 
 
-def _impact_times(orbit: Orbit, side: float, shown: int) -> NDArray[np.float64]:
+def _impact_times(orbit: CellOrbit, side: float, shown: int) -> NDArray[np.float64]:
     span = _span(orbit)
     times = orbit.impacts[orbit.impacts[:, 1] == side, 0]
     turns = max(1, -(-shown // span))
@@ -177,12 +177,12 @@ def _impact_times(orbit: Orbit, side: float, shown: int) -> NDArray[np.float64]:
     return times[times <= shown * orbit.period]
 
 
-def _span(orbit: Orbit) -> int:
+def _span(orbit: CellOrbit) -> int:
     """Forcing periods of the path."""
     return round(float(orbit.times[-1] / orbit.period))
 
 
-def _legend(orbit: Orbit) -> list[Line2D]:
+def _legend(orbit: CellOrbit) -> list[Line2D]:
     entries = [Line2D([], [], color=_LINE, linewidth=1.2, label="motion")]
     entries.append(Line2D([], [], color=_STOP, linewidth=0.9, linestyle=(0, (4, 2)), label="stop"))
     for side, ink, name in ((1.0, _UPPER, "upper"), (-1.0, _LOWER, "lower")):

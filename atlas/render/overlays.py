@@ -24,8 +24,8 @@ LEAST_REGION = 2e-4
 
 POINTS = 400
 """Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
-POINTS_BOTH = 60
-"""The same where every pair of both axes has to be computed."""
+POINTS_OF_PAIRS = 60
+"""The same where every pair of points has to be computed, at most."""
 
 _LEAST_LINE = 40.0
 """Length in points below which a piece of an isoline is left out."""
@@ -33,9 +33,10 @@ _LABEL_ROOM = 30.0
 """Points between labels of isolines."""
 
 
-def variables(chosen: Sequence[str]) -> tuple[str, ...]:
-    """The variables that these overlays need, besides the regimes."""
-    return (LARGEST.name,) if "isolines" in chosen else ()
+def read(ds: xr.Dataset, variables: Iterable[str], kind: str, options: maps.Options) -> maps.Plane:
+    """Read what a map with overlays takes: its own variables and theirs, as ``maps.read`` does."""
+    extra = (LARGEST.name,) if "isolines" in options.overlays else ()
+    return maps.read(ds, (*variables, *extra), kind, options.pixels)
 
 
 def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, chosen: Sequence[str]) -> list[Artist]:
@@ -66,18 +67,22 @@ def grazing_ratio(
 
 
 def grazing_grid(
-    system: System, fixed: dict[str, float], x: axes.Axis, y: axes.Axis
+    system: System, fixed: dict[str, float], x: axes.DrawnAxis, y: axes.DrawnAxis, points: int = POINTS
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map."""
-    xs, ys = _points(system, x, POINTS), _points(system, y, POINTS)
-    few = [values[[0, POINTS // 3, POINTS // 2, -1]] for values in (xs, ys)]
+    """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
+
+    ``points`` along each axis where it takes one axis at a time, else as many and at most POINTS_OF_PAIRS.
+    """
+    xs, ys = _points(system, x, points), _points(system, y, points)
+    few = [values[[0, points // 3, points // 2, -1]] for values in (xs, ys)]
     probe = grazing_ratio(system, fixed, (x.name, few[0]), (y.name, few[1]))
     if np.allclose(probe, probe[:1] + probe[:, :1] - probe[0, 0], rtol=0, atol=1e-9):
-        # Mostly one axis is the clearance: then log(|Y| / b) is a sum of a part of x and a part of y.
+        # Mostly one axis is the clearance: then log(|Y| / b) is a sum of a term in x and a term in y.
         row = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys[:1]))
         column = grazing_ratio(system, fixed, (x.name, xs[:1]), (y.name, ys))
         return xs, ys, row + column - row[0, 0]
-    xs, ys = _points(system, x, POINTS_BOTH), _points(system, y, POINTS_BOTH)
+    points = min(points, POINTS_OF_PAIRS)
+    xs, ys = _points(system, x, points), _points(system, y, points)
     return xs, ys, grazing_ratio(system, fixed, (x.name, xs), (y.name, ys))
 
 
@@ -134,7 +139,7 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
             continue
         lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="black", linewidths=0.5)
         lines.set(alpha=0.8, zorder=2.5)
-        lines.set_paths([_long_parts(ax, path) for path in lines.get_paths()])
+        lines.set_paths([_long_pieces(ax, path) for path in lines.get_paths()])
         names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0, inline=False)
         _thin_out(ax, names)
     return [Line2D([], [], color="black", alpha=0.8, linewidth=0.6, label=r"$\lambda_1$ constant")]
@@ -144,15 +149,15 @@ def _signed(sign: float) -> Callable[[float], str]:
     return lambda level: f"{sign * level:g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _long_parts(ax: Axes, path: Path) -> Path:
-    """The parts of a line that are long enough to be followed by eye."""
+def _long_pieces(ax: Axes, path: Path) -> Path:
+    """The pieces of a line that are long enough to be followed by eye."""
     # Not path.to_polygons, which leaves out points that stand out by less than a ninth of a unit, of data here.
     vertices = np.asarray(path.vertices)
     codes = np.full(len(vertices), Path.LINETO) if path.codes is None else path.codes
-    parts = np.split(vertices, np.flatnonzero(codes == Path.MOVETO)[1:])
+    pieces = np.split(vertices, np.flatnonzero(codes == Path.MOVETO)[1:])
     long = [
         each
-        for each in parts
+        for each in pieces
         if len(each) > 1 and np.hypot(*np.diff(_in_points(ax, each), axis=0).T).sum() >= _LEAST_LINE
     ]
     return Path.make_compound_path(*map(Path, long)) if long else Path(np.empty((0, 2)))
@@ -202,7 +207,7 @@ def _smooth(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
 
 
-def _points(system: System, axis: axes.Axis, count: int) -> NDArray[np.float64]:
+def _points(system: System, axis: axes.DrawnAxis, count: int) -> NDArray[np.float64]:
     # From edge to edge, or from the outermost cell's centre where its edge lies outside the parameter's range.
     admits = system.parameter(axis.name).admits
     first, last = axis.edges[0], axis.edges[-1]

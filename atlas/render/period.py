@@ -1,4 +1,4 @@
-"""The isoperiodic map: how many forcing periods an orbit takes over a plane, and the regime where it never closes."""
+"""The isoperiodic map: the forcing periods of each cell's orbit, and the regime where it never closes."""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -37,14 +37,14 @@ for the greatest least difference between any two, also as seen without red or w
 """
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The isoperiodic map as a figure; InputError where the atlas holds no periods."""
-    plane = maps.read(ds, ("period", *overlays.variables(overlaid)), "period")
+    plane = overlays.read(ds, ["period"], "period", options)
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend = paint(plane.regime, plane["period"])
         maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
         maps.legend_beside(drawn, entries)
     return drawn
 

@@ -42,7 +42,7 @@ def figure(
 
     ``zero``: colour and name of cells that are 0; where there are no others the figure has no colour bar.
     """
-    norm = _norm(values, scale.log)
+    norm = color_norm(values, scale.log)
     with rc_context(style.STYLE):
         drawn, ax = maps.frame(ds)
         rgba, legend = paint(plane.regime, values, norm, scale.colormap, zero)
@@ -73,6 +73,22 @@ def paint(
     return rgba, legend + maps.paint_regimes(rgba, regime, ~known)
 
 
+def color_norm(values: NDArray[np.float64], log: bool) -> Normalize:
+    """The scale of finite values, of positive ones where it is logarithmic: to percentiles near both ends.
+
+    A logarithmic one spans a decade at least. Without such values, it is any.
+    """
+    finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
+    if finite.size == 0:
+        return LogNorm(0.1, 1.0) if log else Normalize(0.0, 1.0)
+    low, high = np.percentile(finite, [_SHARE, 100.0 - _SHARE])
+    if log:
+        # A scale within a decade has ticks that nobody reads.
+        low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
+        return LogNorm(float(low), float(high))
+    return Normalize(float(low), float(high) if high > low else float(low) + 1.0)
+
+
 def _colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Normalize, scale: Scale) -> None:
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
     extend = style.beyond(values[values > 0.0], low, high)
@@ -82,15 +98,3 @@ def _colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Norm
     bar.outline.set_linewidth(0.6)
     if scale.log and high / low > 1e4:
         bar.ax.yaxis.set_minor_locator(NullLocator())
-
-
-def _norm(values: NDArray[np.float64], log: bool) -> Normalize:
-    finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
-    if finite.size == 0:
-        return LogNorm(0.1, 1.0) if log else Normalize(0.0, 1.0)
-    low, high = np.percentile(finite, [_SHARE, 100.0 - _SHARE])
-    if log:
-        # Whole decades at least: a scale within one has ticks that nobody reads.
-        low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
-        return LogNorm(float(low), float(high))
-    return Normalize(float(low), float(high) if high > low else float(low) + 1.0)

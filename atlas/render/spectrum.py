@@ -36,11 +36,11 @@ def figure(ds: xr.Dataset) -> Figure:
 
 
 def color(i: int) -> str:
-    """The colour of the exponent of that place, the largest at 0."""
+    """The colour of an exponent by its number, the largest being 0."""
     return COLORS[i % len(COLORS)]
 
 
-def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     size = sweep.point_size(x, 1.4)

@@ -1,7 +1,5 @@
 """The sticking map: the share of time that the impacting mass rests on a stop."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 from matplotlib.colors import LinearSegmentedColormap
@@ -15,8 +13,8 @@ COLORMAP = LinearSegmentedColormap.from_list(
 SCALE = scalar.Scale(COLORMAP, False, "share of the time at rest on a stop")
 
 
-def figure(ds: xr.Dataset, overlaid: Sequence[str] = ()) -> Figure:
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The sticking map as a figure; InputError where the atlas does not hold it. Cells that never rest are pale."""
-    plane = maps.read(ds, ("stuck_fraction", *overlays.variables(overlaid)), "sticking")
+    plane = overlays.read(ds, ["stuck_fraction"], "sticking", options)
     share = np.where(maps.determined(plane.regime), plane["stuck_fraction"], np.nan)
-    return scalar.figure(ds, plane, share, SCALE, overlaid, zero=("#f3f1ea", "never at rest"))
+    return scalar.figure(ds, plane, share, SCALE, options.overlays, zero=("#f3f1ea", "never at rest"))

@@ -58,7 +58,7 @@ INK = {**COLORS, NO_IMPACT: "#8c8c8c"}
 """The same for points and lines on white, where the light grey of an area would not be seen."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
-"""The texture of regimes that colour alone does not tell: white is no value, impact-free cells have exponents, grey
+"""The texture of regimes that colour alone does not show: white is no value, impact-free cells have exponents, grey
 and black may be the ends of a scale, and green is seen as a shade of chaos without red receptors."""
 
 HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
@@ -75,7 +75,7 @@ def name_of(code: int) -> str:
 
 def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
     """A colour in bytes."""
-    red, green, blue = (round(255 * part) for part in to_rgb(color))
+    red, green, blue = (round(255 * channel) for channel in to_rgb(color))
     return red, green, blue, alpha
 
 
@@ -189,42 +189,47 @@ def number(value: float) -> str:
     return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
 
 
-class Origin(NamedTuple):
-    """What a file says about the numbers it shows: a title, the digest of their spec, the software that made them."""
+class Provenance(NamedTuple):
+    """What a file says of the numbers it shows: a title, the digest of their spec, the software that made them."""
 
     title: str
     digest: str
     software: str
 
 
-def origin_of(*atlases: xr.Dataset) -> Origin:
-    """The origin of a picture of one atlas, or of several: then all their digests, in order."""
+def provenance_of(*atlases: xr.Dataset) -> Provenance:
+    """The provenance of a picture of one atlas, or of several: then all their digests, in order."""
     ds = atlases[0]
-    return Origin(
+    return Provenance(
         title=f"impact-atlas: {_system_name(ds)}, axes {', '.join(axis_names(ds))}",
         digest=" ".join(str(each.attrs.get("digest", "unknown")) for each in atlases),
         software=str(ds.attrs.get("software", "unknown software")),
     )
 
 
-def save(figure: Figure, path: Path, suffix: str, origin: Origin) -> None:
+def save(figure: Figure, path: Path, suffix: str, provenance: Provenance) -> None:
     """Write a figure, with the digest of its spec and the software in the file's metadata and no time of day."""
     software = f"impact-atlas {own_version()}, matplotlib {mpl.__version__}"
-    source = f"computed by {origin.software}"
+    source = f"computed by {provenance.software}"
     # Each format has its own words for the same four; a date would make equal pictures unequal files.
     words = {
-        "png": {"Title": origin.title, "Software": software, "Digest": origin.digest, "Source": source},
+        "png": {
+            "Title": provenance.title,
+            "Software": software,
+            "Digest": provenance.digest,
+            "Source": source,
+        },
         "svg": {
-            "Title": origin.title,
+            "Title": provenance.title,
             "Creator": software,
-            "Identifier": origin.digest,
+            "Identifier": provenance.digest,
             "Source": source,
             "Date": None,
         },
         "pdf": {
-            "Title": origin.title,
+            "Title": provenance.title,
             "Creator": software,
-            "Subject": origin.digest,
+            "Subject": provenance.digest,
             "Keywords": source,
             "CreationDate": None,
         },

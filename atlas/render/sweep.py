@@ -16,7 +16,7 @@ from atlas.errors import InputError
 from atlas.render import axes, style
 from workers.results import ERROR, LARGEST, PENDING, REGIME, REGIMES, SECTION
 
-Panel: TypeAlias = Callable[[Axes, xr.Dataset, axes.Axis], None]
+Panel: TypeAlias = Callable[[Axes, xr.Dataset, axes.DrawnAxis], None]
 """Draws one panel of a sweep from what was read of it."""
 
 LARGEST_LABEL = "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
@@ -37,7 +37,7 @@ def figure(ds: xr.Dataset) -> Figure:
         return stack(ds, read, x, panels, regime_legend(read[REGIME.name].values))
 
 
-def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.Axis]:
+def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.DrawnAxis]:
     """These variables and the regimes along the axis of a sweep in rising order, and that axis.
 
     The only place where the pictures of sweeps choose what they read.
@@ -47,7 +47,7 @@ def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.Axi
 
 
 def stack(
-    ds: xr.Dataset, read: xr.Dataset, x: axes.Axis, panels: Mapping[str, Panel], legend: Sequence[Artist]
+    ds: xr.Dataset, read: xr.Dataset, x: axes.DrawnAxis, panels: Mapping[str, Panel], legend: Sequence[Artist]
 ) -> Figure:
     """Panels over one shared axis, under the title line of the fixed parameters."""
     drawn = style.new_figure(HEIGHT[len(panels)])
@@ -61,7 +61,7 @@ def stack(
     return drawn
 
 
-def draw_section(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
+def draw_section(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
     """The bifurcation diagram: section values of the first state in the colours of their regimes."""
     regime = ds[REGIME.name].values
     # The dimensions are cell, sample, component; only the first component is read.
@@ -73,7 +73,7 @@ def draw_section(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
     ax.set_ylabel(state_label(ds))
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
     regime = ds[REGIME.name].values
     largest = np.where(np.isfinite(ds[LARGEST.name].values), ds[LARGEST.name].values, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -87,13 +87,13 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.Axis) -> None:
     ax.set_ylabel(LARGEST_LABEL)
 
 
-def point_size(x: axes.Axis, least: float) -> float:
+def point_size(x: axes.DrawnAxis, least: float) -> float:
     """The diameter of a point in points: as wide as a cell, within what is seen and what separates neighbours."""
     return float(np.clip(0.8 * style.WIDTH * 72.0 / x.values.size, least, 4.0))
 
 
 def _points(
-    ax: Axes, at: NDArray[np.float64], values: NDArray[np.float64], x: axes.Axis, code: int, least: float = 1.1
+    ax: Axes, at: NDArray[np.float64], values: NDArray[np.float64], x: axes.DrawnAxis, code: int, least: float = 1.1
 ) -> None:
     size = point_size(x, least)
     ax.plot(at, values, ".", color=style.INK[code], markersize=size, markeredgewidth=0, zorder=3, rasterized=True)

@@ -13,15 +13,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError, RunError
+from atlas.service.timing import TIMING, Timing
 
 if TYPE_CHECKING:
     from distributed import Client, Security
 
-CONNECT_SECONDS = 5
-"""How long a scheduler may take to answer."""
-WORKER_SECONDS = 30
-"""How long a scheduler may take to have its first worker."""
-LOST = "the cluster was lost; run again to go on from the stored tiles"
+LOST = "the cluster was lost; the same command resumes from the stored tiles"
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Tls:
 
 
 def _security(tls: Tls | None) -> "Security":
-    """Dask's Security of its configuration (distributed.comm.tls), with the files given in place of those there."""
+    """Dask's Security of its configuration (distributed.comm.tls), with the files given replacing those named there."""
     from distributed import Security
 
     given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}
@@ -48,17 +45,17 @@ def _security(tls: Tls | None) -> "Security":
 
 
 @contextmanager
-def connected(scheduler: str, tls: Tls | None = None) -> Iterator["Client"]:
-    """A client of the scheduler at an address; InputError where none answers in time."""
+def connected(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -> Iterator["Client"]:
+    """A client of the scheduler at an address; InputError where none answers within ``timing.connect`` seconds."""
     from distributed import Client
 
     with _quiet():
         try:
             security = _security(tls)
             # A Client that fails to start is closed only when it is collected, which may block the next one's start.
-            with ThreadPoolExecutor(1) as apart:  # a notebook's own thread has a loop running
-                apart.submit(asyncio.run, _knock(scheduler, security)).result()
-            client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False, security=security)
+            with ThreadPoolExecutor(1) as thread:  # a notebook's own thread has a loop running
+                thread.submit(asyncio.run, _knock(scheduler, security, timing.connect)).result()
+            client = Client(scheduler, timeout=timing.connect, set_as_default=False, security=security)
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             detail = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(f"{scheduler}: no scheduler answers ({detail})") from None
@@ -66,11 +63,11 @@ def connected(scheduler: str, tls: Tls | None = None) -> Iterator["Client"]:
             yield client
 
 
-async def _knock(scheduler: str, security: "Security") -> None:
+async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
     """Connect and hang up; an exception where nothing answers."""
     from distributed.comm.core import connect
 
-    comm = await connect(scheduler, timeout=CONNECT_SECONDS, **security.get_connection_args("client"))
+    comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
     await comm.close()
 
 
@@ -111,17 +108,20 @@ def worker_threads(client: "Client") -> dict[str, int]:
         raise RunError(LOST) from None
 
 
-def count_threads(client: "Client", waiting: Callable[[], None]) -> int:
-    """Threads of a cluster, once its first worker is there; ``waiting`` is called if it is not yet."""
+def count_threads(client: "Client", waiting: Callable[[], None], timing: Timing = TIMING) -> int:
+    """Threads of a cluster, once its first worker is there; ``waiting`` is called if it is not yet.
+
+    InputError where none has come within ``timing.worker`` seconds.
+    """
     if client.asynchronous:
         raise InputError("client: found an asynchronous one, must be synchronous")
     if not client.nthreads():
         waiting()
         try:
-            client.wait_for_workers(1, timeout=WORKER_SECONDS)
+            client.wait_for_workers(1, timeout=timing.worker)
         except TimeoutError:
             raise InputError(
-                f"the scheduler has no worker after {WORKER_SECONDS} s; start one: dask worker ADDRESS"
+                f"the scheduler has no worker after {timing.worker:g} s; start one: dask worker ADDRESS"
             ) from None
     return max(1, sum(worker_threads(client).values()))
 
@@ -137,7 +137,7 @@ def leave_if_bootstrapping() -> None:
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Ctrl-C reaches every process of a terminal; those started in here leave it to their parent."""
+    """Ctrl-C reaches every process of a terminal; those started within ignore it, and their parent ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -150,7 +150,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Dask's log kept off the terminal: what matters of it comes back as an outcome or an error."""
+    """Keep Dask's log off the terminal: what matters of it comes back as an outcome or an error."""
     # Importing distributed has given several of its loggers a level and a handler of their own.
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
     before = {logger: logger.level for logger in map(logging.getLogger, names)}

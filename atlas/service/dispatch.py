@@ -1,5 +1,6 @@
 """Tiles out to the workers and their outcomes back: a window of them under way, again for those that went wrong."""
 
+import math
 import time
 import uuid
 from collections import deque
@@ -10,9 +11,11 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from atlas.errors import NetworkError, RunError
-from atlas.service.cluster import LOST, WORKER_SECONDS, worker_threads
+from atlas.service.cluster import LOST, worker_threads
 from atlas.service.summary import TileFailure
-from atlas.task.task import Job, Receipt, RefusedError, StoreFullError, run_job
+from atlas.service.timing import TIMING, Timing
+from atlas.task.attempt import run_job
+from atlas.task.task import Job, Receipt, RefusedError, StoreFullError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -20,13 +23,12 @@ if TYPE_CHECKING:
 IN_FLIGHT = 2
 """Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
 ATTEMPTS = 3
-"""How often a tile is tried that raises, or whose workers die, before it is left for another run."""
-TICK_SECONDS = 1.0
+"""How often a tile that raises, or whose workers die, is tried before it is left for another run."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """A worker that will not do this run's tiles, and why. ``passing``: the store may answer it later."""
+    """A worker that refuses this run's tiles, and why. ``passing``: the store may answer it later."""
 
     worker: str
     reason: str
@@ -34,15 +36,15 @@ class Refusal:
 
 
 def outcomes(
-    client: "Client", jobs: Iterable[Job], tick: Callable[[int, dict[str, str]], None]
+    client: "Client", jobs: Iterable[Job], tick: Callable[[int, dict[str, str]], None], timing: Timing = TIMING
 ) -> Iterator[Receipt | TileFailure]:
     """Submit jobs in a window and give each one's outcome as it ends; what is under way is dropped on the way out.
 
-    ``tick`` is called every second or so, with the number of worker threads and the reasons of the workers that
-    refuse, and may raise to end it. Raises RunError where the cluster is lost, no worker will do the run's tiles, or
-    the store has no room.
+    ``tick`` is called about every ``timing.tick`` seconds, with the number of worker threads and the reasons of the
+    workers that refuse, and may raise to end it. Raises RunError where the cluster is lost, all workers refuse, or the
+    store has no room.
     """
-    return _Window(client, jobs).run(tick)
+    return _Window(client, jobs, timing).run(tick)
 
 
 def work(job: Job) -> Receipt | Refusal:
@@ -58,8 +60,8 @@ def work(job: Job) -> Receipt | Refusal:
 
 
 class _Window:
-    def __init__(self, client: "Client", jobs: Iterable[Job]) -> None:
-        self.client, self.waiting = client, iter(jobs)
+    def __init__(self, client: "Client", jobs: Iterable[Job], timing: Timing) -> None:
+        self.client, self.waiting, self.timing = client, iter(jobs), timing
         self.token = uuid.uuid4().hex[:8]
         self.running: dict[Future[Receipt | Refusal], tuple[Job, int]] = {}
         self.again: deque[tuple[Job, int]] = deque()
@@ -71,10 +73,10 @@ class _Window:
         self.last_good = time.monotonic()
 
     def run(self, tick: Callable[[int, dict[str, str]], None]) -> Iterator[Receipt | TileFailure]:
-        ticked = -TICK_SECONDS
+        ticked = -math.inf
         try:
             while True:
-                if time.monotonic() - ticked >= TICK_SECONDS:
+                if time.monotonic() - ticked >= self.timing.tick:
                     self.threads = worker_threads(self.client)  # a cluster may grow and shrink under way
                     self.most_workers = max(self.most_workers, len(self.threads))
                     tick(sum(self.threads.values()), self.refused)
@@ -83,7 +85,7 @@ class _Window:
                 if not (self.running or self.again):
                     return
                 try:
-                    future = self.ended.get(timeout=TICK_SECONDS)
+                    future = self.ended.get(timeout=self.timing.tick)
                 except Empty:
                     continue
                 outcome = self.outcome(future)
@@ -95,16 +97,16 @@ class _Window:
                     self.client.cancel(list(self.running))
 
     def fill(self) -> None:
-        """Submit as many jobs as the window has room for, those that are to be tried again first."""
+        """Submit as many jobs as the window has room for, those to be tried again first."""
         willing = [worker for worker in self.threads if worker not in self.refused]
         if willing or not self.refused:
             self.last_good = time.monotonic()
         elif not self.running and (
-            len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > WORKER_SECONDS
+            len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > self.timing.worker
         ):
             worker, reason = next(iter(self.refused.items()))
             raise RunError(
-                f"no worker can do this run: {worker}: {reason}; finished tiles are kept, and the same line goes on"
+                f"no worker can do this run: {worker}: {reason}; finished tiles are kept; the same command resumes"
             )
         else:
             return  # one that did tiles is gone, and may come back
@@ -129,7 +131,7 @@ class _Window:
         future.add_done_callback(self.ended.put)
 
     def outcome(self, future: "Future[Receipt | Refusal]") -> Receipt | TileFailure | None:
-        """What has become of a job; None where it is to be tried again."""
+        """The outcome of a job; None where it is to be tried again."""
         job, attempt = self.running.pop(future)
         if future.status == "finished":
             result = future.result()
@@ -149,7 +151,7 @@ class _Window:
         error = future.exception()
         future.release()
         if isinstance(error, StoreFullError):
-            raise RunError(f"{error}; finished tiles are kept: make room and run again")
+            raise RunError(f"{error}; finished tiles are kept; make room and give the same command again")
         if isinstance(error, ImportError) or "deserialization of the task graph" in str(error):
             raise RunError(
                 f"the scheduler or a worker cannot load this package ({type(error).__name__}); install the same "

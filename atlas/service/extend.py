@@ -1,30 +1,31 @@
-"""Growing an atlas: a new store of more cells, which takes over those that an old one has."""
+"""Extending an atlas: a new store of more cells, which reuses those that an old one has."""
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from atlas.errors import InputError, check_names, shown
-from atlas.service.plan import plural
+from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import run
+from atlas.service.run import Target, complete
 from atlas.service.summary import Summary
 from atlas.spec.axis import Axis, check_count
 from atlas.spec.spec import Spec, differences
 from atlas.store.location import place_of
 from atlas.store.schema import Origin
-from atlas.store.store import Header, done_tiles, find, read_header
-from atlas.task.reuse import count_shared
+from atlas.store.store import Header, done_tiles, read_header
+from atlas.task.reuse import absent_results, count_shared
+from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client
 
-ROUNDING = 64
-"""Units in the last place by which a value may miss an old one and still mean it: so far do two spacings differ."""
+SAME_VALUE_ULPS = 64
+"""Units in the last place within which a new value means an old one: by so much do two ways to space points differ."""
 
 
 def extend(
@@ -33,17 +34,14 @@ def extend(
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,
     client: "Client | None" = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-    probe: bool = False,
+    options: RunOptions = DEFAULTS,
 ) -> Summary:
-    """Compute a larger or finer atlas into a new store, taking over the finished cells of ``store`` to the bit.
+    """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
     ``spec`` is that of the new atlas: it may have other values on the same axes, and nothing else that differs. Or
     ``refine`` says by how much each axis, or the axes by name, become finer. ``store`` stays as it is, and has to
-    stay where it is until the new one is complete. The same call again goes on where it stopped; ``client`` and what
-    follows is as in ``run``.
+    stay where it is until the new one is complete. The same call resumes an extension that was stopped; ``client``
+    and ``options`` are those of ``run``.
     Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
     """
     old = read_header(store)
@@ -52,40 +50,25 @@ def extend(
     grown = refined(old.spec, refine, old.tile) if spec is None else extended(old, spec)
     place = place_of(into)
     if place == old.place:
-        raise InputError(f"{place}: is the store to be extended; the new one needs a place of its own")
+        raise InputError(f"{place}: is the store to be extended; the new one needs another path")
     if old.solver_version != SOLVER_VERSION:
         raise InputError(
             f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: compute the new atlas by atlas run"
         )
+    if absent := absent_results(old):
+        names = ", ".join(absent)
+        raise InputError(f"{old.place}: too old, it has no {names}: compute the new atlas by atlas run")
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
-    made = find(place, grown)
-    origin = Origin(str(old.place), old.run_id)
-    if made and made.origin != origin:
-        raise InputError(f"{place}: is a store already, and not one that extends {old.place}; choose another path")
-    if on_progress:
-        total = math.prod(grown.shape)
-        on_progress(Progress(f"taking over {kept} of {plural(total, 'cell')} from {old.place}"))
-    return run(
-        grown,
-        into,
-        client=client,
-        workers=workers,
-        scheduler=scheduler,
-        on_progress=on_progress,
-        probe=probe,
-        origin=origin,
-    )
+    target = Target(grown, place, origin=Origin(str(old.place), old.run_id))
+    options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
+    return complete(target, client, options)
 
 
 def extended(old: Header, given: Spec) -> Spec:
-    """The given spec with the old store's own values where it means them; InputError where more than values differ.
-
-    Two ways to space the same points may differ in their last bits: a value as near to an old one as that is the old
-    one. Any other is left as it is.
-    """
+    """The given spec with the old store's own values, see ``keep_values``; InputError where more than values differ."""
     stored = old.spec
     if stored.continuation is not None or given.continuation is not None:
         raise InputError(f"{old.place}: a continued sweep cannot be extended: each cell depends on those before it")
@@ -94,7 +77,7 @@ def extended(old: Header, given: Spec) -> Spec:
     found = differences(stored, Spec.from_resolved(with_old_axes))
     if found:
         raise InputError(f"{old.place}: cannot be extended by this spec: {'; '.join(found)}")
-    axes = {new.name: _taking_over(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
+    axes = {new.name: keep_values(before, new) for before, new in zip(stored.axes, given.axes, strict=True)}
     return _spec_of(stored, axes, given.tile)
 
 
@@ -135,14 +118,14 @@ def _finer(axis: Axis, factor: int) -> Axis:
     return Axis(axis.name, tuple(values.tolist()), axis.scale)
 
 
-def _taking_over(stored: Axis, given: Axis) -> Axis:
-    """The given axis, with a stored value in place of each that is it but for rounding."""
+def keep_values(stored: Axis, given: Axis) -> Axis:
+    """The given axis, with the stored value in place of each that differs from it by rounding only."""
     old, new = np.array(stored.values), np.array(given.values)
     after = np.searchsorted(old, new)
     below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]
     near = np.where(np.abs(new - below) <= np.abs(new - above), below, above)
     scale = np.abs(new) if given.scale == "log" else np.max(np.abs(np.concatenate([old, new])))
-    meant = np.abs(new - near) <= ROUNDING * np.spacing(scale)
+    meant = np.abs(new - near) <= SAME_VALUE_ULPS * np.spacing(scale)
     return Axis(given.name, tuple(np.where(meant, near, new).tolist()), given.scale)
 
 

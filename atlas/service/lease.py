@@ -1,11 +1,12 @@
 """Who is at work on a store: one coordinator at a time, proved by a counter that moves, never by a clock.
 
-A claim is one small note beside the store. Its holder counts a number in it up, every BEAT_SECONDS. Who finds a claim
-watches that number: it moves, and the claim is respected; it stands still for PATIENCE_SECONDS of the watcher's own
-time, or its process is seen to be gone, and the claim is taken over. All of it rests on one operation, "put this note
-if what is there is still what I read", so that a holder that was only asleep finds out at its next beat.
+A claim is one small note outside the store. Its holder increments a counter in it at every beat. Another run that
+finds a claim watches that counter: if it moves, the claim is respected; if it stands still for as long as a dead
+holder's would by the watcher's own clock, or the holder's process is gone, the claim is replaced. All of it rests on
+one operation, "put this note if what is there is still what I read", so that a holder that only slept learns of its
+replacement at its next beat.
 
-Who only asks (status, cancel) reports a claim as silent after SILENT_SECONDS without a beat, and leaves it in place.
+Status and cancel only report a claim that is silent, and leave it in place. All times are those of a Timing.
 """
 
 import glob
@@ -23,18 +24,12 @@ from pathlib import Path
 from typing import Any
 
 from atlas.errors import InputError, NetworkError, RunError
+from atlas.service.process import is_name, is_running, this_process
+from atlas.service.timing import TIMING, Timing
 from atlas.store.sidecar import Notes
 
-BEAT_SECONDS = 2.0
-"""How often a holder moves its counter."""
-SILENT_SECONDS = 2.5 * BEAT_SECONDS
-"""How long a counter must stand still until that is reported: one beat may be late, two rarely are."""
-PATIENCE_SECONDS = 20.0
-"""How long a counter must stand still until its holder counts as dead: ten beats, for a busy network disk."""
-LOOK_SECONDS = 0.2
-"""How often a watcher looks."""
 CLAIM, ENDED = "claim", "ended"
-"""Names of notes: who is at work; how the last run ended that nobody watched."""
+"""Names of notes: which run is at work; how the last submitted run ended."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +52,7 @@ class Record:
         wrong = [name for name, kind in kinds.items() if type(getattr(self, name)) is not kind]
         if wrong or not isinstance(self.progress, Mapping):
             raise ValueError(f"wrong type of {', '.join(wrong) or 'progress'}")
-        if not 0 < self.pid < 2**31 or len(self.process.split()) not in (0, 4):
+        if not 0 < self.pid < 2**31 or not is_name(self.process):
             raise ValueError(f"no process: {self.pid}, {self.process!r}")
 
     def pack(self) -> bytes:
@@ -79,34 +74,42 @@ class Record:
             return 0
         return value if abs(value) < 2**63 else 0  # nor is NaN
 
+    @property
+    def is_alive(self) -> bool | None:
+        """Whether the holder runs; None where this machine cannot know."""
+        return is_running(self.pid, self.process)
+
     def __str__(self) -> str:
         return f"process {self.pid} on {self.host}"
 
 
 class Claim:
-    """A claim that is held: its counter moves in a thread of its own, until ``release``."""
+    """A claim that is held: its counter moves in a thread of its own, until ``release``.
 
-    def __init__(self, notes: Notes, record: Record) -> None:
-        self._notes, self._record, self._data = notes, record, record.pack()
-        self._lost = ""
+    ``lost`` says why it is no longer this run's, and is empty while it is.
+    """
+
+    def __init__(self, notes: Notes, record: Record, beat_seconds: float) -> None:
+        self._notes, self._record, self._data, self._seconds = notes, record, record.pack(), beat_seconds
+        self.lost = ""
         self._released = threading.Event()
         self._progress: Mapping[str, Any] = {}
         self._thread = threading.Thread(target=self._beat_on, name="atlas-claim", daemon=True)
         self._thread.start()
 
     def report(self, progress: Mapping[str, Any]) -> None:
-        """What the next beats are to tell those who ask for the status."""
+        """What the next beats say to those who ask for the status."""
         self._progress = progress
 
     def check(self) -> None:
         """Raise RunError where the claim is no longer this run's, or somebody asked it to stop."""
-        if self._lost:
-            raise RunError(self._lost)
+        if self.lost:
+            raise RunError(self.lost)
         if self._record.cancelled:
-            raise RunError("stopped by atlas cancel; finished tiles are kept, and running it again goes on from them")
+            raise RunError("stopped by atlas cancel; finished tiles are kept, and the same command resumes from them")
 
     def release(self) -> None:
-        """Give the store free."""
+        """Free the store."""
         self._released.set()
         self._thread.join()
         with suppress(OSError):
@@ -114,12 +117,12 @@ class Claim:
             self._notes.remove(CLAIM, self._data)
 
     def _beat_on(self) -> None:
-        while not self._released.wait(BEAT_SECONDS) and not self._lost:
-            with suppress(OSError):  # a disk away for a while: either it comes back, or another takes over
+        while not self._released.wait(self._seconds) and not self.lost:
+            with suppress(OSError):  # a disk away for a while: either it comes back, or another run replaces the claim
                 self._beat()
 
     def _beat(self) -> None:
-        while not self._lost:
+        while not self.lost:
             moved = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
             if self._notes.put(CLAIM, moved.pack(), expected=self._data):
                 self._record, self._data = moved, moved.pack()
@@ -127,31 +130,34 @@ class Claim:
             found = self._notes.read(CLAIM)
             record = Record.unpack(found) if found is not None else None
             if found is None:
-                self._lost = "this run's claim of the store was removed; finished tiles are kept"
+                self.lost = "this run's claim of the store was removed; finished tiles are kept"
             elif record is None or record.token != self._record.token:
-                self._lost = f"another run has taken this store over ({record or 'its claim is damaged'})"
+                self.lost = f"another run has claimed this store ({record or 'its claim is damaged'})"
             else:
                 self._record, self._data = record, found
 
 
 @contextmanager
-def claimed(notes: Notes, name: str, say: Callable[[str], None] = lambda _: None) -> Iterator[Claim]:
+def claimed(
+    notes: Notes, name: str, say: Callable[[str], None] = lambda _: None, timing: Timing = TIMING
+) -> Iterator[Claim]:
     """Hold the claim of a store; InputError, naming ``name``, where another run that is alive holds it.
 
-    Watching a claim that nobody seems to hold takes up to PATIENCE_SECONDS, which ``say`` tells.
+    Watching the claim of a holder that is not known to be dead takes up to ``timing.dead`` seconds; ``say`` gets a
+    line about it.
     """
-    mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), _this_process())
+    mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
         while not notes.put(CLAIM, mine.pack(), expected=None):
             found = notes.read(CLAIM)
-            abandoned = found is not None and _is_abandoned(notes, name, found, say)
+            abandoned = found is not None and _is_abandoned(notes, name, found, say, timing)
             if abandoned and notes.put(CLAIM, mine.pack(), expected=found):
                 break
     except NetworkError:
         raise
     except OSError as error:
         raise InputError(f"{name}: cannot be written: {error.strerror or error}") from None
-    claim = Claim(notes, mine)
+    claim = Claim(notes, mine, timing.beat)
     try:
         yield claim
     finally:
@@ -164,12 +170,14 @@ class Sighting:
 
     record    None for a damaged claim
     alive     whether its holder runs, None where this machine cannot know
-    silence   seconds of the observer's own time since the counter was first seen where it stands
+    silence   seconds by the observer's own clock since the counter was first seen where it stands
+    timing    from when on such a silence is reported
     """
 
     record: Record | None
-    alive: bool | None
-    silence: float
+    alive: bool | None = None
+    silence: float = 0.0
+    timing: Timing = TIMING
 
     @property
     def trouble(self) -> str:
@@ -178,10 +186,10 @@ class Sighting:
             return "the claim is damaged; the next run replaces it"
         if self.alive is False:
             return f"{self.record} is gone without releasing its claim; the next run replaces it"
-        if self.alive is None and self.silence >= SILENT_SECONDS:
+        if self.alive is None and self.silence >= self.timing.silent:
             return (
                 f"no sign of life of {self.record} for {self.silence:.0f} s; "
-                f"if it is dead, the next run replaces its claim after {PATIENCE_SECONDS:.0f} s"
+                f"if it is dead, the next run replaces its claim after {self.timing.dead:.0f} s"
             )
         return ""
 
@@ -189,12 +197,14 @@ class Sighting:
 class Observer:
     """Looks at a store's claim from outside, and measures for how long its counter stands still.
 
-    A holder that is a process of this machine is known to be alive or gone at once. Of any other a single look tells
-    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, SILENT_SECONDS at most.
+    A holder that is a process of this machine is known to be alive or gone at once. Of any other a single look says
+    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, ``timing.silent`` seconds
+    at most.
     """
 
-    def __init__(self, notes: Notes) -> None:
-        self._notes, self._mark, self._since = notes, object(), 0.0
+    def __init__(self, notes: Notes, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
+        self._notes, self._timing, self._sleep = notes, timing, sleep
+        self._mark, self._since = object(), 0.0
 
     def look(self) -> Sighting | None:
         """The claim of now, None where there is none."""
@@ -205,18 +215,25 @@ class Observer:
         if found is None:
             return None
         record = Record.unpack(found)
-        return Sighting(record, None if record is None else _is_alive(record), time.monotonic() - self._since)
+        alive = None if record is None else record.is_alive
+        return Sighting(record, alive, time.monotonic() - self._since, self._timing)
 
     def settle(self) -> Sighting | None:
         """The claim, once it is known to move, to stand still, or to be gone."""
         seen, first = self.look(), self._mark
         while seen and seen.record and seen.alive is None and not seen.trouble and self._mark == first:
-            time.sleep(LOOK_SECONDS)
+            self._sleep(self._timing.look)
             seen = self.look()
         return seen
 
 
-def cancel(notes: Notes, name: str, wait_seconds: float, say: Callable[[str], None] = lambda _: None) -> Record:
+def cancel(
+    notes: Notes,
+    name: str,
+    wait_seconds: float,
+    say: Callable[[str], None] = lambda _: None,
+    timing: Timing = TIMING,
+) -> Record:
     """Ask the run that holds a store to stop, and wait until it has; InputError where no run holds it.
 
     Raises RunError where the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the
@@ -228,31 +245,31 @@ def cancel(notes: Notes, name: str, wait_seconds: float, say: Callable[[str], No
             raise InputError(f"{name}: no run is at work on it")
         record = Record.unpack(found)
         if record is None:
-            raise RunError(f"{name}: {Sighting(None, None, 0.0).trouble}")
-        if _is_alive(record) is False:
-            raise InputError(f"{name}: no run is at work on it: {Sighting(record, False, 0.0).trouble}")
+            raise RunError(f"{name}: {Sighting(None).trouble}")
+        if record.is_alive is False:
+            raise InputError(f"{name}: no run is at work on it: {Sighting(record, alive=False).trouble}")
         if record.cancelled or notes.put(CLAIM, replace(record, cancelled=True).pack(), expected=found):
             break
     say(f"asked {record} to stop")
-    observer, end = Observer(notes), time.monotonic() + wait_seconds
+    observer, end = Observer(notes, timing), time.monotonic() + wait_seconds
     while time.monotonic() < end:
         seen = observer.look()
         if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
             return record
         if seen.trouble:
             raise RunError(f"{name}: {seen.trouble}")
-        time.sleep(LOOK_SECONDS)
-    raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next sign of life")
+        time.sleep(timing.look)
+    raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next beat")
 
 
-def leave_word(notes: Notes, text: str) -> None:
-    """Note how a run ended that nobody watched, for the status; the next run to end well clears it."""
+def note_end(notes: Notes, text: str) -> None:
+    """Note how a submitted run ended, for the status; the next run to end well clears it."""
     with suppress(Exception):  # what cannot be noted must not hide what happened
         notes.put(ENDED, text.encode(), expected=notes.read(ENDED))
 
 
-def last_word(notes: Notes) -> str:
-    """How the last run ended that nobody watched, or nothing where it ended well."""
+def noted_end(notes: Notes) -> str:
+    """How the last submitted run ended, empty where it ended well."""
     return (notes.read(ENDED) or b"").decode(errors="replace")
 
 
@@ -262,16 +279,16 @@ def remove_half_made(store: Path) -> None:
         shutil.rmtree(leftover, ignore_errors=True)
 
 
-def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], None]) -> bool:
+def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], None], timing: Timing) -> bool:
     """Watch a claim: True once it is certain that nobody moves it, InputError as soon as somebody does."""
     record = Record.unpack(found)
-    if record and _is_alive(record) is False:
-        say(f"taking over from {record}, which is gone")
+    if record and record.is_alive is False:
+        say(f"replacing the claim of {record}, which is gone")
         return True
     say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
-    end = time.monotonic() + PATIENCE_SECONDS
+    end = time.monotonic() + timing.dead
     while time.monotonic() < end:
-        time.sleep(min(LOOK_SECONDS, PATIENCE_SECONDS / 4))
+        time.sleep(min(timing.look, timing.dead / 4))
         now = notes.read(CLAIM)
         if now is None:
             return False  # released meanwhile
@@ -280,7 +297,7 @@ def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], No
                 f"{name}: another run is at work on it ({Record.unpack(now) or record}); wait for it to end, or stop "
                 f"it: atlas cancel {name}"
             )
-    say("taking over: no sign of life")
+    say("replacing a claim without a sign of life")
     return True
 
 
@@ -288,35 +305,3 @@ def _mark(data: bytes) -> object:
     """What changes in a claim only by its holder: a request to stop, which others write, is not a sign of life."""
     record = Record.unpack(data)
     return (record.token, record.beat) if record else data
-
-
-def _this_process() -> str:
-    """Boot, process namespace, process and the moment it began, so that nothing else ever has this name."""
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        return f"{boot} {os.readlink('/proc/self/ns/pid')} {os.getpid()} {_began(os.getpid())}"
-    except OSError:
-        return ""  # no such system: only the counter tells
-
-
-def _began(pid: int) -> str:
-    """Clock ticks from boot to the start of a process; "dead" for one that only waits to be collected."""
-    state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return "dead" if state in "ZX" else rest[18]
-
-
-def _is_alive(record: Record) -> bool | None:
-    """Whether the holder runs; None where this machine cannot know."""
-    here, there = _this_process().split(), record.process.split()
-    if not here or here[:2] != there[:2]:
-        return None
-    try:
-        os.kill(record.pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    try:
-        return _began(record.pid) == there[3]
-    except OSError:
-        return None

@@ -1,8 +1,8 @@
-"""The probe: what cells of a spec cost, measured on some that lie spread over the plane."""
+"""The probe: what cells of a spec cost, measured on some that are spread over the plane."""
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 CELLS = 256
 STEPS = (4, 16, 64, CELLS)
-"""Cells solved in all after each step. A step is begun where it should keep the whole within BUDGET."""
+"""Cells solved in all after each step. A step begins only if it should keep the whole within BUDGET."""
 BUDGET = 2.0
 """Processor seconds."""
 LONGEST = 20_000
-"""Forcing periods that a probed cell may cost; what it would cost with a larger budget is worked out from its error."""
+"""Forcing periods that a probed cell may cost; its error shows what it would cost with a larger budget."""
 SEGMENT = 8
-"""Cells of a part of a line that is continued: the first, which starts as no other of its line, tells nothing."""
+"""Cells of a part of a line that is continued; the first is not counted, since no other of its line starts so."""
 STANDARD_ERRORS = 2.0
-"""By so many the range reaches beyond what was measured."""
+"""By so many the range extends beyond what was measured."""
 
 Array = NDArray[np.float64]
 
@@ -42,16 +42,16 @@ class _Measured(NamedTuple):
     most: Array
 
 
-def probe(spec: Spec, tile: tuple[int, ...]) -> Probe:
+def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:
     """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, fewer where they cost much.
 
-    A first solution, which loads the kernels, is not counted. Cells are solved side by side as in a tile. Time is that
-    of this thread on its processor: a kernel has one, and other programs do not count. Cells that are continued are
-    measured in short parts of lines.
+    A first solution, which loads the kernels, is not counted. Cells are solved in batches, as in a tile. ``clock``
+    gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
+    not count. Cells that are continued are measured in short parts of lines.
     """
     warm_up(spec.system, spec.settings)
-    starts, length = _starts(spec)
-    settings, share = _brief(spec.settings)
+    starts, length = spread_cells(spec)
+    settings, share = brief(spec.settings)
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
     steps: list[_Measured] = []
     spent, done = 0.0, 0
@@ -60,12 +60,14 @@ def probe(spec: Spec, tile: tuple[int, ...]) -> Probe:
         if not chosen or spent * (1 + len(chosen) / max(done, 1)) > BUDGET:
             break
         few = math.ceil(together / _evenness(steps))
-        steps.append(_measure(spec, settings, share, chosen, length, few))
+        begin = clock()
+        solved = [_solve(spec, settings, part, length) for part in _parts(chosen, few)]
+        steps.append(_measured(spec, solved, clock() - begin, share, length))
         done, spent = done + len(chosen), spent + steps[-1].seconds
     return _estimate(steps, done * length, math.prod(spec.shape))
 
 
-def _starts(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
+def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
     """Distinct cells that fill the plane ever more evenly, and the length of the part of a line that each begins."""
     from scipy.stats import qmc
 
@@ -82,7 +84,7 @@ def _starts(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
     return list(found)[: CELLS // length], length
 
 
-def _brief(settings: Settings) -> tuple[Settings, float]:
+def brief(settings: Settings) -> tuple[Settings, float]:
     """Settings by which no cell costs more than LONGEST periods, and the share of the full budget that this is."""
     if settings.method == "adaptive":
         share = min(1.0, LONGEST / settings.max_periods)
@@ -103,12 +105,7 @@ def _evenness(steps: list[_Measured]) -> float:
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
 
 
-def _measure(
-    spec: Spec, settings: Settings, share: float, starts: list[tuple[int, ...]], length: int, together: int
-) -> _Measured:
-    begin = time.thread_time()
-    solved = [_solve(spec, settings, part, length) for part in _parts(starts, together)]
-    seconds = time.thread_time() - begin
+def _measured(spec: Spec, solved: list["Solution"], seconds: float, share: float, length: int) -> _Measured:
     arrays = {name: np.concatenate([one.arrays[name] for one in solved]) for name in solved[0].arrays}
     least, most = _full_periods(arrays, spec.settings, share)
     counted = slice(None)

@@ -1,4 +1,4 @@
-"""How a run tells where it is: one frozen snapshot, and two ways to show it, on a terminal and in a log."""
+"""How a run reports where it is: one frozen snapshot, and two ways to show it, on a terminal and in a log."""
 
 import time
 from collections.abc import Mapping
@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import IO
 
-from atlas.service.plan import Plan, duration, plural
+from atlas.service.plan import Plan
+from atlas.text import duration, plural, shares
 from workers.results import FAILED, REASONS, REGIMES
 
 LOG_INTERVAL = 5.0
@@ -25,7 +26,7 @@ class Progress:
     cells_solved, seconds     of this run, since its first tile was submitted
     counts                    cells solved in this run by regime
     failures                  tiles that ended with an error in this run
-    passing                   worth a word only while it lasts: not for a log
+    passing                   of interest only while it lasts: not for a log
     """
 
     stage: str
@@ -56,17 +57,10 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
 
 
-def shares(counts: Mapping[str, int]) -> str:
-    """Regimes with their shares: ``periodic 62.1 %, chaotic 37.9 %``, the most frequent first."""
-    total = sum(counts.values())
-    ordered = sorted(counts.items(), key=lambda item: -item[1])
-    return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
-
-
-def reasons_told(reasons: Mapping[str, int]) -> list[str]:
+def reason_lines(reasons: Mapping[str, int]) -> list[str]:
     """A line for each reason why cells have no result: ``360 cells invalid: the initial state lies beyond a stop``."""
     regimes = {regime.code: regime.name for regime in REGIMES}
-    # How a process died is told in words of its own.
+    # How a process died has words of its own.
     meant = {reason.text: regimes[reason.regime] for reason in REASONS}
     return [f"{plural(count, 'cell')} {meant.get(text, regimes[FAILED])}: {text}" for text, count in reasons.items()]
 
@@ -154,7 +148,7 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
 
 def status_line(progress: Progress) -> str:
     """One line: tiles, cells, speed, time left, regimes."""
-    if progress.plan is None:
+    if not progress.tiles:
         return progress.stage
     done = f"{progress.tiles_done}/{progress.tiles} tiles, {progress.cells_done}/{progress.cells} cells"
     return ", ".join(part for part in (done, _speed(progress), _outcome(progress)) if part)

@@ -1,4 +1,4 @@
-"""Running an atlas: plan, claim, create or resume, fan the tiles out, gather receipts."""
+"""Running an atlas: plan, claim, create or resume, solve the tiles due, add up their receipts."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from atlas.errors import InputError, RunError
-from atlas.overview.pyramid import Overviews
-from atlas.service import plan as planning
-from atlas.service.cluster import Tls, connected, count_threads, leave_if_bootstrapping, local_cluster
+from atlas.overview.upkeep import Overviews
+from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import outcomes
 from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
-from atlas.service.plan import Plan
-from atlas.service.probe import probe as measure
+from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.plan import Plan, check_disk, default_workers, make_plan
+from atlas.service.probe import probe
 from atlas.service.progress import Progress
 from atlas.service.schedule import Order
-from atlas.service.summary import Summary, Tally
+from atlas.service.summary import Summary, Totals
 from atlas.spec.spec import Spec
 from atlas.store.location import Place, place_of, waiting
-from atlas.store.outage import LONG
 from atlas.store.schema import Origin
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, add_budget, create, done_tiles, find
@@ -30,6 +29,7 @@ from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.task import Job, Receipt
+from atlas.text import plural
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -39,95 +39,136 @@ def run(
     spec: Spec,
     store: str | os.PathLike[str] | Place,
     client: "Client | None" = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-    probe: bool = False,
-    retry: Retry | None = None,
-    tls: Tls | None = None,
-    origin: Origin | None = None,
-    run_id: str = "",
-    patience: float = LONG,
+    options: RunOptions = DEFAULTS,
 ) -> Summary:
-    """Compute an atlas into a store, going on where an earlier run of the same spec stopped.
+    """Compute an atlas into a store, or complete one that an earlier run of the same spec began.
 
-    The tiles run on ``client`` (used, not closed), on the cluster at address ``scheduler`` (by ``tls`` where it wants
-    it), or on a local cluster of ``workers`` processes. ``on_progress`` is called with each Progress; ``probe`` has the
-    plan measure a few cells. With ``retry`` the chosen cells of finished tiles are solved again, and nothing else.
-    A new store reuses the cells that ``origin`` has, see ``extend``; it gets the ``run_id``, where one is given. A
-    store at a URL that stops answering is waited for ``patience`` seconds.
+    The tiles run on ``client`` (used, not closed), or where ``options`` say: on the cluster of a scheduler, or on a
+    local one, the default. A store at a URL that stops answering is waited for ``options.patience`` seconds.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
-    the store; RunError where the cluster is lost, the store has no room or is of another run than ``run_id``, or the
-    run is cancelled; NetworkError where a server does not answer.
-    A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call goes on.
+    the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where a
+    server does not answer.
+    A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
     """
-    if workers is not None and (workers < 1 or client is not None or scheduler is not None):
-        raise InputError(f"workers: found {workers}, must be 1 or more, and goes with a local cluster only")
-    leave_if_bootstrapping()
-    tell = on_progress or (lambda _: None)
-    place = place_of(store)
-    header = find(place, spec)
-    if retry is not None and header is None:
-        raise InputError(f"{place}: no such store, so there is nothing to retry")
-    if retry is not None and spec.continuation is not None:
-        raise InputError(f"{place}: a continued sweep cannot be retried: each cell of it depends on those before it")
-    with ExitStack() as stack:
-        if scheduler is not None and client is None:
-            tell(Progress(f"connecting to {scheduler}", passing=True))
-            client = stack.enter_context(connected(scheduler, tls))
-        count = workers or planning.default_workers()
-        if client is not None:
-            count = count_threads(client, lambda: tell(Progress("waiting for the scheduler's first worker")))
-        plan = planning.make_plan(spec, count, header.tile if header else None)
-        if place.local is not None:
-            planning.check_disk(plan, place.local, plan.tile_count - (len(done_tiles(header)) if header else 0))
+    return complete(Target(spec, place_of(store)), client, options)
 
-        claim = stack.enter_context(_claimed(place, patience, tell))
-        place = waiting(place, patience)  # it answers, and there is something to lose from now on
-        header = find(place, spec)  # once more: before the claim another may have made or extended it
-        if header is not None and run_id not in ("", header.run_id):
-            raise RunError(f"{place}: not the store of run {run_id}")
-        plan = planning.make_plan(spec, count, header.tile if header else plan.tile)
-        work = _work(header, plan, retry, tell)
-        if work.due.any() and (client is None or probe):
-            tell(Progress(warming(spec.settings.exponents)))
-            compile_once(spec.system, spec.settings)
-        if work.due.any() and probe:
-            tell(Progress("probing a few cells"))
-            work = replace(work, plan=replace(plan, probe=measure(spec, plan.tile)))
-        tally = Tally(work.plan, work.tiles_done, work.cells_done, work.tiles, work.cells)
-        tell(tally.progress(_beginning(work, retry)))
-        header = header or create(place, spec, plan.tile, origin, run_id)
-        if retry is not None and retry.max_periods is not None:
-            add_budget(header)
+
+@dataclass(frozen=True)
+class Target:
+    """The store that a run makes or completes.
+
+    origin   the store whose cells it reuses, None for no other
+    run_id   of the run that it must belong to, or that it gets when it is made; empty for any
+    """
+
+    spec: Spec
+    place: Place
+    origin: Origin | None = None
+    run_id: str = ""
+
+    def find(self) -> Header | None:
+        """The header of the store, None where it is still to be made; InputError or RunError where it is another."""
+        header = find(self.place, self.spec)
+        if header is None:
+            return None
+        if self.run_id and self.run_id != header.run_id:
+            raise RunError(f"{self.place}: not the store of run {self.run_id}")
+        if self.origin and self.origin != header.origin:
+            other = f"is a store already, and not one that extends {self.origin.store}"
+            raise InputError(f"{self.place}: {other}; choose another path")
+        return header
+
+    def create(self, tile: tuple[int, ...]) -> Header:
+        """Make the store."""
+        return create(self.place, self.spec, tile, self.origin, self.run_id)
+
+
+def complete(target: Target, client: "Client | None" = None, options: RunOptions = DEFAULTS) -> Summary:
+    """Make or complete a store; see ``run``. Raises RunError also where the store is of another run than asked for."""
+    leave_if_bootstrapping()
+    if client is not None and options.workers is not None:
+        raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
+    with ExitStack() as stack:
+        header = target.find()
+        if options.retry is not None:
+            _check_retry(target, header)
+        if client is None and options.scheduler is not None:
+            options.report(Progress(f"connecting to {options.scheduler}", passing=True))
+            client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+        plan = make_plan(target.spec, _worker_count(client, options), header.tile if header else None)
+        if target.place.local is not None:
+            check_disk(plan, target.place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
+        claim = stack.enter_context(_claimed(target.place, options))
+        return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
+
+
+def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, options: RunOptions) -> Summary:
+    """Make or complete a store that is claimed.
+
+    It is looked for once more: before the claim, when it was only read so that bad input leaves no trace, another run
+    may have made it, with tiles of another shape, or have finished some of them.
+    """
+    header = target.find()
+    if header is not None and header.tile != plan.tiling.tile:
+        plan = make_plan(target.spec, plan.workers, header.tile)
+    work = _work(header, plan, options)
+    if work.due.any():
+        work = _prepared(work, target.spec, client, options)
+    totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
+    options.report(totals.progress(work.beginning))
+    header = header or target.create(plan.tiling.tile)
+    if options.retry is not None and options.retry.max_periods is not None:
+        add_budget(header)
+    with ExitStack() as stack:
         if work.due.any() and client is None:
-            tell(tally.progress(f"starting {planning.plural(count, 'worker')}"))
-            client = stack.enter_context(local_cluster(count))
+            options.report(totals.progress(f"starting {plural(plan.workers, 'worker')}"))
+            client = stack.enter_context(local_cluster(plan.workers))
+
         # Before the first tile is written: what overviews and tally say of tiles that are solved again is dropped.
-        again = list(_indices(work.due)) if retry is not None else []
+        again = work.again
         tallies = stack.enter_context(TallyKeeper(header, again))
         overviews = stack.enter_context(Overviews(header, pending=again))
+
+        def written(receipt: Receipt) -> None:
+            overviews.add(receipt.index)
+            tallies.add(receipt.index, receipt.entry)
+
         if work.due.any() and client is not None:
+            _solve(client, header, work.due, options, claim, totals, written)
+        overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
+        tallies.finish(lambda tiles: options.report(totals.progress(f"counting the cells of {plural(tiles, 'tile')}")))
+    return totals.summary(str(header.place))
 
-            def written(receipt: Receipt) -> None:
-                overviews.add(receipt.index)
-                tallies.add(receipt.index, receipt.entry)
 
-            _solve(client, header, work.due, retry, patience, claim, tally, written, tell)
-        overviews.finish(lambda done, parts: tell(tally.progress(f"writing overviews: {done} of {parts} parts")))
-        tallies.finish(lambda tiles: tell(tally.progress(f"counting the cells of {planning.plural(tiles, 'tile')}")))
-        return replace(tally.summary(str(header.place)), retried=retry is not None)
+def _check_retry(target: Target, header: Header | None) -> None:
+    if header is None:
+        raise InputError(f"{target.place}: no such store, so there is nothing to retry")
+    if target.spec.continuation is not None:
+        raise InputError(
+            f"{target.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
+        )
+
+
+def _worker_count(client: "Client | None", options: RunOptions) -> int:
+    if client is None:
+        return options.workers or default_workers()
+    waiting = Progress("waiting for the scheduler's first worker")
+    return count_threads(client, lambda: options.report(waiting), options.timing)
 
 
 @contextmanager
-def _claimed(place: Place, patience: float, tell: Callable[[Progress], None]) -> Iterator[Claim]:
-    """The claim of a store, with what dead runs left next to it cleared away.
+def _claimed(place: Place, options: RunOptions) -> Iterator[Claim]:
+    """The claim of a store. What dead runs left half made is removed when it begins, their notes when it ends.
 
-    Its beats have the place's own patience: one that fails is followed by another, and none is to hold up for long
-    the end of a run whose store is away. Only the clearing at the end waits for ``patience`` seconds.
+    Its beats have the place's own patience: one that fails is followed by another, and none may delay for long the end
+    of a run whose store is away. Only removing the notes waits as long as the options say.
     """
-    notes = notes_of(waiting(place, patience))
-    with claimed(notes_of(place), str(place), lambda text: tell(Progress(text))) as claim:
+    notes = notes_of(waiting(place, options.patience))
+
+    def say(text: str) -> None:
+        options.report(Progress(text))
+
+    with claimed(notes_of(place), str(place), say, options.timing) as claim:
         if place.local is not None:
             remove_half_made(place.local)
         try:
@@ -140,44 +181,15 @@ def _claimed(place: Place, patience: float, tell: Callable[[Progress], None]) ->
         notes.clear(keep=CLAIM)
 
 
-def _solve(
-    client: "Client",
-    header: Header,
-    due: np.ndarray,
-    retry: Retry | None,
-    patience: float,
-    claim: Claim,
-    tally: Tally,
-    written: Callable[[Receipt], None],
-    tell: Callable[[Progress], None],
-) -> None:
-    """Fan the tiles due out to the workers, and add up their receipts."""
-
-    def tick(threads: int, refused: Mapping[str, str]) -> None:
-        claim.check()
-        tally.workers, tally.refused = max(tally.workers, threads), refused
-        claim.report(tally.report(threads))
-        tell(tally.progress("solving" if threads else "waiting for a worker: there is none left"))
-
-    order = Order(due)
-    store = str(header.place)
-    jobs = (Job(index, store, header.run_id, header.solver_version, retry, patience) for index in order)
-    tally.start()
-    try:
-        for outcome in outcomes(client, jobs, tick):
-            tally.add(outcome)
-            if isinstance(outcome, Receipt):
-                order.note(outcome.index, outcome.solve_seconds)
-                written(outcome)
-            tell(tally.progress("solving"))
-    except KeyboardInterrupt:
-        tell(tally.progress("interrupted, dropping the tiles under way"))
-        raise
-
-
 @dataclass(frozen=True)
 class _Work:
-    """What a run has before it: the mask of the tiles due; tiles and cells in all, and how many of them are done."""
+    """The work of a run.
+
+    due                      mask of the tiles due
+    tiles, cells             in all: of the atlas, or in a retry of those to be solved again
+    tiles_done, cells_done   how many of these are done
+    retry                    whether the tiles due are finished ones
+    """
 
     plan: Plan
     due: np.ndarray
@@ -185,29 +197,84 @@ class _Work:
     cells: int
     tiles_done: int
     cells_done: int
+    retry: bool = False
+
+    @property
+    def again(self) -> list[tuple[int, ...]]:
+        """The finished tiles that are solved again."""
+        return list(_indices(self.due)) if self.retry else []
+
+    @property
+    def beginning(self) -> str:
+        """What the run begins with, in words."""
+        if self.retry:
+            return f"solving {plural(self.cells, 'cell')} in {plural(self.tiles, 'tile')} again"
+        return f"resuming: {self.tiles_done} of {self.tiles} tiles are done" if self.tiles_done else "making the store"
 
 
-def _work(header: Header | None, plan: Plan, retry: Retry | None, tell: Callable[[Progress], None]) -> _Work:
-    done = np.zeros(plan.grid, dtype=bool)
+def _work(header: Header | None, plan: Plan, options: RunOptions) -> _Work:
+    done = np.zeros(plan.tiling.grid, dtype=bool)
     for index in done_tiles(header) if header else ():
         done[index] = True
-    if header is None or retry is None:
-        cells_done = sum(map(plan.size, _indices(done)))
-        return _Work(plan, ~done, plan.tile_count, plan.cells, int(done.sum()), cells_done)
-    tell(Progress("looking for the cells to solve again"))
-    selected = np.zeros(plan.grid, dtype=np.int64)
+    if header is not None and options.retry is not None:
+        options.report(Progress("looking for the cells to solve again"))
+        return _retried(header, plan, done, options.retry)
+    cells_done = int(plan.tiling.sizes()[done].sum())
+    return _Work(plan, ~done, plan.tiling.count, plan.tiling.cells, int(done.sum()), cells_done)
+
+
+def _retried(header: Header, plan: Plan, done: np.ndarray, retry: Retry) -> _Work:
+    selected = np.zeros(plan.tiling.grid, dtype=np.int64)
     for index in _indices(done):
         selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
-    return _Work(plan, selected > 0, int((selected > 0).sum()), int(selected.sum()), 0, 0)
+    due = selected > 0
+    return _Work(plan, due, int(due.sum()), int(selected.sum()), 0, 0, retry=True)
 
 
-def _beginning(work: _Work, retry: Retry | None) -> str:
-    if retry is not None:
-        return f"solving {planning.plural(work.cells, 'cell')} in {planning.plural(work.tiles, 'tile')} again"
-    return f"going on: {work.tiles_done} of {work.tiles} tiles are done" if work.tiles_done else "making the store"
+def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOptions) -> _Work:
+    """The work after the kernels are compiled, where this machine needs them, and its cost probed, where asked for."""
+    if client is None or options.probe:
+        options.report(Progress(warming(spec.settings.exponents)))
+        compile_once(spec.system, spec.settings)
+    if not options.probe:
+        return work
+    options.report(Progress("probing a few cells"))
+    return replace(work, plan=replace(work.plan, probe=probe(spec, work.plan.tiling.tile)))
+
+
+def _solve(
+    client: "Client",
+    header: Header,
+    due: np.ndarray,
+    options: RunOptions,
+    claim: Claim,
+    totals: Totals,
+    written: Callable[[Receipt], None],
+) -> None:
+    """Send the tiles due to the workers, and add up their receipts."""
+
+    def tick(threads: int, refused: Mapping[str, str]) -> None:
+        claim.check()
+        totals.workers, totals.refused = max(totals.workers, threads), refused
+        claim.report(totals.report(threads))
+        options.report(totals.progress("solving" if threads else "waiting for a worker: there is none left"))
+
+    order = Order(due)
+    job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience)
+    totals.start()
+    try:
+        for outcome in outcomes(client, (replace(job, index=index) for index in order), tick, options.timing):
+            totals.add(outcome)
+            if isinstance(outcome, Receipt):
+                order.note(outcome.index, outcome.solve_seconds)
+                written(outcome)
+            options.report(totals.progress("solving"))
+    except KeyboardInterrupt:
+        options.report(totals.progress("interrupted, dropping the tiles under way"))
+        raise
 
 
 def _indices(mask: np.ndarray) -> Iterator[tuple[int, ...]]:
     """Indices where the mask is set, row by row, one at a time."""
-    for place in np.flatnonzero(mask):
-        yield tuple(map(int, np.unravel_index(place, mask.shape)))
+    for position in np.flatnonzero(mask):
+        yield tuple(map(int, np.unravel_index(position, mask.shape)))

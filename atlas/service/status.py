@@ -1,4 +1,4 @@
-"""How far a store is, from the store alone: what is in it, and what the run at work on it says beside it."""
+"""How far a store is, from the store alone: what is in it, and what the run at work on it notes next to it."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.service.lease import PATIENCE_SECONDS, Observer, Record, last_word
-from atlas.service.plan import Plan, duration
-from atlas.service.progress import Progress, reasons_told
+from atlas.service.lease import Observer, Record, noted_end
+from atlas.service.progress import Progress, reason_lines
+from atlas.service.timing import TIMING, Timing
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, open_group
-from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, plan_of, read_tally, tile_sizes
+from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, read_tally
+from atlas.text import duration
 from workers.results import NO_REASON, REASON, REASONS, REGIMES
 
 
@@ -27,7 +28,6 @@ class Status:
     """
 
     header: Header
-    plan: Plan
     tiles_done: int
     cells_done: int
     regimes: dict[str, int]
@@ -39,17 +39,16 @@ class Status:
     @property
     def fraction(self) -> float:
         """Share of the cells that is done."""
-        return self.cells_done / self.plan.cells
+        return self.cells_done / self.header.tiling.cells
 
     @property
     def progress(self) -> Progress:
-        """As the run at work would tell it; speed and time left are its own."""
+        """As a snapshot of the run at work, with the speed and the time left that it reports itself."""
         working = f"{self.run} is at work" if self.run else "no run is at work"
         return Progress(
             stage=self.trouble or working,
-            plan=self.plan,
-            tiles=self.plan.tile_count,
-            cells=self.plan.cells,
+            tiles=self.header.tiling.count,
+            cells=self.header.tiling.cells,
             tiles_done=self.tiles_done,
             cells_done=self.cells_done,
             cells_solved=int(self._reported("cells_solved")),
@@ -70,14 +69,14 @@ class Status:
         axes = " x ".join(map(str, self.header.spec.axes))
         lines = [
             f"axes     {axes}",
-            f"tiles    {self.tiles_done} of {self.plan.tile_count} done",
-            f"cells    {self.cells_done} of {self.plan.cells} done ({100 * self.fraction:.1f} %)",
+            f"tiles    {self.tiles_done} of {self.header.tiling.count} done",
+            f"cells    {self.cells_done} of {self.header.tiling.cells} done ({100 * self.fraction:.1f} %)",
             f"solver   version {self.header.solver_version}",
             f"run      {self._run()}",
         ]
         total = max(1, self.cells_done)
         lines += [f"  {name:<15}{count:>10}  {100 * count / total:6.2f} %" for name, count in self.regimes.items()]
-        lines += [f"  {line}" for line in reasons_told(self.reasons)]
+        lines += [f"  {line}" for line in reason_lines(self.reasons)]
         return "\n".join(lines)
 
     def _run(self) -> str:
@@ -105,13 +104,13 @@ class Status:
             ],
             "parameters": spec.parameters,
             "solve": spec.resolved()["solve"],
-            "tile": self.plan.tile,
-            "tiles": self.plan.tile_count,
+            "tile": self.header.tile,
+            "tiles": self.header.tiling.count,
             "tiles_done": self.tiles_done,
-            "tiles_pending": self.plan.tile_count - self.tiles_done,
-            "cells": self.plan.cells,
+            "tiles_pending": self.header.tiling.count - self.tiles_done,
+            "cells": self.header.tiling.cells,
             "cells_done": self.cells_done,
-            "cells_pending": self.plan.cells - self.cells_done,
+            "cells_pending": self.header.tiling.cells - self.cells_done,
             "cells_failed": self.regimes.get("failed", 0),
             "fraction": self.fraction,
             "regimes": self.regimes,
@@ -129,25 +128,31 @@ class Status:
 
 
 class Census:
-    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once."""
+    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once.
 
-    def __init__(self, header: Header) -> None:
-        self.header, self.plan = header, plan_of(header)
-        self.counted = np.zeros(self.plan.grid, dtype=bool)
+    ``tiles_read`` is how many tiles were counted by their chunks.
+    """
+
+    def __init__(self, header: Header, timing: Timing = TIMING) -> None:
+        self.header, self.timing = header, timing
+        self.tiles_read = 0
+        self.counted = np.zeros(header.tiling.grid, dtype=bool)
         self.total = np.zeros(len(COLUMNS))
         self.notes = notes_of(header.place)
-        self.observer = Observer(self.notes)
+        self.observer = Observer(self.notes, timing)
         self.explained = False
 
     def take(self, settled: bool = False) -> Status:
         """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
-        new = done_mask(self.header, self.plan) & ~self.counted
+        new = done_mask(self.header) & ~self.counted
         if new.any():
             root = open_group(self.header.place, "r")
-            entries, known = read_tally(root, self.plan)
+            entries, known = read_tally(root, self.header.tiling)
             self.explained = REASON.name in root
             self.total += entries[new & known].sum(axis=0)
-            for entry in count_tiles(self.header, [tuple(index) for index in np.argwhere(new & ~known).tolist()]):
+            unknown = [tuple(index) for index in np.argwhere(new & ~known).tolist()]
+            self.tiles_read += len(unknown)
+            for entry in count_tiles(self.header, unknown):
                 if isinstance(entry, ChunkError):
                     raise entry
                 self.total += entry
@@ -155,31 +160,31 @@ class Census:
         cells = self.total[CELLS].astype(int).tolist()
         regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
         found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
-        told = ((reason.text, count) for reason, count in found if count and reason.code != NO_REASON)
-        reasons = dict(told) if self.explained else {}  # an older store knows those of the newest tiles at best
-        tiles, done = int(self.counted.sum()), int(tile_sizes(self.plan)[self.counted].sum())
+        named = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
+        reasons = named if self.explained else {}  # an older store knows those of the newest tiles at best
+        tiles, done = int(self.counted.sum()), int(self.header.tiling.sizes()[self.counted].sum())
         seen = self.observer.settle() if settled else self.observer.look()
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
-        return Status(self.header, self.plan, tiles, done, regimes, reasons, run, trouble, last_word(self.notes))
+        return Status(self.header, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
 
 
-def read_status(header: Header) -> Status:
+def read_status(header: Header, timing: Timing = TIMING) -> Status:
     """The status of a store, from one listing and its tally; reads the chunks of no tile that has an entry there.
 
-    Takes up to ``claim.SILENT_SECONDS`` where the run at work is not on this machine: that is how long it takes to see
-    whether it is alive.
+    Takes up to ``timing.silent`` seconds where the run at work is not on this machine: that is how long it takes to
+    see whether it is alive.
     """
-    return Census(header).take(settled=True)
+    return Census(header, timing).take(settled=True)
 
 
-def watch(header: Header, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
+def watch(census: Census, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
     """Statuses, one every so many seconds, until the atlas is complete or no run has been at work for a while."""
-    census, idle, beat = Census(header), 0.0, -1
+    idle, beat = 0.0, -1
     while True:
         status = census.take()
         yield status
         moved = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
         idle, beat = 0.0 if moved else idle + seconds, status.run.beat if status.run else -1
-        if (status.fraction == 1 and not status.run) or idle > PATIENCE_SECONDS:
+        if (status.fraction == 1 and not status.run) or idle > census.timing.dead:
             return
         sleep(seconds)

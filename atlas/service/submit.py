@@ -7,32 +7,30 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from atlas.errors import InputError, RunError
-from atlas.service.cluster import LOST, WORKER_SECONDS, Tls, connected, count_threads, worker_threads
+from atlas.errors import InputError, NetworkError, RunError
+from atlas.service.cluster import LOST, connected, count_threads, worker_threads
 from atlas.service.dispatch import Refusal
-from atlas.service.lease import leave_word
-from atlas.service.plan import plural
+from atlas.service.lease import note_end
+from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import run
+from atlas.service.run import Target, complete
 from atlas.spec.spec import Spec
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import find, read_header
-from atlas.task.retry import Retry
-from atlas.task.task import RefusedError
+from atlas.task.task import RefusedError, check_solver, checked_header
+from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client, Event, Future, Variable
-
-WAIT_SECONDS = 0.5
-"""How often it is looked whether the coordinator has begun, or ended before it did."""
 
 
 @dataclass(frozen=True)
 class Submission:
     """All that crosses the scheduler for a coordinator.
 
+    options          of the run; where it runs is settled by now
     name             of this submission, on the scheduler
     solver_version   the submitter's: no other may coordinate
     run_id           of the store, empty where the submitter sees none
@@ -41,7 +39,7 @@ class Submission:
 
     spec: Spec
     store: str
-    retry: Retry | None
+    options: RunOptions
     name: str
     solver_version: int
     run_id: str
@@ -52,32 +50,28 @@ class Submission:
         return replace(self, refused={**self.refused, refusal.worker: refusal.reason})
 
 
-def submit(
-    spec: Spec,
-    store: str | os.PathLike[str],
-    scheduler: str,
-    on_progress: Callable[[Progress], None] | None = None,
-    retry: Retry | None = None,
-    tls: Tls | None = None,
-) -> str:
-    """Have the cluster at an address compute an atlas, and leave: the address of the worker that coordinates it.
+def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> str:
+    """Have the cluster at ``options.scheduler`` compute an atlas, and leave: the address of the coordinating worker.
 
     Returns once tiles are being solved, or the atlas is complete. The coordinator is a task next to the tiles; when its
     worker dies, Dask starts it on another (as often as the scheduler's ``allowed-failures`` grants, by default three
-    times), and it goes on by what is stored. It takes no thread from the tiles. The workers must see the store's path;
-    one that has another solver version than this program, or sees another store there, refuses to coordinate, and
-    another takes its place.
+    times), where it resumes from what is stored. It takes no thread from the tiles. The workers must see the store's
+    path; one that has another solver version than this program, or sees another store there, refuses to coordinate,
+    and another is asked.
     Raises what ``atlas.run`` raises before its first tile, and RunError where all workers refuse.
     """
     from distributed import Event, Variable
 
-    tell = on_progress or (lambda _: None)
-    tell(Progress(f"connecting to {scheduler}", passing=True))
-    with connected(scheduler, tls) as client:
-        count_threads(client, lambda: tell(Progress("waiting for the scheduler's first worker")))
+    scheduler, timing = options.scheduler, options.timing
+    if scheduler is None:
+        raise InputError("submit: needs the address of a scheduler")
+    options.report(Progress(f"connecting to {scheduler}", passing=True))
+    with connected(scheduler, options.tls, timing) as client:
+        count_threads(client, lambda: options.report(Progress("waiting for the scheduler's first worker")), timing)
         path, name = str(place_of(store)), f"atlas-{uuid.uuid4().hex[:8]}"
-        task = Submission(spec, path, retry, name, SOLVER_VERSION, _run_id(path))
-        tell(Progress("starting the coordinator on the cluster"))
+        settled = replace(options, scheduler=None, tls=None, on_progress=None)
+        task = Submission(spec, path, settled, name, SOLVER_VERSION, _run_id(path))
+        options.report(Progress("starting the coordinator on the cluster"))
         begun, run_id = Event(name, client=client), Variable(name, client=client)
         run_id.set("")
         while True:
@@ -86,10 +80,11 @@ def submit(
                 run_id.delete()
                 raise _all_refuse(task)
             future = _start(client, task, willing)
-            refusal = _refusal(future, begun)
+            refusal = _refusal(future, begun, timing.poll)
             if refusal is None:
                 break
-            tell(Progress(f"{refusal.worker} cannot coordinate: {refusal.reason}; trying another worker"))
+            reason = f"{refusal.worker} cannot coordinate: {refusal.reason}"
+            options.report(Progress(f"{reason}; trying another worker"))
             task = task.without(refusal)
         where = client.who_has([future]) if future.done() else client.processing()
         return next((worker for worker, keys in where.items() if future.key in keys), "the cluster")
@@ -100,12 +95,12 @@ def coordinate(task: Submission) -> Refusal | None:
 
     As soon as tiles are under way, a variable of the scheduler by the submission's name holds the store's run id, and
     an event is set, on which the submitter leaves. A coordinator that finds a run id follows one whose worker died: it
-    goes on with that store only, and where its own worker must not coordinate, it starts the next one itself.
-    However it ends, it leaves word of an error that no submitter waits for.
+    resumes that run only, and where its own worker must not coordinate, it starts the next one itself.
+    However it ends, an error that no submitter waits for is noted for the status.
     """
     from distributed import Event, Variable, get_worker, worker_client
 
-    with worker_client() as client:  # gives this thread's place to the tiles
+    with worker_client() as client:  # frees this thread for the tiles
         begun, known, unwatched = Event(task.name, client=client), Variable(task.name, client=client), False
 
         def begin(run_id: str) -> None:
@@ -120,11 +115,11 @@ def coordinate(task: Submission) -> Refusal | None:
             begun.clear()
 
         try:
-            earlier = _value(known)
+            earlier = _value(known, task.options.timing.poll)
             unwatched = bool(earlier)
             task = replace(task, run_id=earlier or task.run_id)
             try:
-                _check(task)
+                check_coordinator(task)
             except RefusedError as error:
                 refusal = Refusal(get_worker().address, str(error))
                 if unwatched:
@@ -132,26 +127,25 @@ def coordinate(task: Submission) -> Refusal | None:
                 return refusal
             _run(task, client, begin)
         except BaseException as error:
-            if unwatched or not isinstance(error, InputError):  # of bad input the submitter tells, and nothing is left
-                _leave_word(task, error)
+            if unwatched or not isinstance(error, InputError):  # bad input is the submitter's to report
+                _note_error(task, error)
             forget()
             raise
         forget()
         return None
 
 
-def _check(task: Submission) -> None:
+def check_coordinator(task: Submission) -> None:
     """Raise RefusedError where this worker must not coordinate."""
-    if task.solver_version != SOLVER_VERSION:
-        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {task.solver_version}")
     if not task.run_id:
+        check_solver(task.solver_version)
         return
     try:
-        found = read_header(task.store).run_id
-    except InputError as error:
-        raise RefusedError(f"{error}; is the path the same on all hosts?") from None
-    if found != task.run_id:
-        raise RefusedError(f"{task.store} is not the store of run {task.run_id}; is the path the same on all hosts?")
+        checked_header(task.store, task.run_id, task.solver_version)
+    except NetworkError:
+        raise
+    except OSError as error:
+        raise RefusedError(f"{task.store}: {error.strerror or error}; is the path the same on all hosts?") from None
 
 
 def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:
@@ -160,20 +154,21 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
         header = find(task.store, task.spec)
         run_id = header.run_id if header else uuid.uuid4().hex
 
-    def tell(progress: Progress) -> None:
+    def report(progress: Progress) -> None:
         if progress.stage == "solving":
             begin(run_id)
 
-    summary = run(task.spec, task.store, client=client, on_progress=tell, retry=task.retry, run_id=run_id)
+    target = Target(task.spec, place_of(task.store), run_id=run_id)
+    summary = complete(target, client, replace(task.options, on_progress=report))
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
-        leave_word(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
+        note_end(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
 
 
-def _leave_word(task: Submission, error: BaseException) -> None:
+def _note_error(task: Submission, error: BaseException) -> None:
     """Note the error for the status, where there is a store to ask for one."""
     if _run_id(task.store):
-        leave_word(notes_of(task.store), _in_words(error))
+        note_end(notes_of(task.store), _in_words(error))
 
 
 def _run_id(store: str) -> str:
@@ -185,7 +180,7 @@ def _run_id(store: str) -> str:
 
 
 def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Refusal | None]":
-    """Submit the coordinator to workers that may take it, to run on when this client is gone."""
+    """Submit the coordinator to workers that may take it, to outlive this client."""
     from distributed import fire_and_forget
 
     future = client.submit(
@@ -202,9 +197,9 @@ def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Re
 
 def _hand_on(client: "Client", task: Submission) -> None:
     """Start the coordinator on another worker, once there is one: that of the last attempt may be coming back."""
-    end = time.monotonic() + WORKER_SECONDS
+    end = time.monotonic() + task.options.timing.worker
     while True:
-        time.sleep(WAIT_SECONDS)  # it may be stolen back from a busy worker, over and over
+        time.sleep(task.options.timing.poll)  # it may be stolen back from a busy worker, over and over
         willing = _willing(client, task)
         if willing:
             break
@@ -223,10 +218,10 @@ def _all_refuse(task: Submission) -> RunError:
     return RunError(f"no worker can coordinate this run: {worker}: {reason}")
 
 
-def _refusal(future: "Future[Refusal | None]", begun: "Event") -> Refusal | None:
+def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> Refusal | None:
     """Wait until the coordinator has begun, ended well (None) or refused; raise what it raised."""
     while not future.done():
-        if begun.wait(timeout=WAIT_SECONDS):
+        if begun.wait(timeout=poll):
             return None
     if future.status == "error":
         error = future.exception()
@@ -241,9 +236,9 @@ def _in_words(error: BaseException) -> str:
     return str(error) if isinstance(error, InputError | RunError) else f"{type(error).__name__}: {error}".rstrip(": ")
 
 
-def _value(variable: "Variable") -> str:
+def _value(variable: "Variable", seconds: float) -> str:
     """What a variable of the scheduler holds, nothing where it is gone."""
     try:
-        return str(variable.get(timeout=WAIT_SECONDS))
+        return str(variable.get(timeout=seconds))
     except TimeoutError:
         return ""

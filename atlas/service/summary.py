@@ -1,4 +1,4 @@
-"""What a run did: receipts added up while it goes on, and their sum at its end."""
+"""What a run did: its receipts added up while it is at work, and their sum at its end."""
 
 import time
 from collections import Counter
@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from atlas.service.plan import Plan, duration, plural
-from atlas.service.progress import Progress, reasons_told, shares
+from atlas.service.plan import Plan
+from atlas.service.progress import Progress, reason_lines
 from atlas.task.task import Receipt
+from atlas.text import duration, plural, shares
 
 
 @dataclass(frozen=True)
@@ -84,14 +85,16 @@ class Summary:
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
             shares(self.counts),
         ]
-        return "\n".join(lines + reasons_told(self.reasons))
+        return "\n".join(lines + reason_lines(self.reasons))
 
 
-class Tally:
+class Totals:
     """Receipts added up: the state of a run between its snapshots."""
 
-    def __init__(self, plan: Plan, tiles_done: int, cells_done: int, tiles: int, cells: int) -> None:
-        self.plan = plan
+    def __init__(
+        self, plan: Plan, tiles: int, cells: int, tiles_done: int, cells_done: int, retried: bool = False
+    ) -> None:
+        self.plan, self.retried = plan, retried
         self.workers = plan.workers
         self.tiles, self.cells, self.tiles_done, self.cells_done = tiles, cells, tiles_done, cells_done
         self.tiles_solved = self.cells_solved = self.periods = self.peak_bytes = 0
@@ -104,7 +107,7 @@ class Tally:
         self.start()
 
     def start(self) -> None:
-        """Let the clock begin."""
+        """Start the clock."""
         self.begin = time.perf_counter()
 
     def add(self, outcome: Receipt | TileFailure) -> None:
@@ -139,7 +142,7 @@ class Tally:
         )
 
     def report(self, threads: int) -> dict[str, Any]:
-        """What the run's claim tells those who ask for the store's status."""
+        """What the run's claim reports to those who ask for the store's status."""
         return {
             "workers": threads,
             "cells": self.cells,
@@ -166,5 +169,6 @@ class Tally:
             peak_bytes=self.peak_bytes,
             failures=tuple(self.failures),
             refused=dict(self.refused),
+            retried=self.retried,
             processor_seconds=self.processor_seconds,
         )

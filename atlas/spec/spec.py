@@ -5,7 +5,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,10 @@ from workers import Settings
 from workers.model.system import System, find_system, unknown_name
 
 SECTIONS = ("system", "parameters", "axes", "solve", "store")
+FIRST_SETTINGS = (
+    "exponents", "tolerance", "max_periods", "method", "transient_periods", "periods", "max_period", "section_samples",
+)  # fmt: skip
+"""Those of the first version, which enter every digest. A setting added since does not belong here."""
 MAX_FILE = 1_000_000
 """Bytes of a spec file: far more than a spec needs, and nothing that could fill the memory."""
 
@@ -140,11 +144,8 @@ class Spec:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that decides the numbers: axes as an ordered list of names and exact values, no tile."""
-        axes = [
-            [axis.name, list(axis.values)] + ([axis.continuation] if axis.continuation else []) for axis in self.axes
-        ]
-        return digest_of(self.resolved() | {"axes": axes})
+        """SHA-256 of all that decides the numbers, see ``resolved_digest``."""
+        return resolved_digest(self.resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
         """Parameters of a block of cells as solve_tile takes them: axes as arrays that broadcast to its shape."""
@@ -154,6 +155,25 @@ class Spec:
             along[i] = -1
             params[axis.name] = np.array(axis.values[part], dtype="float64").reshape(along)
         return params
+
+
+def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
+    """SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
+
+    Settings added since the first version enter it only where they are not at their default, so that a spec from
+    before keeps its digest. ``table`` has the defaults.
+    """
+    axes = [
+        [axis["name"], axis["values"]] + ([axis["continuation"]] if "continuation" in axis else [])
+        for axis in resolved["axes"]
+    ]
+    defaults = {field.name: field.default for field in fields(table)}
+    settings = {
+        name: value
+        for name, value in resolved["solve"].items()
+        if name in FIRST_SETTINGS or value != defaults.get(name, MISSING)
+    }
+    return digest_of({**resolved, "axes": axes, "solve": settings})
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:

@@ -10,6 +10,8 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+MACHINES = "machines"
+"""The group of a store with the machines that solved its tiles, each an empty group with attributes."""
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 JIT_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "NUMBA_ENABLE_AVX")
 

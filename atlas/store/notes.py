@@ -41,8 +41,8 @@ class UrlNotes:
                 self.place.remove(name)
 
 
-def notes_beside(store: ObjectPlace) -> UrlNotes:
-    """The notes of a store at a URL, beside it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
+def notes_at_url(store: ObjectPlace) -> UrlNotes:
+    """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
     above, _, name = str(store).rpartition("/")
     if not urlsplit(str(store)).path.strip("/"):
         raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")

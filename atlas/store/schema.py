@@ -2,6 +2,7 @@
 
 import json
 import uuid
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ BUDGET = Variable(
 
 @dataclass(frozen=True)
 class Origin:
-    """The store whose cells a grown one takes over, and the run that made it."""
+    """The store that a grown one copies cells from, and the run that made it."""
 
     store: str
     run_id: str
@@ -79,8 +80,8 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
     } | ({"origin": origin.store, "origin_run_id": origin.run_id} if origin else {})
 
 
-def variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
-    """CF attributes of a result variable."""
+def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, Any]:
+    """CF attributes of a result variable; ``fixed`` names the scalar coordinates."""
     attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
     if variable.name == REGIME.name:
         attributes["flag_values"] = [regime.code for regime in REGIMES]
@@ -89,9 +90,17 @@ def variable_attributes(variable: Variable, spec: Spec) -> dict[str, Any]:
     if variable.name == REASON.name:
         attributes["flag_values"] = [reason.code for reason in REASONS]
         attributes["flag_meanings"] = " ".join(reason.name for reason in REASONS)
-    if spec.parameters:
-        attributes["coordinates"] = " ".join(spec.parameters)
+    if named := " ".join(fixed):
+        attributes["coordinates"] = named
     return attributes
+
+
+def variable_of(name: str, metadata: Mapping[str, Any], dims: int) -> Variable:
+    """A variable over cells of so many dimensions that is in no table, from the metadata of its array."""
+    attributes = metadata["attributes"]
+    extra = tuple(metadata["dimension_names"][dims:])
+    described = str(attributes.get("long_name", name)), str(attributes.get("units", "1"))
+    return Variable(name, metadata["data_type"], 0, *described, extra, sparse=True)  # not known to have all chunks
 
 
 def _described(parameter: Parameter) -> dict[str, Any]:

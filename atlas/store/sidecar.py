@@ -1,4 +1,4 @@
-"""Notes beside a store: small named texts that the processes at work on it share, with a conditional write."""
+"""Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write."""
 
 import fcntl
 import os
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from atlas.store.location import ObjectPlace, Place, place_of
-from atlas.store.notes import notes_beside
+from atlas.store.notes import notes_at_url
 
 
 class Notes(Protocol):
@@ -33,10 +33,10 @@ class Notes(Protocol):
 
 
 def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
-    """The notes of a store: beside it and not in it, since a claim comes before the store, and Zarr owns its inside."""
+    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside."""
     place = place_of(store)
     if isinstance(place, ObjectPlace):
-        return notes_beside(place)
+        return notes_at_url(place)
     assert place.local is not None
     return Folder(place.local.parent / f".{place.local.name}.run")
 

@@ -24,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError
-from atlas.service.plan import Plan, make_plan
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Spec
-from atlas.store.store import READERS, Header, codecs, done_tiles, open_arrays, open_group
+from atlas.store.build import codecs
+from atlas.store.store import READERS, Header, done_tiles, open_arrays, open_group
 from atlas.store.tiles import read_tile
+from atlas.store.tiling import Tiling
 from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES
 
 GROUP, ARRAY = "tally", "tiles"
@@ -68,34 +69,20 @@ def tile_entry(spec: Spec, slices: tuple[slice, ...], arrays: dict[str, NDArray[
 
 
 def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Entries | ChunkError]:
-    """The entries of finished tiles from their chunks, read side by side; the error of one whose chunks are damaged."""
+    """The entries of finished tiles from their chunks, read concurrently; the error of one whose chunks are damaged."""
     if not tiles:
         return
-    plan, arrays = plan_of(header), open_arrays(header)
+    arrays = open_arrays(header)
 
     def count_one(index: Index) -> Entries | ChunkError:
         try:
             found = read_tile(header, index, (REGIME.name, REASON.name), arrays)
         except ChunkError as error:
             return error
-        return tile_entry(header.spec, plan.at(index).slices, found)
+        return tile_entry(header.spec, header.tiling.at(index).slices, found)
 
     with ThreadPoolExecutor(READERS) as readers:
         yield from readers.map(count_one, tiles)
-
-
-def plan_of(header: Header) -> Plan:
-    """How a store is cut into tiles."""
-    return make_plan(header.spec, workers=1, tile=header.tile)
-
-
-def tile_sizes(plan: Plan) -> NDArray[np.int64]:
-    """Cells of every tile, as an array over the tiles."""
-    along = (
-        np.minimum(np.arange(1, count + 1) * tile, cells) - np.arange(count) * tile
-        for count, tile, cells in zip(plan.grid, plan.tile, plan.shape, strict=True)
-    )
-    return np.asarray(reduce(np.multiply.outer, along))
 
 
 def tile_areas(header: Header) -> NDArray[np.float64]:
@@ -105,39 +92,39 @@ def tile_areas(header: Header) -> NDArray[np.float64]:
     return np.asarray(reduce(np.multiply.outer, along))
 
 
-def done_mask(header: Header, plan: Plan) -> NDArray[np.bool_]:
+def done_mask(header: Header) -> NDArray[np.bool_]:
     """Which tiles are finished, as an array over the tiles."""
-    done = np.zeros(plan.grid, dtype=bool)
+    done = np.zeros(header.tiling.grid, dtype=bool)
     for index in done_tiles(header):
         done[index] = True
     return done
 
 
-def read_tally(root: Any, plan: Plan) -> tuple[Entries, NDArray[np.bool_]]:
+def read_tally(root: Any, tiling: Tiling) -> tuple[Entries, NDArray[np.bool_]]:
     """The entries of all tiles, and the mask of those that are there and add up; of the store's root group."""
-    entries = np.zeros((*plan.grid, len(COLUMNS)))
-    array = _array_of(root, plan)
+    entries = np.zeros((*tiling.grid, len(COLUMNS)))
+    array = _array_of(root, tiling)
     for block in _blocks(array) if array is not None else ():
         entries[block] = _read(array, block)
-    return entries, entries[..., CELLS].sum(axis=-1) == tile_sizes(plan)
+    return entries, entries[..., CELLS].sum(axis=-1) == tiling.sizes()
 
 
 class TallyKeeper(AbstractContextManager["TallyKeeper"]):
     """The tally of a store kept up during a run: a thread of the coordinator writes it every few seconds.
 
-    On entry the entries of tiles that are to be solved are cleared: of unfinished ones and of ``again``. ``add`` tells
-    of a tile that is written; ``finish`` counts what an earlier run has left uncounted, and writes all.
+    On entry the entries of tiles that are to be solved are cleared: of unfinished ones and of ``again``. ``add`` takes
+    the entry of a tile that is written; ``finish`` counts what an earlier run has left uncounted, and writes all.
     """
 
     def __init__(self, header: Header, again: Iterable[Index] = ()) -> None:
-        self._header, self._plan = header, plan_of(header)
+        self._header = header
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._new: dict[Index, Entries] = {}
-        settled = done_mask(header, self._plan)
+        settled = done_mask(header)
         for index in again:
             settled[index] = False
-        self._array = _ensured(header, self._plan)
-        entries, known = read_tally(open_group(header.place, "r"), self._plan)
+        self._array = _ensured(header)
+        entries, known = read_tally(open_group(header.place, "r"), header.tiling)
         stale = entries.any(axis=-1) & ~settled
         if stale.any():
             self._write({tuple(index): np.zeros(len(COLUMNS)) for index in np.argwhere(stale).tolist()})
@@ -154,10 +141,10 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
         if time.monotonic() >= self._due and (self._flushing is None or self._flushing.done()):
             self._flushing = self._thread.submit(self._flush)
 
-    def finish(self, tell: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Wait until what was left uncounted is counted, and write all; ``tell`` is told of how many there were."""
+    def finish(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
+        """Wait until what was left uncounted is counted, and write all; ``on_wait`` is called with their number."""
         while not self._counting.done():
-            tell(len(self._uncounted))
+            on_wait(len(self._uncounted))
             wait([self._counting], timeout=WAIT_SECONDS)
         self._thread.submit(self._flush).result()
 
@@ -202,11 +189,11 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
         self._thread.shutdown()
 
 
-def _array_of(root: Any, plan: Plan) -> Any:
+def _array_of(root: Any, tiling: Tiling) -> Any:
     """The tally's array in a store, None where there is none of this form."""
     try:
         array = root[f"{GROUP}/{ARRAY}"]
-        fits = array.shape == (*plan.grid, len(COLUMNS)) and tuple(array.attrs.get("columns", ())) == COLUMNS
+        fits = array.shape == (*tiling.grid, len(COLUMNS)) and tuple(array.attrs.get("columns", ())) == COLUMNS
     except OSError:
         raise
     except Exception:  # there is none, or its metadata are damaged, which may raise anything
@@ -214,21 +201,21 @@ def _array_of(root: Any, plan: Plan) -> Any:
     return array if fits else None
 
 
-def _ensured(header: Header, plan: Plan) -> Any:
+def _ensured(header: Header) -> Any:
     """The tally's array, made anew where there is none of this form."""
-    root = open_group(header.place, "r+")
-    array = _array_of(root, plan)
+    root, grid = open_group(header.place, "r+"), header.tiling.grid
+    array = _array_of(root, header.tiling)
     if array is not None:
         return array
     group = root.create_group(GROUP, overwrite=True, attributes={"long_name": "what the finished tiles hold, a cache"})
-    side = round(CHUNK ** (1.0 / len(plan.grid)))
+    side = round(CHUNK ** (1.0 / len(grid)))
     return group.create_array(
         ARRAY,
-        shape=(*plan.grid, len(COLUMNS)),
-        chunks=(*(min(side, n) for n in plan.grid), len(COLUMNS)),
+        shape=(*grid, len(COLUMNS)),
+        chunks=(*(min(side, n) for n in grid), len(COLUMNS)),
         dtype="float64",
         fill_value=0.0,
-        dimension_names=(*(f"tile_{name}" for name in plan.dims), "column"),
+        dimension_names=(*(f"tile_{name}" for name in header.spec.dims), "column"),
         compressors=codecs(),
         attributes={"columns": list(COLUMNS)},
     )

@@ -1,16 +1,48 @@
-"""Reading a finished tile so that nothing missing or damaged in it goes unnoticed."""
+"""The tiles of a store: written whole, and read so that nothing missing or damaged goes unnoticed."""
 
 import errno
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from atlas.errors import ChunkError, message_of
-from atlas.store.digests import digest_of
+from atlas.errors import ChunkError, RunError, message_of
+from atlas.spec.spec import Slices
+from atlas.store.digests import COVERED, DIGESTS, digest_of
+from atlas.store.machine import this_machine
 from atlas.store.schema import BUDGET
-from atlas.store.store import Header, block, chunk_key, open_arrays
-from workers.results import REGIME, Variable, result_variables
+from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group, record_machine
+from workers.results import REGIME, Variable
+
+
+def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+    """Write all variables that the store has of one tile as whole chunks, ``regime`` last: with it the tile is done.
+
+    A finished tile that is written again is unfinished meanwhile, so that a kill leaves no mixture of two solutions.
+    """
+    group = open_group(header.place, "r+")
+    if group.attrs.get("run_id") != header.run_id:
+        raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
+    record_machine(header, this_machine())
+    if is_done(header, index):
+        drop_tile(header, index)
+    budget = np.full(arrays[REGIME.name].shape, header.spec.settings.max_periods, BUDGET.dtype)
+    arrays = {BUDGET.name: budget, **arrays}
+    if BUDGET.name in group:
+        _write(group[BUDGET.name], index, arrays[BUDGET.name], sparse=True)
+    _write_digest(group, header, index, arrays)
+    for variable in header.variables:
+        _write(group[variable.name], index, arrays[variable.name], variable.sparse)
+
+
+def write_digest(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+    """Keep the digest of a tile's arrays, ``budget`` among them; nothing in a store that has no room for it."""
+    _write_digest(open_group(header.place, "r+"), header, index, arrays)
+
+
+def drop_tile(header: Header, index: tuple[int, ...]) -> None:
+    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
+    header.place.remove(chunk_key(REGIME, index))
 
 
 def read_tile(
@@ -18,24 +50,19 @@ def read_tile(
 ) -> dict[str, np.ndarray]:
     """Arrays of a finished tile: those named, or all results and ``budget``, what each cell may cost in periods.
 
-    They are read from ``arrays`` as ``open_arrays`` gives them. Reasons are left out where an older store has none.
+    They are read from ``arrays`` as ``open_arrays`` gives them. Names of results that the store has not are left out.
 
-    Raises ChunkError, which tells of every bad chunk; OSError where the place cannot be read at all.
+    Raises ChunkError, which names every bad chunk; OSError where the place cannot be read at all.
     """
     arrays = open_arrays(header) if arrays is None else arrays
+    wanted = {*(variable.name for variable in header.variables), BUDGET.name} if names is None else set(names)
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
-    for variable in (*result_variables(header.spec.settings), BUDGET):
-        if names is not None and variable.name not in names:
-            continue
-        if variable is BUDGET and BUDGET.name not in arrays:
-            shape = tuple(part.stop - part.start for part in block(arrays[REGIME.name], index))
-            values[BUDGET.name] = np.full(shape, header.spec.settings.max_periods, BUDGET.dtype)
-            continue
-        if variable.sparse and variable.name not in arrays:
+    for variable in (*header.variables, *header.unknown):
+        if variable.name not in wanted:
             continue
         key = chunk_key(variable, index)
-        found = _read(header, arrays[variable.name], index)
+        found = _read(arrays[variable.name], index)
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
@@ -43,28 +70,61 @@ def read_tile(
             faults[key] = "is missing"
         else:
             values[variable.name] = found
+    if BUDGET.name in wanted:
+        found = _read_budget(header, index, arrays)
+        if isinstance(found, str):
+            faults[chunk_key(BUDGET, index)] = found
+        else:
+            values[BUDGET.name] = found
     if faults:
         raise ChunkError(header.place, faults)
     return values
 
 
+def covered_variables(header: Header, digests: Any) -> list[Variable]:
+    """The variables that the digests of a store cover, in their order; KeyError where it does not have one of them."""
+    known = {variable.name: variable for variable in (*header.variables, *header.unknown, BUDGET)}
+    return [known[name] for name in digests.attrs[COVERED]]
+
+
 def digest_faults(
     header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
 ) -> tuple[str, ...]:
-    """What speaks against all that ``read_tile`` gave of a tile being that tile's, by the array of digests."""
-    stored = _read(header, digests, index)
+    """What speaks against ``values``, all variables covered, being those of that tile, by the array of digests."""
+    stored = _read(digests, index)
     key = "/".join([digests.path, "c", *map(str, index)])
     if isinstance(stored, str):
         return (f"{key} {stored}",)
-    found = digest_of(header.spec, index, values)
-    if int(stored.item()) == found:
+    if int(stored.item()) == digest_of(index, covered_variables(header, digests), values):
         return ()
     if not header.place.exists(key):
         return (f"{key} is missing",)
     return ("its chunks are not those that were written here together: exchanged with another tile's, or altered",)
 
 
-def _read(header: Header, array: Any, index: tuple[int, ...]) -> np.ndarray | str:
+def block(array: Any, index: tuple[int, ...]) -> Slices:
+    """The cells of a tile in an array, from the array's own chunks, so that no write can be misaligned."""
+    return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, array.chunks, array.shape, strict=False))
+
+
+def _write(array: Any, index: tuple[int, ...], values: Any, sparse: bool = False) -> None:
+    """Write a tile's chunk; one of nothing but fill values too, so that a missing one is always a missing result."""
+    array.with_config({"write_empty_chunks": not sparse})[block(array, index)] = values
+
+
+def _write_digest(group: Any, header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+    digests = group.get(DIGESTS)
+    if digests is not None:
+        _write(digests, index, np.uint64(digest_of(index, covered_variables(header, digests), arrays)))
+
+
+def _read_budget(header: Header, index: tuple[int, ...], arrays: dict[str, Any]) -> np.ndarray | str:
+    if BUDGET.name in arrays:
+        return _read(arrays[BUDGET.name], index)
+    return np.full(header.tiling.at(index).shape, header.spec.settings.max_periods, BUDGET.dtype)
+
+
+def _read(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
     """A tile's part of an array, or what is wrong with its chunk."""
     try:
         return np.asarray(array[block(array, index)])

@@ -34,11 +34,11 @@ def compile_once(system: str, settings: Settings) -> None:
     with marker.with_name("compiling.lock").open("w") as lock:
         with suppress(OSError):  # a file system without locks: each for itself
             fcntl.flock(lock, fcntl.LOCK_EX)
-        if not marker.exists() and warm_up_apart(system, settings):
+        if not marker.exists() and warm_up_in_child(system, settings):
             marker.touch()
 
 
-def warm_up_apart(system: str, settings: Settings) -> bool:
+def warm_up_in_child(system: str, settings: Settings) -> bool:
     """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it."""
     given = json.dumps({"system": system, "settings": asdict(settings)})
     return python("from atlas.task.compile import main; main()", given).returncode == 0
@@ -53,7 +53,7 @@ def main() -> None:
 def warm_up(system: str, settings: Settings) -> None:
     """Compile the kernels, or load them, by solving the system's default cell.
 
-    Adaptive and on a fixed schedule, one alone and many side by side: they do not take the same kernels.
+    Adaptive and on a fixed schedule, one alone and many in a batch: they do not take the same kernels.
     """
     from workers.model.system import find_system
     from workers.tile import solve_cells

@@ -17,18 +17,18 @@ _ORDERLY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _KINDS = {kind.__name__: kind for kind in (RefusedError, StoreFullError, NetworkError)}
 
 
-def run_apart(job: Job) -> Receipt | str:
+def run_isolated(job: Job) -> Receipt | str:
     """The receipt of a tile solved by a child process, or in words how that process died, each time it was tried.
 
     Raises RunError with the child's own words where it failed without dying.
     """
     for _ in range(ATTEMPTS):
-        ended = python("from atlas.task.isolated import main; main()", json.dumps(asdict(job)), apart=True)
+        ended = python("from atlas.task.isolated import main; main()", json.dumps(asdict(job)), own_session=True)
         if ended.returncode == 0:
-            told = json.loads(ended.stdout.splitlines()[-1])
-            if "error" in told:
-                raise _KINDS.get(told["kind"], RunError)(told["error"])
-            return Receipt(**told | {"index": tuple(told["index"]), "entry": tuple(told["entry"])})
+            answer = json.loads(ended.stdout.splitlines()[-1])
+            if "error" in answer:
+                raise _KINDS.get(answer["kind"], RunError)(answer["error"])
+            return Receipt(**answer | {"index": tuple(answer["index"]), "entry": tuple(answer["entry"])})
         if -ended.returncode in _ORDERLY:
             raise RunError(f"the process of tile {job.index} was ended by {signal.Signals(-ended.returncode).name}")
     return f"its tile ends the process that solves it, each of {ATTEMPTS + 1} times ({_how(ended.returncode)})"
@@ -39,11 +39,11 @@ def main() -> None:
     given = json.loads(sys.argv[1])
     retry = given["retry"] and Retry(tuple(given["retry"]["regimes"]), given["retry"]["max_periods"])
     try:
-        told = asdict(solve_and_write(Job(**given | {"index": tuple(given["index"]), "retry": retry})))
+        answer = asdict(solve_and_write(Job(**given | {"index": tuple(given["index"]), "retry": retry})))
     except Exception as error:
         kind = type(error).__name__
-        told = {"kind": kind, "error": str(error) if kind in _KINDS else f"{kind}: {error}"}
-    print(json.dumps(told))
+        answer = {"kind": kind, "error": str(error) if kind in _KINDS else f"{kind}: {error}"}
+    print(json.dumps(answer))
 
 
 def _how(code: int) -> str:

@@ -8,6 +8,7 @@ from atlas.errors import InputError, check_names
 from atlas.spec.spec import Spec
 from atlas.store.schema import BUDGET
 from workers.results import FAILED, REGIME, REGIMES, UNDETERMINED
+from workers.settings import MOST_PERIODS
 
 RETRIABLE = {regime.name: regime.code for regime in REGIMES if regime.code in (UNDETERMINED, FAILED)}
 
@@ -25,8 +26,8 @@ class Retry:
     def selects(self, stored: dict[str, np.ndarray]) -> np.ndarray:
         """Mask of the cells of a stored tile that are to be solved again.
 
-        An undetermined cell comes out the same within the budget that it had, so it needs a larger one; that also
-        makes an interrupted retry go on where it stopped.
+        An undetermined cell comes out the same within the budget that it had, so it needs a larger one; so an
+        interrupted retry resumes where it stopped.
         """
         regime, budget = stored[REGIME.name], stored[BUDGET.name]
         worth = (regime != UNDETERMINED) | (budget < (self.max_periods or 0))
@@ -46,8 +47,9 @@ def checked_retry(spec: Spec, names: str, max_periods: int | None) -> Retry:
     settings = spec.settings
     if max_periods is not None and settings.method == "fixed":
         raise InputError('max_periods: a spec with method = "fixed" has no budget to raise')
-    if max_periods is not None and not settings.max_periods < max_periods < 2**31:
-        raise InputError(f"max_periods: found {max_periods}, must exceed the spec's {settings.max_periods}")
+    if max_periods is not None and not settings.max_periods < max_periods <= MOST_PERIODS:
+        bounds = f"must exceed the spec's {settings.max_periods} and be at most {MOST_PERIODS}"
+        raise InputError(f"max_periods: found {max_periods}, {bounds}")
     if "undetermined" in chosen and max_periods is None:
         raise InputError(
             "retry: undetermined cells come out the same within the same budget; give --max-periods above "

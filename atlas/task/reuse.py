@@ -1,4 +1,4 @@
-"""A tile of a grown atlas: the cells that its origin has are taken over as they are, the others solved."""
+"""A tile of a grown atlas: the cells that its origin has are copied to the bit, the others solved."""
 
 import itertools
 from collections.abc import Iterator
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.service.plan import make_plan
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import place_of
 from atlas.store.outage import LONG
@@ -36,8 +35,8 @@ class Shared(NamedTuple):
 def fill_tile(header: Header, slices: Slices) -> Filled:
     """The results of a tile: solved, but for the cells that the store's origin has.
 
-    A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those taken over are
-    those it would get here. Cells that failed there are solved again. RunError where the origin is not there any more.
+    A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those copied are those
+    it would get here. Cells that failed there are solved again. RunError where the origin is not there any more.
     """
     from workers.tile import solve_cells
 
@@ -61,7 +60,7 @@ def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], 
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(result_variables(header.spec.settings), shape, extra_sizes(header.spec))
     if header.origin is not None:
-        _take_over(header, slices, arrays)
+        _copy_known(header, slices, arrays)
     regime = arrays[REGIME.name]
     return arrays, (regime == PENDING) | (regime == FAILED)
 
@@ -75,7 +74,7 @@ def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
     )
 
 
-def _take_over(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
+def _copy_known(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
     """Put the finished cells of the origin that lie in a tile into its arrays."""
     origin = _origin_of(header)
     sources = None
@@ -89,7 +88,7 @@ def _take_over(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) ->
         found = read_tile(origin, index, arrays=sources)
         # A cell that was given more than the settings' budget is not what it would come out as here.
         found[REGIME.name][found.pop(BUDGET.name) != origin.spec.settings.max_periods] = PENDING
-        if REASON.name not in found:  # an older store: what is invalid costs nothing, and is to have its reason here
+        if REASON.name not in found:  # an older store: what is invalid costs nothing, and gets its reason here
             found[REGIME.name][found[REGIME.name] == INVALID] = PENDING
         for name, values in found.items():
             arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
@@ -120,14 +119,21 @@ def _origin_of(header: Header) -> Header:
             return origin
         found = f"{header.origin.store}: another store than the one that was extended"
     raise RunError(
-        f"{found}; {header.place} takes over cells of it: put it back, or extend {header.place} into a new store"
+        f"{found}; {header.place} copies cells of it: put it back, or extend {header.place} into a new store"
     )
+
+
+def absent_results(origin: Header) -> list[str]:
+    """Results that cells of an atlas have today and those of an older store do not: none of its cells can be copied."""
+    present = {variable.name for variable in origin.variables}
+    today = result_variables(origin.spec.settings)
+    return [variable.name for variable in today if variable.name not in present and not variable.sparse]
 
 
 def count_shared(origin: Header, spec: Spec, done: set[tuple[int, ...]]) -> int:
     """How many finished cells of the origin a grown atlas has; ``done`` are its finished tiles."""
-    plan = make_plan(origin.spec, workers=1, tile=origin.tile)
-    counts = []
-    for (_, there), cells, tile in zip(shared(origin.spec, spec), plan.shape, plan.tile, strict=True):
-        counts.append(np.bincount(there // tile, minlength=-(-cells // tile)))
+    counts = [
+        np.bincount(there // length, minlength=tiles)
+        for (_, there), length, tiles in zip(shared(origin.spec, spec), origin.tile, origin.tiling.grid, strict=True)
+    ]
     return sum(int(np.prod([count[i] for count, i in zip(counts, index, strict=True)])) for index in done)

@@ -1,4 +1,4 @@
-"""One tile's work, as it runs on a worker: solve it, write it, give a receipt."""
+"""One tile: what is to be done, doing it here and now, and the receipt for it."""
 
 import errno
 import re
@@ -12,20 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from atlas.errors import InputError, NetworkError, RunError
-from atlas.service.plan import make_plan
+from atlas.errors import InputError, RunError
 from atlas.store.location import place_of
-from atlas.store.outage import LONG
-from atlas.store.schema import BUDGET
-from atlas.store.sidecar import notes_of
-from atlas.store.store import Header, is_done, read_header, write_tile
+from atlas.store.outage import BRIEF, LONG
+from atlas.store.schema import extra_sizes
+from atlas.store.store import Header, is_done, read_header
 from atlas.store.tally import tile_entry
-from atlas.store.tiles import read_tile
+from atlas.store.tiles import read_tile, write_tile
 from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
-from atlas.task.reuse import fill_tile, known_cells
+from atlas.task.reuse import fill_tile
 from workers import SOLVER_VERSION
-from workers.results import FAILED, PROCESS_ENDED, REASON, REGIME, REGIMES, reason_counts, result_variables
+from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts, result_variables
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
@@ -41,7 +39,7 @@ class StoreFullError(RunError):
 
 @dataclass(frozen=True)
 class Job:
-    """Which tile of which store. All that crosses the scheduler; ``run_job`` redoes it by hand.
+    """Which tile of which store. All that crosses the scheduler; ``attempt.run_job`` redoes it by hand.
 
     ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one; ``patience`` is for how
     many seconds a store at a URL that does not answer is waited for.
@@ -60,12 +58,12 @@ class Receipt:
     """What a finished tile reports.
 
     cells, counts, reasons          solved, in all and of each regime; those without a result by the reason in words
-    taken                           cells taken over from the store that this one extends
+    taken                           cells copied from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
     peak_bytes                      most memory that the worker's process ever had
-    entry                           what the store's tally is to say of the whole tile, see ``store.tally``
+    entry                           of the whole tile in the store's tally, see ``store.tally``
     """
 
     index: tuple[int, ...]
@@ -81,91 +79,68 @@ class Receipt:
     entry: tuple[float, ...] = ()
 
 
-def run_job(job: Job) -> Receipt:
-    """Solve a tile and write it; RefusedError where this worker must not: another solver, or another store at the path.
-
-    NetworkError where the store does not answer for as long as the job's patience lasts.
-
-    While it runs, a note beside the store says so. A job that finds that note is the second attempt at a tile whose
-    first did not live to remove it, and runs in a process of its own: a tile that kills its process takes no second
-    worker with it, and where it kills that process too, its cells are marked failed.
-    """
-    with _told_apart(job):
-        header = _checked_header(job)
-        notes, name = notes_of(header.place), "started-" + "-".join(map(str, job.index))
-        if job.retry is None and is_done(header, job.index):
-            return _receipt_of_stored(header, job.index)
-        first = notes.put(name, b"1", expected=None)
-        try:
-            if first:
-                return solve_and_write(job)
-            from atlas.task.isolated import run_apart
-
-            died = run_apart(job)
-            return _mark_failed(header, job, died) if isinstance(died, str) else died
-        finally:
-            if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
-                notes.remove(name, b"1")
-
-
 def solve_and_write(job: Job) -> Receipt:
     """Solve a tile and write it, here and now."""
-    with _told_apart(job):
-        header = _checked_header(job)
-        spec = header.spec
-        tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
-        params = spec.cell_params(tile.slices)
+    with file_errors(job.store):
+        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+        spec, tile = header.spec, header.tiling.at(job.index)
         compile_once(spec.system, spec.settings)
+        stored = stored_tile(header, job.index) if job.retry is not None else {}
         begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:
             arrays, solved = fill_tile(header, tile.slices)
         else:
-            stored = _stored(header, job.index)
-            shape = stored[REGIME.name].shape
-            cells = {name: np.broadcast_to(value, shape) for name, value in params.items()}
-            begin, busy = time.perf_counter(), time.thread_time()
+            cells = {name: np.broadcast_to(value, tile.shape) for name, value in spec.cell_params(tile.slices).items()}
             arrays, solved = solve_again(spec, cells, stored, job.retry)
         middle, processor = time.perf_counter(), time.thread_time() - busy
         # Another attempt may have finished meanwhile: what is stored then stays.
         if solved.any() if job.retry is not None else not is_done(header, job.index):
             write_tile(header, job.index, arrays)
         else:
-            arrays = _stored(header, job.index)
-        receipt = _receipt(header, job.index, arrays, solved)
-        taken = int((~solved).sum()) if job.retry is None else 0
+            arrays = stored_tile(header, job.index)
         return replace(
-            receipt,
-            taken=taken,
+            receipt_of(header, job.index, arrays, solved),
+            taken=int((~solved).sum()) if job.retry is None else 0,
             solve_seconds=middle - begin,
             processor_seconds=processor,
             write_seconds=time.perf_counter() - middle,
         )
 
 
-def _checked_header(job: Job) -> Header:
-    if job.solver_version != SOLVER_VERSION:
-        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {job.solver_version}")
+def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
+    """The header of the store that a run asks this worker to work on.
+
+    Raises RefusedError where this worker has another solver, or sees no store or another one at the path; OSError
+    where the store's disk or server refused.
+    """
+    check_solver(solver_version)
     try:
-        header = read_header(place_of(job.store, job.patience))
+        header = read_header(place_of(store, patience))
     except InputError as error:
-        if isinstance(error.__cause__, OSError):  # the store's disk or server has a say, not its path
+        if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
             raise error.__cause__ from None
         raise RefusedError(f"{error}; is the path the same on all hosts?") from None
-    if header.run_id != job.run_id:
-        raise RefusedError(f"{job.store} is not the store of run {job.run_id}; is the path the same on all hosts?")
+    if header.run_id != run_id:
+        raise RefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
     return header
 
 
-@contextmanager
-def _told_apart(job: Job) -> Iterator[None]:
-    """Errors of the file system by what they mean for the run: no room for anybody, or none of this worker's business.
+def check_solver(version: int) -> None:
+    """Raise RefusedError unless this worker has the solver version that a run needs."""
+    if version != SOLVER_VERSION:
+        raise RefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {version}")
 
-    Others go through as they are: the tile may be tried again.
+
+@contextmanager
+def file_errors(store: str) -> Iterator[None]:
+    """Errors of the file system by what they mean for the run: no room for anybody, or not for this worker.
+
+    Others pass as they are: the tile may be tried again.
     """
     try:
         yield
     except OSError as error:
-        what = f"{job.store}: {error.strerror or error}"
+        what = f"{store}: {error.strerror or error}"
         if error.errno in _FULL:
             raise StoreFullError(what) from error
         if error.errno in _FORBIDDEN:
@@ -173,41 +148,15 @@ def _told_apart(job: Job) -> Iterator[None]:
         raise
 
 
-def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
-    """Write the cells that were to be solved as failed, so that the rest of the atlas can be finished."""
-    spec = header.spec
-    if job.retry is None:
-        tile = make_plan(spec, workers=1, tile=header.tile).at(job.index)
-        stored, solved = known_cells(header, tile.slices)
-    else:
-        stored = _stored(header, job.index)
-        solved = job.retry.selects(stored)
-        stored[BUDGET.name] = np.where(solved, job.retry.budgets(stored), stored[BUDGET.name])
-        for variable in result_variables(spec.settings):
-            stored[variable.name][solved] = variable.fill
-    if job.retry is None and is_done(header, job.index):
-        return _receipt_of_stored(header, job.index)
-    stored[REGIME.name][solved], stored[REASON.name][solved] = FAILED, PROCESS_ENDED
-    write_tile(header, job.index, stored)
-    receipt = replace(_receipt(header, job.index, stored, solved), reasons={died: int(solved.sum())})
-    return receipt if job.retry else replace(receipt, taken=int((~solved).sum()))
+def stored_tile(header: Header, index: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """All arrays of a finished tile: of results that an older store does not have, their fill values."""
+    shape = header.tiling.at(index).shape
+    blank = empty_results(result_variables(header.spec.settings), shape, extra_sizes(header.spec))
+    return blank | read_tile(header, index)
 
 
-def _stored(header: Header, index: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """The arrays of a finished tile, reasons too where an older store keeps none."""
-    arrays = read_tile(header, index)
-    arrays.setdefault(REASON.name, np.full(arrays[REGIME.name].shape, REASON.fill, REASON.dtype))
-    return arrays
-
-
-def _receipt_of_stored(header: Header, index: tuple[int, ...]) -> Receipt:
-    """The receipt of a tile that was finished before: its worker died after the writing, before the telling."""
-    arrays = _stored(header, index)
-    return _receipt(header, index, arrays, np.ones(arrays[REGIME.name].shape, dtype=bool))
-
-
-def _receipt(header: Header, index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray) -> Receipt:
-    slices = make_plan(header.spec, workers=1, tile=header.tile).at(index).slices
+def receipt_of(header: Header, index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray) -> Receipt:
+    """The receipt of a tile with these arrays, whose cells ``solved`` count; without times."""
     codes = arrays[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(
@@ -219,19 +168,19 @@ def _receipt(header: Header, index: tuple[int, ...], arrays: dict[str, np.ndarra
         write_seconds=0.0,
         periods=int(arrays["periods_used"][solved].sum(dtype="int64")),
         peak_bytes=peak_memory(),
-        entry=tuple(tile_entry(header.spec, slices, arrays).tolist()),
+        entry=tuple(tile_entry(header.spec, header.tiling.at(index).slices, arrays).tolist()),
     )
 
 
 def peak_memory() -> int:
     """Most bytes of memory that this process ever had.
 
-    Linux tells it in /proc; its getrusage would count what the parent had when it started this process.
+    Linux has it in /proc; its getrusage would count what the parent had when it started this process.
     """
     try:
-        told = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(encoding="ascii"), re.MULTILINE)
+        found = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(encoding="ascii"), re.MULTILINE)
     except OSError:
-        told = None
-    if told:
-        return 1024 * int(told[1])
+        found = None
+    if found:
+        return 1024 * int(found[1])
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

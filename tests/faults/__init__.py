@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent.parent
 
-ATLAS = [sys.executable, "-c", "import sys; from atlas.cli.commands import cli; cli(sys.argv[1:])"]
+ATLAS = [sys.executable, "-c", "import sys; from atlas.cli.main import main; main(sys.argv[1:])"]
 """The command, in a process of its own."""
 
 

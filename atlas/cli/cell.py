@@ -1,0 +1,67 @@
+"""Commands about one cell, and about the systems that there are."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from atlas.cli.options import (
+    input_errors,
+    json_option,
+    picture_option,
+    read_number,
+    read_pairs,
+    say,
+    set_option,
+    settings_options,
+    system_option,
+)
+from atlas.cli.output import print_table, text, to_json
+from atlas.render import portrait as draw_portrait
+from atlas.spec.spec import checked_parameters, checked_settings, checked_system, example_names
+from atlas.task.compile import warming
+from workers.model.system import SYSTEMS
+
+
+@click.command()
+@set_option
+@system_option
+@settings_options()
+@json_option
+def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> None:
+    """Solve one cell and print all its results."""
+    from atlas.cell.point import point as solve_point
+
+    pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
+    checked_parameters(checked_system(system), pairs)
+    if not as_json:
+        say(f"{warming(settings.exponents)}, solving")
+    found = solve_point(system, pairs, settings)
+    if as_json:
+        click.echo(to_json(found))
+    else:
+        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+
+
+@click.command()
+@set_option
+@system_option
+@picture_option
+@settings_options("exponents", "section_samples")
+def portrait(given: tuple[str, ...], system: str, out: Path, **solve: Any) -> None:
+    """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
+    pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
+    checked_parameters(checked_system(system), pairs)
+    say(f"{warming(settings.exponents)}, solving, drawing")
+    with input_errors():
+        draw_portrait(pairs, system=system, settings=settings, path=out)
+    click.echo(str(out))
+
+
+@click.command()
+def systems() -> None:
+    """The systems that can be solved, with their parameters, and the examples in the package."""
+    for record in SYSTEMS.values():
+        rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
+        print_table(f"{record.name}: {record.title}", ["parameter", "meaning", "unit", "default", "valid"], rows)
+    click.echo(f"\nexamples: {', '.join(example_names())}")

@@ -1,0 +1,68 @@
+"""The command ``atlas``: its commands put together, and how their errors end.
+
+Heavy imports wait until a command needs them, so that help comes at once.
+"""
+
+from typing import Any
+
+import click
+
+from atlas.cli.cell import point, portrait, systems
+from atlas.cli.options import INTERRUPTED
+from atlas.cli.pictures import figures, render
+from atlas.cli.run import cancel, extend, plan, run, submit
+from atlas.cli.store import query, status, verify
+from atlas.errors import InputError, RunError, one_line
+
+
+class _BadInput(click.ClickException):
+    """One line on stderr, exit code 2."""
+
+    exit_code = 2
+
+
+def _bad_usage(error: click.UsageError) -> _BadInput:
+    """What click says of a wrong command line, without the usage before it."""
+    where = error.ctx.command_path if error.ctx else "atlas"
+    return _BadInput(one_line(f"{error.format_message().rstrip('.')} (see {where} --help)"))
+
+
+class _Group(click.Group):
+    """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args:  # click shows the help
+            return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            raise _bad_usage(error) from None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except click.UsageError as error:
+            raise _bad_usage(error) from None
+        except InputError as error:
+            raise _BadInput(str(error)) from None
+        except RunError as error:
+            raise click.ClickException(str(error)) from None
+        except OSError as error:  # a disk or a network that gave up in the middle
+            where = f"{error.filename}: " if error.filename else ""
+            raise click.ClickException(f"{where}{error.strerror or error}") from None
+        except KeyboardInterrupt:
+            ctx.exit(INTERRUPTED)
+
+
+@click.group("atlas", cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="impact-atlas", prog_name="atlas")
+def main() -> None:
+    """Maps of chaos in vibro-impact oscillators.
+
+    A SPEC is a TOML file, or the name of an example in the package. Exit codes: 0 done, 1 failed, 2 bad usage or
+    input, 130 interrupted.
+    """
+
+
+for command in (plan, run, submit, cancel, extend, status, verify, query, render, figures, point, portrait, systems):
+    main.add_command(command)

@@ -1,0 +1,164 @@
+"""What several commands share: options, how their texts are read, and how errors of a question are reported."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from types import FrameType
+from typing import TypeVar
+
+import click
+
+from atlas.errors import ChunkError, InputError, NetworkError, shown
+from atlas.service.timing import TIMING, Timing
+from workers import Settings
+from workers.model.system import SYSTEMS
+from workers.settings import EXPONENTS, METHODS
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+_T = TypeVar("_T")
+
+json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
+workers_option = click.option(
+    "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
+)
+scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
+window_option = click.option(
+    "--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis; may be given for each."
+)
+store_argument = click.argument("store")  # a path or a URL
+set_option = click.option(
+    "--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default."
+)
+system_option = click.option("--system", default=next(iter(SYSTEMS)), show_default=True, help="See: atlas systems.")
+picture_option = click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The picture; the suffix chooses the format.",
+)
+
+
+def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """One option for each setting but these, from the record of settings itself."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        choices = {"exponents": click.Choice(EXPONENTS), "method": click.Choice(METHODS)}
+        for field in reversed([field for field in fields(Settings) if field.name not in without]):
+            kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
+            name = f"--{field.name.replace('_', '-')}"
+            command = click.option(name, type=kind, default=field.default, show_default=True)(command)
+        return command
+
+    return decorate
+
+
+def say(text: str) -> None:
+    """A line for the user, on stderr."""
+    click.echo(text, err=True)
+
+
+def timing_of(ctx: click.Context) -> Timing:
+    """How long to wait: the ``obj`` that a caller in Python gives the command, or the defaults."""
+    return ctx.find_object(Timing) or TIMING
+
+
+def check_workers(scheduler: str | None, workers: int | None) -> None:
+    """InputError where both are given."""
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """End on Ctrl-C, or on the SIGTERM of a batch system: in order the first time, at once the second.
+
+    Ending at once loses no more than the tiles under way: the next run sees that this process is gone.
+    """
+
+    def second(number: int, frame: FrameType | None) -> None:
+        os.write(2, b"\nstopped at once: finished tiles are kept\n")
+        os._exit(INTERRUPTED)
+
+    def first(number: int, frame: FrameType | None) -> None:
+        for caught in before:
+            signal.signal(caught, second)
+        raise KeyboardInterrupt
+
+    # A job in the background starts with Ctrl-C ignored, and keeps it so.
+    wanted = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
+    before = {caught: signal.signal(caught, first) for caught in wanted}
+    try:
+        yield
+    finally:
+        for caught, handler in before.items():
+            signal.signal(caught, handler)
+
+
+@contextmanager
+def input_errors() -> Iterator[None]:
+    """Report what a query or a picture cannot answer as bad input: one line, exit code 2. A bad chunk is not."""
+    try:
+        yield
+    except NetworkError:
+        raise
+    except ChunkError:
+        from atlas.overview.guard import abandon_reads
+
+        abandon_reads()
+        raise
+    except OSError as error:
+        raise InputError(f"{error.filename or ''}: {error.strerror or error}".lstrip(": ")) from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def read_pairs(option: str, given: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
+    """The values of an option given as NAME=VALUE, by name; ``read`` gets where a value stands, and its text."""
+    found: dict[str, _T] = {}
+    for item in given:
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise InputError(f"{option} {item}: must be NAME=VALUE")
+        if name in found:
+            raise InputError(f"{option} {name}: given twice")
+        found[name] = read(f"{option} {name}", value)
+    return found
+
+
+def read_number(where: str, value: str) -> float:
+    """The number that a text is."""
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(f"{where}: found {shown(value)}, must be a number") from None
+
+
+def read_factors(given: tuple[str, ...]) -> int | dict[str, int]:
+    """One factor for all axes, or factors by name."""
+    if len(given) == 1 and "=" not in given[0]:
+        return read_whole("--refine", given[0])
+    return read_pairs("--refine", given, read_whole)
+
+
+def read_whole(where: str, value: str) -> int:
+    """The whole number that a text is."""
+    try:
+        return int(value)
+    except ValueError:
+        raise InputError(f"{where}: found {shown(value)}, must be a whole number") from None
+
+
+def read_bounds(where: str, value: str) -> tuple[float, float]:
+    """The ends that LOW:HIGH gives."""
+    low, colon, high = value.partition(":")
+    if not colon:
+        raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH")
+    bounds = read_number(where, low), read_number(where, high)
+    if not bounds[0] <= bounds[1]:
+        raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH with LOW <= HIGH")
+    return bounds

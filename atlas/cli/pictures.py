@@ -1,0 +1,76 @@
+"""Commands that draw an atlas, and the figures of the paper."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from atlas.cli.options import (
+    input_errors,
+    picture_option,
+    read_bounds,
+    read_pairs,
+    say,
+    store_argument,
+    window_option,
+    workers_option,
+)
+from atlas.cli.paper import figures as draw_figures
+from atlas.query.open import open_atlas
+from atlas.render import FORMATS, KINDS, OVERLAYS
+from atlas.render import render as draw
+from atlas.service.options import RunOptions
+from atlas.service.progress import reporter
+
+
+@click.command()
+@store_argument
+@picture_option
+@click.option("--kind", metavar="KIND", help=f"One of {', '.join(KINDS)}; default: by the axes.")
+@click.option(
+    "--overlay", "overlays", type=click.Choice(OVERLAYS), multiple=True, help="Lines over a map; may be given again."
+)
+@click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
+@window_option
+def render(
+    store: str,
+    out: Path,
+    kind: str | None,
+    overlays: tuple[str, ...],
+    against: str | None,
+    window: tuple[str, ...],
+) -> None:
+    """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
+    from atlas.query.reads import counted
+
+    bounds = read_pairs("--window", window, read_bounds)
+    with input_errors(), counted() as reads:
+        dataset = open_atlas(store)
+        other = None if against is None else open_atlas(against)
+        say("drawing")
+        draw(dataset, out, kind=kind, window=bounds, overlays=overlays, against=other)
+    if reads.chunks:
+        cells = f"overview {reads.level}" if reads.level else "the cells themselves"
+        say(f"{reads.chunks} chunks read, of {cells}")
+    click.echo(str(out))
+
+
+@click.command()
+@click.option("--paper", is_flag=True, required=True, help="Figs 3, 4, 5 and 6 of Li & Tan (2011).")
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The folder to write them into.")
+@click.option(
+    "--format",
+    "formats",
+    type=click.Choice(FORMATS),
+    multiple=True,
+    default=("png",),
+    show_default=True,
+    help="May be given again.",
+)
+@workers_option
+def figures(paper: bool, out: Path, formats: tuple[str, ...], workers: int | None) -> None:
+    """Compute and draw the figures of the paper."""
+    with input_errors(), reporter(sys.stderr) as show:
+        written = draw_figures(out, formats, options=RunOptions(workers, on_progress=show))
+    for path in written:
+        click.echo(str(path))

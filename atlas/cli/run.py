@@ -1,0 +1,199 @@
+"""Commands that compute: plan, run, submit, cancel, extend."""
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import click
+
+from atlas.cli.options import (
+    INTERRUPTED,
+    check_workers,
+    interruptible,
+    json_option,
+    read_factors,
+    say,
+    scheduler_option,
+    store_argument,
+    timing_of,
+    workers_option,
+)
+from atlas.cli.output import to_json
+from atlas.errors import InputError
+from atlas.service import progress
+from atlas.service.cluster import Tls
+from atlas.service.extend import extend as extend_store
+from atlas.service.lease import cancel as cancel_run
+from atlas.service.options import RunOptions
+from atlas.service.plan import check_disk, make_plan
+from atlas.service.probe import probe as measure
+from atlas.service.run import run as run_spec
+from atlas.service.submit import submit as submit_spec
+from atlas.service.summary import Summary
+from atlas.spec.spec import Spec
+from atlas.store.location import place_of
+from atlas.store.sidecar import notes_of
+from atlas.task.compile import compile_once, warming
+from atlas.task.retry import checked_retry
+
+CANCEL_SECONDS = 60
+"""How long ``atlas cancel`` waits for a run to stop."""
+
+
+@click.command()
+@click.argument("spec")
+@click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
+@workers_option
+@click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
+@json_option
+def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -> None:
+    """What SPEC will cost: cells, tiles, bytes, probed time."""
+    read = Spec.from_toml(spec)
+    made = make_plan(read, workers)
+    place = place_of(out)
+    if place.local is not None:
+        check_disk(made, place.local)
+    if probe:
+        say(f"{warming(read.settings.exponents)}, probing a few cells")
+        compile_once(read.system, read.settings)
+        made = replace(made, probe=measure(read, made.tiling.tile))
+    click.echo(to_json(made.as_dict()) if as_json else str(made))
+
+
+def _run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options of a run, whether this program coordinates it or a cluster does."""
+    for option in (
+        click.option("--max-periods", type=int, help="With --retry: the larger budget of the cells solved again."),
+        click.option(
+            "--retry", metavar="REGIMES", help="Solve these cells of finished tiles again: failed, undetermined."
+        ),
+        click.option("--tls-key", metavar="FILE", help="Its key."),
+        click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
+        click.option("--tls-ca-file", metavar="FILE", help="Authority for it; default: Dask's configuration."),
+        click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed."),
+        click.argument("spec"),
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@_run_options
+@scheduler_option
+@workers_option
+@click.pass_context
+def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, workers: int | None, **given: Any) -> None:
+    """Compute SPEC into a store. The same command resumes a run that was stopped."""
+    check_workers(scheduler, workers)
+    read = Spec.from_toml(spec)
+    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx), **_run_only(read, **given))
+    words = {"scheduler": scheduler, "workers": workers} | given
+    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in words.items() if value is not None]
+    line = shlex.join(["atlas", "run", spec, "-o", out, *(word for pair in pairs for word in pair)])
+    with _shown(ctx, options, f"resume with\n  {line}") as shown:
+        summary = run_spec(read, out, options=shown)
+    _report(ctx, summary)
+
+
+@click.command()
+@_run_options
+@click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
+@click.pass_context
+def submit(ctx: click.Context, /, spec: str, out: str, scheduler: str, **given: Any) -> None:
+    """Have a cluster compute SPEC into a store, and leave."""
+    read = Spec.from_toml(spec)
+    options = RunOptions(scheduler=scheduler, timing=timing_of(ctx), **_run_only(read, **given))
+    store = shlex.quote(out)
+    advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
+    try:
+        with progress.reporter(sys.stderr) as show:
+            where = submit_spec(read, out, replace(options, on_progress=show))
+    except KeyboardInterrupt:
+        say(f"interrupted: the cluster may have begun already\n{advice}")
+        raise
+    click.echo(f"{out}: at work on the cluster, coordinated by {where}")
+    say(advice)
+
+
+@click.command()
+@store_argument
+@click.pass_context
+def cancel(ctx: click.Context, store: str) -> None:
+    """Stop the run that is at work on STORE, wherever it runs. Finished tiles are kept."""
+    stopped = cancel_run(notes_of(store), store, CANCEL_SECONDS, say, timing_of(ctx))
+    click.echo(f"{store}: {stopped} has stopped")
+
+
+@click.command()
+@store_argument
+@click.argument("spec", required=False)
+@click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")
+@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
+@scheduler_option
+@workers_option
+@click.pass_context
+def extend(
+    ctx: click.Context,
+    store: str,
+    spec: str | None,
+    refine: tuple[str, ...],
+    out: str,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
+    """Compute a larger or finer atlas into a new store, reusing all cells that STORE has.
+
+    SPEC may have other values on STORE's axes, and nothing else that differs. The same command resumes an extension
+    that was stopped.
+    """
+    check_workers(scheduler, workers)
+    if (spec is None) == (not refine):
+        raise InputError("give either the SPEC of the new atlas or --refine")
+    factors = read_factors(refine) if refine else None
+    read = None if spec is None else Spec.from_toml(spec)
+    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx))
+    with _shown(ctx, options, "the same command resumes") as shown:
+        summary = extend_store(store, out, read, factors, options=shown)
+    _report(ctx, summary)
+
+
+@contextmanager
+def _shown(ctx: click.Context, options: RunOptions, advice: str) -> Iterator[RunOptions]:
+    """The options of a run whose progress is shown; an interruption ends it with the advice how to resume."""
+    try:
+        with interruptible(), progress.reporter(sys.stderr) as show:
+            yield replace(options, on_progress=show)
+    except KeyboardInterrupt:
+        say(f"interrupted: finished tiles are kept; {advice}")
+        ctx.exit(INTERRUPTED)
+
+
+def _run_only(
+    spec: Spec,
+    retry: str | None,
+    max_periods: int | None,
+    tls_ca_file: str | None,
+    tls_cert: str | None,
+    tls_key: str | None,
+) -> dict[str, Any]:
+    """Fields of RunOptions that an extension does not have."""
+    if retry is None and max_periods is not None:
+        raise InputError("--max-periods is for cells solved again: give --retry too, or set it in the spec")
+    return {
+        "retry": None if retry is None else checked_retry(spec, retry, max_periods),
+        "tls": Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None,
+    }
+
+
+def _report(ctx: click.Context, summary: Summary) -> None:
+    """Print how a run ended, and exit with 1 where a tile failed."""
+    click.echo(str(summary))
+    for worker, reason in summary.refused.items():
+        say(f"worker {worker} did no tile: {reason}")
+    for failure in summary.failures:
+        say(f"tile {failure.index} failed: {failure.message}")
+    if summary.failures:
+        ctx.exit(1)

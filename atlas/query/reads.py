@@ -1,0 +1,49 @@
+"""What reading an atlas cost: chunks read, and how coarse the cells were that answered."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+
+
+@dataclass
+class Reads:
+    """What was read inside ``counted``.
+
+    chunks   how many were found and read
+    level    the coarsest that a view was read from, 0 the cells themselves
+    block    cells of the atlas, (x, y), for which a cell of the coarsest view stands
+    """
+
+    chunks: int = 0
+    level: int = 0
+    block: tuple[int, ...] = (1,)
+
+    def add(self, chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
+        """Count some more."""
+        self.chunks, self.level = self.chunks + chunks, max(self.level, level)
+        self.block = max(self.block, block, key=math.prod)
+
+
+_reads: ContextVar[Reads | None] = ContextVar("reads", default=None)
+
+
+@contextmanager
+def counted() -> Iterator[Reads]:
+    """Count the chunks that views and shares read inside the ``with`` block; a block around it counts them too."""
+    outer, reads = _reads.get(), Reads()
+    token = _reads.set(reads)
+    try:
+        yield reads
+    finally:
+        _reads.reset(token)
+        if outer is not None:
+            outer.add(reads.chunks, reads.level, reads.block)
+
+
+def count_reads(chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
+    """Add to what the ``counted`` block around counts, if there is one."""
+    reads = _reads.get()
+    if reads is not None:
+        reads.add(chunks, level, block)

@@ -1,0 +1,133 @@
+"""What a block of the cells of a store holds in all: the area of each regime, and the cells without a result."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.overview.coarsen import CODES, SHARE
+from atlas.query.source import PENDING_SHARE, Part, inside
+from atlas.spec.spec import Slices
+from atlas.store.tally import AREAS, BY_REASON, Entries, read_tally, tile_areas
+from workers.results import NO_REASON, REASON, REASONS, REGIME
+
+
+@dataclass(frozen=True)
+class Totals:
+    """The totals of a part of a store, exact, from as few chunks as they take.
+
+    The inside of the part is taken from the coarsest level that fits, its border from ever finer ones; where there are
+    no overviews, whole tiles are taken from the store's tally.
+    """
+
+    part: Part
+
+    def areas(self) -> dict[int, float]:
+        """The area of each regime by its code, cells counted by their widths."""
+        total = sum((self._areas(level, piece) for level, piece in self._pieces()), np.zeros(CODES.size))
+        return dict(zip(CODES.tolist(), total.tolist(), strict=True))
+
+    def reasons(self) -> NDArray[np.int64]:
+        """The number of cells by reason, in the order of the table.
+
+        Read are the reasons of tiles that are cut by the part's border or have no entry in the tally, unless their
+        entry has none.
+        """
+        entries, known = self._tally
+        levels, cells = self.part.pyramid.levels, self.part.cells
+        whole, met = np.zeros_like(known), np.zeros_like(known)
+        within, below = levels.tiles_within(0, cells), levels.tiles_below(0, cells)
+        whole[within], met[below] = known[within], self.part.done[below]
+        by_reason = entries[..., BY_REASON]
+        none = known & (by_reason[..., NO_REASON] == by_reason.sum(axis=-1))
+        total = by_reason[whole].sum(axis=0).astype(np.int64)
+        for index in np.argwhere(met & ~whole & ~none).tolist():
+            ends = zip(levels.cells_of(_one(index)), cells, strict=True)
+            piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
+            codes = self.part.pyramid.read(0, REASON.name, piece)
+            total += [np.count_nonzero(codes == reason.code) for reason in REASONS]
+        return total
+
+    @cached_property
+    def _tally(self) -> tuple[Entries, NDArray[np.bool_]]:
+        """The tally's entries, those of tiles that are not done made up, and the mask of the tiles that have one."""
+        header, pending = self.part.header, ~self.part.done
+        entries, known = read_tally(self.part.pyramid.root, header.tiling)
+        entries[pending] = 0.0
+        entries[pending, AREAS.start + PENDING_SHARE] = tile_areas(header)[pending]
+        return entries, known | pending
+
+    def _pieces(self) -> Iterator[tuple[int, Slices]]:
+        """The part cut into pieces of whole cells of levels, as coarse as they fit."""
+        levels = self.part.pyramid.levels
+        inner: Slices | None = None
+        for level in range(levels.count, -1, -1):
+            ends = zip(self.part.cells, levels.shape_of(level), levels.shape, strict=True)
+            outer = tuple(slice(-(-s.start >> level), n if s.stop == all_ else s.stop >> level) for s, n, all_ in ends)
+            if all(s.start < s.stop for s in outer):
+                yield from ((level, piece) for piece in _around(outer, inner))
+                inner = levels.finer(level, outer) if level else None
+
+    def _areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
+        """The area of each regime in a piece, in the order of CODES.
+
+        What of an overview is missing is taken from the tally, or from the level before, down to the cells.
+        """
+        if level == 0:
+            return self._areas_of_cells(piece)
+        levels = self.part.pyramid.levels
+        found, missing = self.part.read_stored(level, piece, [REGIME.name, SHARE.name])
+        for block in missing:
+            found[SHARE.name][inside(piece, block)] = 0.0
+        total = self._weighed(level, piece, found[SHARE.name])
+        for block in missing:
+            tiles = levels.tiles_below(level, block)
+            whole = tiles == levels.tiles_within(level, block) and self._tally[1][tiles].all()
+            total = total + (self._tallied(tiles) if whole else self._areas(level - 1, levels.finer(level, block)))
+        return total
+
+    def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
+        """The areas in a piece of the cells themselves: by the tally in whole tiles that have an entry there."""
+        levels = self.part.pyramid.levels
+        tiles = levels.tiles_within(0, piece)
+        if any(s.start >= s.stop for s in tiles) or not self._tally[1][tiles].any():
+            return self._read_areas(piece)
+        known = self._tally[1]
+        total = self._tallied(tiles)
+        for side in _around(piece, levels.cells_of(tiles)):
+            total = total + self._read_areas(side)
+        for index in np.argwhere(~known[tiles]) + [s.start for s in tiles]:
+            total = total + self._read_areas(levels.cells_of(_one(index.tolist())))
+        return total
+
+    def _tallied(self, tiles: Slices) -> NDArray[np.float64]:
+        """The areas in those of some tiles that have an entry in the tally."""
+        entries, known = self._tally
+        return np.asarray(entries[tiles][known[tiles]][:, AREAS].sum(axis=0))
+
+    def _read_areas(self, piece: Slices) -> NDArray[np.float64]:
+        return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])
+
+    def _weighed(self, level: int, piece: Slices, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The area of each regime, from its shares of the cells of a piece."""
+        for width, p in zip(self.part.pyramid.widths[level], piece, strict=True):
+            share = np.tensordot(width[p], share, axes=1)
+        return np.asarray(share)
+
+
+def _one(index: list[int]) -> Slices:
+    """The tile of an index, as slices of the tiles."""
+    return tuple(slice(i, i + 1) for i in index)
+
+
+def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
+    """The outer box without the inner one, as boxes."""
+    if inner is None:
+        yield outer
+        return
+    for dim, (out, within) in enumerate(zip(outer, inner, strict=True)):
+        for side in (slice(out.start, within.start), slice(within.stop, out.stop)):
+            if side.start < side.stop:
+                yield (*inner[:dim], side, *outer[dim + 1 :])

@@ -1,0 +1,49 @@
+"""The options of a run beyond its spec and its store: where it computes, what it reports, how long it waits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from atlas.errors import InputError, shown
+from atlas.service.cluster import Tls
+from atlas.service.progress import Progress
+from atlas.service.timing import TIMING, Timing
+from atlas.store.outage import LONG
+from atlas.task.retry import Retry
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of ``run``, ``extend`` and ``submit``; InputError for those that contradict each other.
+
+    workers       processes of a local cluster, by default one a processor; not with a scheduler or a client
+    scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
+    tls           files for an encrypted connection to it
+    retry         which cells of finished tiles to solve again; nothing else is solved then
+    probe         solve a few cells first, so that the plan has a time
+    on_progress   called with each Progress
+    patience      seconds to wait for a server at a URL that stops answering
+    timing        how long the run waits for everything else
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    tls: Tls | None = None
+    retry: Retry | None = None
+    probe: bool = False
+    on_progress: Callable[[Progress], None] | None = None
+    patience: float = LONG
+    timing: Timing = TIMING
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and (self.workers < 1 or self.scheduler is not None):
+            raise InputError(f"workers: found {self.workers}, must be 1 or more, and goes with a local cluster only")
+        if not self.patience >= 0:
+            raise InputError(f"patience: found {shown(self.patience)}, must be 0 s or more")
+
+    def report(self, progress: Progress) -> None:
+        """Hand a snapshot to ``on_progress``, where there is one."""
+        if self.on_progress is not None:
+            self.on_progress(progress)
+
+
+DEFAULTS = RunOptions()

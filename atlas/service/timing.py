@@ -1,0 +1,38 @@
+"""How long the service waits, in one record that a run, its watchers and the command take."""
+
+from dataclasses import dataclass
+
+from atlas.errors import InputError, shown
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds, each positive or 0; the defaults suit a cluster on a network.
+
+    connect   for a scheduler to answer
+    worker    for a scheduler to have a worker: its first, or one in place of those that refused
+    tick      between two looks at the cluster and the claim while tiles are solved
+    poll      between two looks at a coordinator that is to begin
+    beat      between two steps of a claim's counter
+    look      between two looks at the claim of another run
+    silent    after which a counter that stands still is reported: one beat may be late, two rarely are
+    dead      after which its holder counts as dead: ten beats, for a busy network disk
+    """
+
+    connect: float = 5.0
+    worker: float = 30.0
+    tick: float = 1.0
+    poll: float = 0.5
+    beat: float = 2.0
+    look: float = 0.2
+    silent: float = 5.0
+    dead: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name, seconds in vars(self).items():
+            if not seconds >= 0:
+                raise InputError(f"timing: {name} is {shown(seconds)}, must be 0 s or more")
+
+
+TIMING = Timing()
+"""The defaults."""

@@ -1,0 +1,82 @@
+"""The metadata, attributes and coordinates of a store, before there is a result in it."""
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from atlas.spec.spec import Spec
+from atlas.store.digests import create_digests
+from atlas.store.machine import MACHINES
+from atlas.store.schema import (
+    BUDGET,
+    DIMENSIONS,
+    Origin,
+    coordinates,
+    extra_sizes,
+    root_attributes,
+    variable_attributes,
+)
+from atlas.store.tiling import Tiling
+from workers.results import Variable, result_variables
+
+if TYPE_CHECKING:
+    import zarr
+
+
+def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
+    """Make a store without a result in a folder of this machine."""
+    import zarr
+
+    variables, tiling = result_variables(spec.settings), Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
+    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
+    group.create_group(MACHINES, attributes={"long_name": "processors and software that solved this atlas"})
+    for name, coordinate in coordinates(spec).items():
+        array = group.create_array(
+            name,
+            shape=coordinate.values.shape,
+            chunks=coordinate.values.shape,
+            dtype="str" if coordinate.values.dtype.kind == "T" else "float64",
+            dimension_names=coordinate.dims,
+            compressors=codecs(),
+            attributes=coordinate.attributes,
+        )
+        array[...] = coordinate.values
+    for variable in variables:
+        create_variable(group, variable, spec, tiling, variable_attributes(variable, spec.parameters))
+    create_digests(group, (*variables, BUDGET), spec.dims, tiling.grid, codecs())
+    consolidate(group)
+
+
+def create_variable(
+    group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling, attributes: dict[str, Any]
+) -> None:
+    """Make the array of a result, one chunk a tile."""
+    sizes = extra_sizes(spec)
+    extra = tuple(sizes[dim] for dim in variable.extra)
+    group.create_array(
+        variable.name,
+        shape=tiling.shape + extra,
+        chunks=tiling.tile + extra,
+        dtype=variable.dtype,
+        fill_value=variable.fill,
+        dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
+        compressors=codecs(),
+        attributes=attributes,
+    )
+
+
+def consolidate(group: "zarr.Group") -> None:
+    """Copy the metadata of all arrays into the root's, from which xarray opens a store by one read."""
+    import zarr
+
+    with warnings.catch_warnings():
+        # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
+        warnings.filterwarnings("ignore", message="Consolidated metadata")
+        zarr.consolidate_metadata(group.store)
+
+
+def codecs() -> list[Any]:
+    """How every chunk is packed."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk
