@@ -196,9 +196,7 @@ def test_the_same_spec_may_go_on(header: store.Header) -> None:
     ],
     ids=["parameter", "transposed", "axes and settings", "values"],
 )
-def test_another_spec_is_refused_by_every_difference(
-    header: store.Header, other: atlas.Spec, message: str
-) -> None:
+def test_another_spec_is_refused_by_every_difference(header: store.Header, other: atlas.Spec, message: str) -> None:
     with pytest.raises(InputError, match=message):
         store.find(header.path, other)
 
