@@ -29,6 +29,8 @@ from workers import tile as solving
 from workers.results import FAILED, result_variables
 from workers.tile import solve_cells
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 system = "two-mass"
 [axes.omega]
