@@ -150,7 +150,11 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
     def away(*_: object) -> None:
         raise NetworkError(f"{URL}: no answer for 15 s (why)")
 
-    monkeypatch.setattr(ObjectPlace, "exists", away)
+    with object_store() as gone:
+        for name, value in gone.environment.items():
+            monkeypatch.setenv(name, value)
+    for operation in ("exists", "get", "list_keys"):
+        monkeypatch.setattr(ObjectPlace, operation, away)
     ended = CliRunner().invoke(main, [command, URL])
     assert (ended.exit_code, ended.stderr.splitlines()[-1]) == (1, f"Error: {URL}: no answer for 15 s (why)")
 
