@@ -127,6 +127,7 @@ def test_flights_that_differ_by_a_mode_differ_by_its_closed_form(zeta: float) ->
         assert max(abs(a - b) for a, b in zip(difference, exact, strict=True)) < 1e-24
 
 
+@pytest.mark.slow
 def test_sticking_orbit_does_not_depend_on_when_chatter_is_cut_short() -> None:
     coarse, fine = (simulate(STICKING, 6, rest=rest).sections[-1] for rest in (1e-7, 1e-12))
     assert max(abs(a - b) for a, b in zip(coarse, fine, strict=True)) < 1e-19
