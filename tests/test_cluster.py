@@ -75,7 +75,7 @@ def test_a_run_reaches_an_encrypted_scheduler_by_dasks_configuration(
     assert summary.tiles_done == 9
 
 
-def test_a_run_without_certificates_is_reported_so_in_one_line(tmp_path: Path, encrypted: str) -> None:
+def test_a_run_without_certificates_is_refused_in_one_line(tmp_path: Path, encrypted: str) -> None:
     shown = CliRunner().invoke(main, ["run", "tiny", "-o", str(tmp_path / "out.zarr"), "--scheduler", encrypted])
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
     assert f"{encrypted}: no scheduler answers" in shown.stderr

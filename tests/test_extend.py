@@ -165,6 +165,7 @@ def test_failed_cells_are_solved_again(old: Path, tmp_path: Path, client: Client
     assert new.state.values.tobytes() == before["state"]
 
 
+@pytest.mark.slow
 def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
     old: Path, tmp_path: Path, client: Client
 ) -> None:
@@ -189,6 +190,7 @@ def test_an_interrupted_extension_goes_on(old: Path, tmp_path: Path, client: Cli
     assert extend(old, tmp_path / "new.zarr", refine=2, client=client).tiles_done == 12
 
 
+@pytest.mark.slow
 def test_an_extension_can_be_extended(old: Path, tmp_path: Path, client: Client) -> None:
     extend(old, tmp_path / "new.zarr", refine=2, client=client)
     summary = extend(tmp_path / "new.zarr", tmp_path / "newer.zarr", refine={"b": 2}, client=client)

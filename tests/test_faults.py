@@ -29,6 +29,8 @@ from workers import tile as solving
 from workers.results import FAILED, result_variables
 from workers.tile import solve_cells
 
+pytestmark = pytest.mark.slow
+
 SPEC = """
 system = "two-mass"
 [axes.omega]
@@ -301,7 +303,7 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
 
 
-def test_a_scheduler_without_this_package_is_reported_of_once_and_at_once(
+def test_a_scheduler_without_this_package_is_reported_once_and_at_once(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unloadable(job: Job) -> None:

@@ -24,6 +24,8 @@ from tests.fuzzing import fuzz
 from tests.synthetic import fill, spec_of
 from workers.model.system import TWO_MASS
 
+pytestmark = pytest.mark.slow
+
 GOOD: dict[str, dict[str, str]] = {
     "": {"system": '"two-mass"'},
     "parameters": {"R": "0.7", "f2": "0.0"},

@@ -193,13 +193,13 @@ def test_an_error_of_zero_is_drawn_as_the_smallest() -> None:
     assert cells[1, 1] > cells[1, 6]
 
 
-def test_a_cell_that_cost_nothing_is_reported_from_one_that_cost_little() -> None:
+def test_a_cell_that_cost_nothing_differs_from_one_that_cost_little() -> None:
     figure = render.figure(plane(), "cost")
     assert "none needed" in labels(figure)
     assert tuple(drawn(figure)[5, 7][:3]) == (0xDD, 0xDD, 0xDD) != tuple(drawn(figure)[1, 7][:3])
 
 
-def test_a_cell_that_rests_is_reported_from_those_that_do_not() -> None:
+def test_a_cell_that_rests_differs_from_those_that_do_not() -> None:
     figure = render.figure(plane(), "sticking")
     assert "never at rest" in labels(figure)
     assert tuple(drawn(figure)[2, 8]) != tuple(drawn(figure)[2, 7]) == tuple(drawn(figure)[2, 1])

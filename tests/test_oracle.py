@@ -127,11 +127,13 @@ def test_flights_that_differ_by_a_mode_differ_by_its_closed_form(zeta: float) ->
         assert max(abs(a - b) for a, b in zip(difference, exact, strict=True)) < 1e-24
 
 
+@pytest.mark.slow
 def test_sticking_orbit_does_not_depend_on_when_chatter_is_cut_short() -> None:
     coarse, fine = (simulate(STICKING, 6, rest=rest).sections[-1] for rest in (1e-7, 1e-12))
     assert max(abs(a - b) for a, b in zip(coarse, fine, strict=True)) < 1e-19
 
 
+@pytest.mark.slow
 def test_sticking_orbit_has_the_known_multipliers() -> None:
     """From independent 40-digit work: -0.0786795 +- 0.3589800i and two that are lost."""
     start = {
@@ -204,6 +206,7 @@ def test_dense_sampling_finds_the_multiprecision_impacts() -> None:
             assert dense.speed[n] == pytest.approx(float(exact.speed), abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clearance", [1e-12, 1e-10, 1e-8, 1e-5, 1e-3])
 def test_dense_sampling_decides_grazing_flights_of_any_clearance(clearance: float) -> None:
     """The stop is set a little below or above the flight's peak, which a run without stops tells."""

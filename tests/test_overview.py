@@ -383,6 +383,7 @@ def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, 
     return True
 
 
+@pytest.mark.slow
 def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,6 +112,7 @@ def test_of_two_that_replace_the_same_state_one_succeeds(bucket: str) -> None:
     assert not place.put_if("x", b"4", found[1])
 
 
+@pytest.mark.slow
 def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: Path, client: Client) -> None:
     url = str(place)
     atlas.run(plane_of(), tmp_path / "local.zarr", client=client)
@@ -131,6 +132,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, tmp_path: 
     assert fine.state.values[::2].tobytes() == arrays_of(url)["state"]
 
 
+@pytest.mark.slow
 def test_worker_processes_write_to_a_url(bucket: str) -> None:
     spec = atlas.Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"max_periods": 50}, store={"tile": [1]})
     assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", options=atlas.RunOptions(workers=1)).tiles_done == 2
@@ -291,6 +293,7 @@ def web(tmp_path: Path) -> Iterator[str]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_a_published_store_is_read_from_a_plain_web_server(web: str, tmp_path: Path, client: Client) -> None:
     atlas.run(plane_of(), tmp_path / "plane.zarr", client=client)
     assert arrays_of(f"{web}/plane.zarr") == arrays_of(tmp_path / "plane.zarr")

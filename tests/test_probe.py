@@ -35,6 +35,7 @@ def probed(spec: atlas.Spec) -> Probe:
     return probing.probe(spec, make_plan(spec, workers=2).tiling.tile)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", example_names())
 def test_an_example_costs_what_its_probe_says_within_a_factor_of_two(name: str, tmp_path: Path, client: Client) -> None:
     """Forcing periods, the same on every machine, and processor seconds, in which no other program counts."""

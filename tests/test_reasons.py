@@ -137,7 +137,7 @@ def test_query_reports_the_reasons_of_a_window(store: Path) -> None:
     assert json.loads(shown.stdout)["reasons"] == {BEYOND: 8}
 
 
-def test_query_of_an_atlas_without_such_cells_reports_shares_alone(store: Path) -> None:
+def test_query_of_an_atlas_without_such_cells_reports_only_fractions(store: Path) -> None:
     shares = json.loads(call("query", store, "--window", "b=0.3:0.5", "--json").stdout)
     assert sum(shares.values()) == pytest.approx(1.0)
 

@@ -236,7 +236,7 @@ def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -
     assert title == r"$R = 0.8$,  $\zeta = 0.05$,  $\mu_m = 2$,  $\mu_k = 5$,  $f_2 = 0$,  $\tau = \pi$"
 
 
-def test_the_title_reports_an_initial_state_other_than_rest() -> None:
+def test_the_title_names_an_initial_state_other_than_rest() -> None:
     assert "$x_1(0) = 0.1$" in style.title_line(every_regime().assign_coords(x1=0.1))
 
 

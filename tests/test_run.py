@@ -227,7 +227,8 @@ def test_a_patience_that_is_no_time_is_refused(given: dict[str, Any]) -> None:
         atlas.RunOptions(**given)
 
 
-def test_a_script_without_a_main_guard_is_reported_what_to_do(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_script_without_a_main_guard_is_refused_with_the_remedy(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
         "import atlas\n"

@@ -66,7 +66,7 @@ def test_tile_shape_does_not_enter_the_digest() -> None:
     ],
     ids=["axis order", "parameter", "setting", "last bit of an axis value"],
 )
-def test_the_digest_reports_apart(changes: dict[str, object]) -> None:
+def test_the_digest_distinguishes(changes: dict[str, object]) -> None:
     assert make(**changes).digest != make().digest
 
 

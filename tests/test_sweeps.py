@@ -53,7 +53,7 @@ def test_sweeps_that_agree_are_not_shaded() -> None:
     assert labels(figure) == [r"rising $\omega$", r"falling $\omega$"]
 
 
-def test_exponents_that_agree_within_their_errors_do_not_report_motions_apart() -> None:
+def test_exponents_that_agree_within_their_errors_do_not_distinguish_motions() -> None:
     first, second = line(), line()
     second["largest"] = second["largest"] + 0.01
     assert hysteresis.differ(first, second).all()

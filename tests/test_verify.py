@@ -401,6 +401,15 @@ def test_the_sample_is_that_of_its_seed(whole: Path) -> None:
     assert verify(whole, sample=4).cells_solved == 4
 
 
+def test_a_sample_of_all_cells_has_each_of_them_once(whole: Path) -> None:
+    header = store.read_header(whole)
+    tiling = header.tiling
+    drawn = draw_cells(tiling, sorted(store.done_tiles(header)), tiling.cells, 1)
+    assert {index: sorted(cells) for index, cells in drawn.items()} == {
+        tile.index: list(range(tile.size)) for tile in tiling.tiles()
+    }
+
+
 def test_progress_ends_with_every_cell_read(whole: Path) -> None:
     seen: list[Progress] = []
     verify(whole, sample=1, on_progress=seen.append)

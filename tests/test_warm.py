@@ -57,7 +57,7 @@ def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     assert compiled == ["largest"]
 
 
-def test_the_user_is_reported_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
+def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
     assert warm.warming("largest") == COMPILING
     warm.compile_once("two-mass", Settings())
     assert warm.warming("largest") == LOADING
@@ -72,7 +72,7 @@ def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     assert compiled == []
 
 
-def test_the_child_that_compiles_is_reported_what() -> None:
+def test_the_child_compiles_what_it_is_given() -> None:
     """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
     assert warm.warm_up_in_child("two-mass", Settings(max_period=8))
     assert not warm.warm_up_in_child("three-mass", Settings())

@@ -24,7 +24,7 @@ from atlas.store.location import Place, place_of, waiting
 from atlas.store.schema import Origin
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, add_budget, create, done_tiles, find
-from atlas.store.tally import TallyKeeper
+from atlas.store.tally import TallyKeeper, done_mask
 from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
@@ -213,9 +213,7 @@ class _Work:
 
 
 def _work(header: Header | None, plan: Plan, options: RunOptions) -> _Work:
-    done = np.zeros(plan.tiling.grid, dtype=bool)
-    for index in done_tiles(header) if header else ():
-        done[index] = True
+    done = done_mask(header) if header else np.zeros(plan.tiling.grid, dtype=bool)
     if header is not None and options.retry is not None:
         options.report(Progress("looking for the cells to solve again"))
         return _retried(header, plan, done, options.retry)
