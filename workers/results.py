@@ -16,7 +16,7 @@ class Regime:
     color: str
 
 
-PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED = range(-1, 7)
+PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC = range(-1, 8)
 
 REGIMES = (
     Regime(PENDING, "pending", "#ffffff"),
@@ -27,12 +27,13 @@ REGIMES = (
     Regime(UNDETERMINED, "undetermined", "#a3ff0d"),
     Regime(INVALID, "invalid", "#777777"),
     Regime(FAILED, "failed", "#000000"),
+    Regime(APERIODIC, "aperiodic", "#ccbb99"),
 )
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a cell has no result: its code in the data, its name there, the regime of such a cell, and a sentence."""
+    """Why a cell has no result, or an uncertain one: its code in the data, its name there, the regime of such a cell, and a sentence."""
 
     code: int
     name: str
@@ -43,8 +44,8 @@ class Reason:
 (
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
-    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES,
-) = range(16)  # fmt: skip
+    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY,
+) = range(18)  # fmt: skip
 
 REASONS = (
     Reason(NO_REASON, "none", PENDING, ""),
@@ -68,6 +69,8 @@ REASONS = (
         INVALID,
         "the energy of the motion is beyond the range of double precision",
     ),
+    Reason(NOT_RELAXED, "not_relaxed", CHAOTIC, "averages began before the motion had forgotten its initial state"),
+    Reason(NOT_STATIONARY, "not_stationary", CHAOTIC, "averages of successive stretches differ; the error covers both"),
 )
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 
@@ -122,9 +125,12 @@ _ALWAYS = (
     Variable("stuck_fraction", "float64", _NAN, "share of the time at rest on a stop", "1"),
     Variable("min_impact_speed", "float64", _NAN, "slowest impact seen on the attractor; 0 where it sticks", "1"),
     Variable("periods_used", "int32", 0, "forcing periods simulated", "1"),
+    Variable("survived", "int32", 0, "forcing periods seen chaotic, or aperiodic, after the transient", "1"),
     Variable("state", "float64", _NAN, "physical section state on the attractor", "1", ("state",)),
 )
-REASON = Variable("reason", "int8", NO_REASON, "why the cell is invalid, failed or given up", "1", sparse=True)
+REASON = Variable(
+    "reason", "int8", NO_REASON, "why the cell is invalid, failed, given up or uncertain", "1", sparse=True
+)
 REGIME = Variable("regime", "int8", PENDING, "regime of motion", "1")
 
 

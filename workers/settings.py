@@ -19,11 +19,16 @@ class Settings:
 
     exponents          "none", "largest" or "spectrum"
     tolerance          target standard error of the largest exponent, per forcing period; > 0
-    max_periods        forcing periods that a cell may cost; 1 to 500 million (method "adaptive")
+    max_periods        forcing periods that deciding a cell's class, and averaging, may cost; 1 to 500 million (method
+                       "adaptive")
+    survival           forcing periods, beyond those, for which what looks chaotic may be watched; 0 to 500 million
+                       (method "adaptive"). Beside a known stable orbit it is watched until it has survived for all of
+                       it, otherwise for an eighth of it.
     method             "adaptive", or "fixed": the schedule of Li & Tan (2011), transient then average
     transient_periods  periods dropped before the average (method "fixed"); 0 to 500 million
     periods            periods averaged (method "fixed"); 1 to 500 million
-    max_period         longest orbit looked for, in forcing periods; 1 to 10,000
+    max_period         longest orbit looked for, in forcing periods; 1 to 10,000. Where the exponent is clearly
+                       negative, orbits of up to 1000 periods are looked for all the same (method "adaptive")
     section_samples    K: keep the last K section states of each cell; 0 to 100,000
 
     Raises ValueError, in one line that names the setting, for anything else.
@@ -32,6 +37,7 @@ class Settings:
     exponents: str = "largest"
     tolerance: float = 0.01
     max_periods: int = 20000
+    survival: int = 40000
     method: str = "adaptive"
     transient_periods: int = 2000
     periods: int = 6000
@@ -46,6 +52,7 @@ class Settings:
         if not 0 < self.tolerance <= sys.float_info.max:
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a finite number > 0")
         check_whole("max_periods", self.max_periods, 1, MOST_PERIODS)
+        check_whole("survival", self.survival, 0, MOST_PERIODS)
         check_whole("transient_periods", self.transient_periods, 0, MOST_PERIODS)
         check_whole("periods", self.periods, 1, MOST_PERIODS)
         check_whole("max_period", self.max_period, 1, LONGEST_ORBIT)

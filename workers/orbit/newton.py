@@ -31,6 +31,10 @@ RESERVED_TURNS = 6
 error of the multipliers, one last count."""
 
 
+NOTHING, NEAR, SETTLED = range(3)
+"""What is found of an orbit: none that is stable; a stable one that the motion need not fall into; one that it does."""
+
+
 class PeriodicOrbit(NamedTuple):
     """A closed orbit of m steps of the map, with what its multipliers show.
 
@@ -135,39 +139,40 @@ def closes_earlier(osc, point, steps, half, scale):
 
 @piece
 def find_orbit(osc, h, contact, steps, half, scale, budget):
-    """(found, PeriodicOrbit, steps spent), with at most so many steps: see settle."""
+    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, steps spent), with at most so many steps: see settle."""
     lam = osc.gap.lam
     turns_left = budget // steps - RESERVED_TURNS
     point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
     spent = tried * steps
     orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
     if point.residual == np.inf:
-        return False, orbit, spent
+        return NOTHING, orbit, spent
     radius = spectral_radius(point.jacobian)
     if radius > 1.001:
-        return False, orbit, spent
+        return NOTHING, orbit, spent
     closed, tried_steps = closes_earlier(osc, point, steps, half, scale)
     spent += tried_steps
     if closed:
-        return False, orbit, spent
+        return NOTHING, orbit, spent
     logs, rounding, turns = floquet(osc, point, steps, half, min(CYCLES, turns_left - tried))
     spent += turns * steps
     largest = np.max(logs)
     if turns == 0 or not largest < 0.0:
-        return False, orbit, spent
+        return NOTHING, orbit, spent
     distance = separation(lam, h, point.h)
     if distance > 1e-9 * scale:
         trial = iterate_alone(osc, h, contact, steps, half)
         spent += steps
         if not nonlinear_part(lam, h, trial.h, point) < 0.5 * -math.expm1(largest) * distance:
-            return False, orbit, spent
+            return NEAR, orbit, spent
     again, J = map_with_jacobian(osc, point.image, contact, steps, half)
     spent += steps
     if again.tally[STATUS] == RUNNING:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / max(radius, 1e-300) - 1.0))
     periods = 0.5 * steps if half else 1.0 * steps
     orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
-    return largest < -rounding, orbit, spent  # else too near a bifurcation for these digits
+    # Else it is too near a bifurcation for these digits.
+    return SETTLED if largest < -rounding else NOTHING, orbit, spent
 
 
 @kernel
@@ -192,14 +197,17 @@ def recurrence(lam, sections, scale, longest):
 
 
 @kernel
-def far_from_closing(oscillators, motions, sections, kept, cells, limit):
-    """Of which of these cells no known section lies within ``limit`` of the last, relative to the motion's scale."""
+def far_from_closing(oscillators, motions, sections, cells, returns, limit):
+    """Of which of these cells none of the ``returns`` sections before the last lies within ``limit`` of it.
+
+    Relative to the motion's scale. The number of returns is fixed, since on a torus more of them come nearer.
+    """
     found = np.zeros(len(cells), dtype=np.bool_)
     last = sections.shape[1] - 1
     for e in range(len(cells)):
         r = cells[e]
         nearest = np.inf
-        for k in range(last + 1 - kept[r], last):
+        for k in range(last - returns, last):
             nearest = min(nearest, separation(oscillators.gap.lam[r], sections[r, last], sections[r, k]))
         found[e] = nearest > limit * scale_of(oscillator_of(oscillators, r), motions.h[r])
     return found
@@ -207,7 +215,9 @@ def far_from_closing(oscillators, motions, sections, kept, cells, limit):
 
 @piece
 def settle(osc, motion, sections, longest, budget):
-    """(found, PeriodicOrbit, periods spent): the stable orbit that the motion falls into, if its sections recur.
+    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, periods spent): the stable orbit that the motion falls into.
+
+    NEAR: its sections recur near a stable orbit, but it is not shown to fall into that.
 
     Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
     the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
@@ -218,7 +228,7 @@ def settle(osc, motion, sections, longest, budget):
     scale = scale_of(osc, h)
     symmetric_gap = osc.b_upper == osc.b_lower
     none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), np.inf, 0.0)
-    spent = 0
+    spent, nearest = 0, NOTHING
     for p in recurrence(osc.gap.lam, sections, scale, longest):
         for half in (True, False):
             per_period = 2 if half else 1
@@ -227,16 +237,17 @@ def settle(osc, motion, sections, longest, budget):
                 continue
             found, orbit, steps = find_orbit(osc, h, contact, p, half, scale, left)
             spent += -(-steps // per_period)
-            if found:
-                return True, orbit, spent
-    return False, none, spent
+            if found == SETTLED:
+                return SETTLED, orbit, spent
+            nearest = max(nearest, found)
+    return nearest, none, spent
 
 
 class Orbits(NamedTuple):
     """Periodic orbits of N cells: what of PeriodicOrbit a result needs, and the counts of one turn.
 
     h (N, n, 2), contact (N, 1), period (N,), symmetric (N,), exponents (N, 2n) largest first, error (N,),
-    tally (N, TALLIES): see Motion.
+    tally (N, TALLIES): see Motion. near (N,): whether the motion ever came near a stable orbit and left it again.
     """
 
     h: Array
@@ -246,6 +257,7 @@ class Orbits(NamedTuple):
     exponents: Array
     error: Array
     tally: Array
+    near: NDArray[np.bool_]
 
 
 def no_orbits(count: int, n: int) -> Orbits:
@@ -258,6 +270,7 @@ def no_orbits(count: int, n: int) -> Orbits:
         exponents=np.zeros((count, 2 * n)),
         error=np.zeros(count),
         tally=np.zeros((count, TALLIES)),
+        near=np.zeros(count, dtype=np.bool_),
     )
 
 
@@ -272,7 +285,9 @@ def settle_each(oscillators, motions, sections, kept, longest, budgets, cells, o
         r = cells[e]
         osc = oscillator_of(oscillators, r)
         known = sections[r, sections.shape[1] - kept[r] :]
-        settled[e], orbit, spent[r] = settle(osc, motion_of(motions, r), known, longest, budgets[r])
+        result, orbit, spent[r] = settle(osc, motion_of(motions, r), known, longest, budgets[r])
+        settled[e] = result == SETTLED
+        orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
         period = orbit.steps // 2 if orbit.half and orbit.steps % 2 == 0 else orbit.steps

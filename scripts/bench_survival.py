@@ -1,0 +1,145 @@
+"""How many cells that are called chaotic settle later, against what watching them costs.
+
+Each plane is solved with several settings of ``survival``, and once without exponents but watched for very long: what
+that finds settled is taken as the truth. ``wrong`` is the share of the cells called chaotic that settle within 80,000
+further periods, with its 95 % interval (Wilson); ``of all`` the same cells as a share of the whole plane; ``undecided``
+the share of undetermined cells; ``periods`` the mean cost of a cell, without those that proofs of orbits take.
+
+Usage: .venv/bin/python -m scripts.bench_survival [--light] [--json FILE]
+"""
+
+import argparse
+import json
+import math
+import multiprocessing
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers import Settings, solve_tile
+from workers.adaptive import WITHOUT_RIVAL
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED
+
+FURTHER = 80_000
+"""Periods after a verdict in which a settled motion makes it wrong."""
+
+PLANES: dict[str, dict[str, Any]] = {
+    "packaged omega-b": {"omega": (1.0, 4.5), "b": (0.05, 0.6)},
+    "omega-R, zeta .005": {"omega": (1.5, 4.5), "R": (0.9, 1.0), "zeta": 0.005, "b": 0.3, "mu_k": 5.0, "mu_m": 2.0},
+    "zeta 1e-4, omega-R": {"omega": (1.5, 4.5), "R": (0.99, 1.0), "zeta": 1e-4, "b": 0.3, "mu_k": 5.0, "mu_m": 2.0},
+    "R near 1, omega-b": {"omega": (1.0, 4.5), "b": (0.05, 0.6), "R": 0.97},
+    "low damping, omega-b": {"omega": (1.0, 4.5), "b": (0.05, 0.6), "zeta": 0.01, "R": 0.7},
+}
+
+
+def plane(name: str, side: int) -> dict[str, NDArray[Any] | float]:
+    """Parameters of a plane of side x side cells, flat."""
+    given = PLANES[name]
+    axes = [key for key, value in given.items() if isinstance(value, tuple)]
+    grids = np.meshgrid(*(np.linspace(*given[key], side) for key in axes))
+    return {**given, **{key: grid.ravel() for key, grid in zip(axes, grids, strict=True)}}
+
+
+def _solve(work: tuple[dict[str, Any], Settings]) -> tuple[dict[str, NDArray[Any]], float]:
+    start = time.process_time()
+    return solve_tile("two-mass", *work), time.process_time() - start
+
+
+def solved(
+    pool: Any, params: dict[str, Any], settings: Settings, pieces: int = 8
+) -> tuple[dict[str, NDArray[Any]], float]:
+    """Results of flat cells, and the seconds of processor time that they took."""
+    count = max(np.size(value) for value in params.values())
+    parts = [np.arange(k, count, pieces) for k in range(min(pieces, count))]
+    works = [({k: v[part] if np.size(v) > 1 else v for k, v in params.items()}, settings) for part in parts]
+    found = pool.map(_solve, works, chunksize=1)
+    arrays = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in found[0][0].items()}
+    for part, (piece, _) in zip(parts, found, strict=True):
+        for name, values in piece.items():
+            arrays[name][part] = values
+    return arrays, sum(seconds for _, seconds in found)
+
+
+def wilson(hits: int, of: int, z: float = 1.96) -> tuple[float, float]:
+    """The 95 % interval of a share."""
+    if of == 0:
+        return 0.0, 1.0
+    p, scale = hits / of, 1.0 + z * z / of
+    centre, half = p + z * z / (2 * of), z * math.sqrt(p * (1.0 - p) / of + z * z / (4.0 * of * of))
+    return (centre - half) / scale, (centre + half) / scale
+
+
+def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tolerance: float) -> list[dict[str, Any]]:
+    """One row for each survival."""
+    params = plane(name, side)
+    truth, _ = solved(pool, params, Settings(exponents="none", survival=far * WITHOUT_RIVAL))
+    settles = np.isin(truth["regime"], (NO_IMPACT, PERIODIC))
+    rows = []
+    for survival in survivals:
+        found, seconds = solved(pool, params, Settings(tolerance=tolerance, survival=survival))
+        chaotic = found["regime"] == CHAOTIC
+        later = truth["periods_used"] <= found["periods_used"] + FURTHER
+        wrong = chaotic & settles & later
+        count = len(chaotic)
+        rows.append(
+            {
+                "plane": name,
+                "cells": count,
+                "survival": survival,
+                "chaotic": int(chaotic.sum()),
+                "wrong": int(wrong.sum()),
+                "wrong_share": wrong.sum() / max(chaotic.sum(), 1),
+                "interval": wilson(int(wrong.sum()), int(chaotic.sum())),
+                "wrong_of_all": wrong.sum() / count,
+                "undetermined": (found["regime"] == UNDETERMINED).sum() / count,
+                "uncertain": int((found["reason"][chaotic] != 0).sum()),
+                "periods": float(found["periods_used"].mean()),
+                "survived": float(found["survived"][chaotic].mean()) if chaotic.any() else 0.0,
+                "ms_a_cell": 1e3 * seconds / count,
+                "aperiodic_in_the_end": int((truth["regime"] == APERIODIC).sum()),
+            }
+        )
+    return rows
+
+
+def show(row: dict[str, Any]) -> str:
+    """A row of the table."""
+    low, high = row["interval"]
+    return (
+        f"| {row['plane']} | {row['survival']} | {row['chaotic']} of {row['cells']} | {100 * row['wrong_share']:.2f} "
+        f"({100 * low:.2f} to {100 * high:.2f}) | {100 * row['wrong_of_all']:.2f} | {100 * row['undetermined']:.2f} | "
+        f"{row['uncertain']} | {row['periods']:.0f} | {row['ms_a_cell']:.2f} |"
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--light", action="store_true", help="few cells, short: rough numbers in seconds")
+    parser.add_argument("--side", type=int, default=32, help="cells along each axis")
+    parser.add_argument("--far", type=int, default=120_000, help="periods watched for the truth beside no rival")
+    parser.add_argument("--planes", default="", help="parts of names of planes, by comma; all by default")
+    parser.add_argument("--survivals", default="0,8000,40000,160000")
+    parser.add_argument("--tolerance", type=float, default=0.02)
+    parser.add_argument("--json", type=Path, help="write the rows here, too")
+    options = parser.parse_args()
+    side, far = (6, 4000) if options.light else (options.side, options.far)
+    survivals = [0, 4000] if options.light else [int(s) for s in options.survivals.split(",")]
+    chosen = [name for name in PLANES if any(part in name for part in options.planes.split(","))]
+    rows = []
+    print("| plane | survival | chaotic | wrong, % of them | of all, % | undetermined, % | uncertain | periods | ms |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        for name in chosen:
+            for row in measure(pool, name, side, survivals, far, options.tolerance):
+                print(show(row), flush=True)
+                rows.append(row)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()

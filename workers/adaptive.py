@@ -1,0 +1,313 @@
+"""The adaptive schedule: each cell is followed until its class is certain, and what looks chaotic is watched.
+
+A cell goes through stages. In each it looks for a stable orbit at the end of every stretch of periods.
+
+SEARCHING  Its motion forgets where it began: some relaxation times, at least LEAST_TRANSIENT periods.
+WARMING    Tangent vectors turn into the right directions.
+AVERAGING  Their growth is averaged. Clearly positive, and known to half of the accuracy that is asked for (in periods):
+           chaotic so far. Zero on two stretches: a torus. Clearly negative: a long orbit is sought.
+WATCHING   What looks chaotic goes on without tangent vectors for most of the time that it has to survive.
+           Then it is averaged again: where the two averages agree they are one, otherwise the motion has changed, and
+           the later one takes the place of the earlier.
+
+``max_periods`` bounds what decides the class; a cell that looks chaotic may cost ``survival`` periods more. A tenth of
+max_periods is kept for the proof of an orbit.
+"""
+
+import math
+
+import numpy as np
+
+from workers.cells import RETURNS, Array, Cells, Rows, clearly_positive
+from workers.kernel.cells import impact_free
+from workers.kernel.stroboscopic import LOWER, UPPER
+from workers.model.oscillator import COLUMN
+from workers.orbit.newton import far_from_closing
+from workers.outcome import (
+    put,
+    put_aperiodic,
+    put_chaotic,
+    put_impact_free,
+    put_periodic,
+    put_quasiperiodic,
+    put_stopped,
+    put_undecided,
+)
+from workers.results import NO_REASON, NOT_RELAXED, NOT_STATIONARY
+
+SEARCHING, WARMING, AVERAGING, WATCHING = range(4)
+
+FIRST_STRETCH = 32
+"""Periods before a cell is first looked at; each further stretch is as long as all before it."""
+
+LEAST_TRANSIENT, RELAXATIONS, LARGEST_SHARE = 256, 3.0, 0.25
+"""The transient: so many periods at least, so many relaxation times, but not more than this share of max_periods."""
+
+WARM_UP = 64
+"""Periods in which the tangent frame turns into the right directions before its growth counts."""
+
+FIRST_AVERAGE = 192
+"""Periods averaged before the average is first looked at."""
+
+FARTHEST = 1e9
+"""From so many times the tolerance on it does not matter how far off the error is: no budget has the periods."""
+
+WITHOUT_RIVAL = 8
+"""Chaos beside no stable orbit that is known has to survive for this part of ``survival``."""
+
+LEAST_WATCH = 256
+"""Periods of the shortest stretch of watching; each further one is half as long as what was survived before."""
+
+CHANGED = 3.0
+"""Standard errors by which two averages of one motion do not differ."""
+
+TORUS_LIMIT = 1e-5
+"""Largest modulus of the weighted averages of two stretches that counts as an exponent zero."""
+
+TORUS_RETURN = 1e-5
+"""Nearest of the last RETURNS returns, relative to the motion's scale, that may be an orbit closing slowly."""
+
+
+def solve_adaptively(cells: Cells, ready: Rows) -> None:
+    """Take these cells through their stages and write their results."""
+    course = _Course(cells)
+    waiting = np.zeros(len(cells.used), dtype=np.bool_)
+    while len(ready) or waiting.any():
+        waiting[course.begin(ready)] = True
+        through = cells.run(np.flatnonzero(waiting))
+        waiting[through] = False
+        ready = course.look(through)
+
+
+def relaxation_periods(cells: Cells, rows: Rows) -> Array:
+    """Forcing periods in which the energy of these motions falls by a factor e, without the force.
+
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period since
+    they were last counted, take their part of one of the 2n squares that the energy is a sum of. May be infinite.
+    """
+    oscillators, tally = cells.oscillators, cells.batch.motions.tally[rows]
+    slowest = oscillators.gap.block[rows][..., COLUMN.slow].min(axis=-1)
+    hits = (tally[:, UPPER] + tally[:, LOWER]) / np.maximum(cells.flown[rows], 1)
+    freedoms = 2.0 * oscillators.gap_row.shape[1]
+    rate = 2.0 * slowest * oscillators.period[rows] + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms
+    return np.asarray(1.0 / rate)
+
+
+class _Course:
+    """Where the cells are on their course.
+
+    stage      of each cell; stretch: periods that it is to go next
+    memory     periods that its transient should take, NaN until known; transient: those that it takes
+    began      periods that its motion had gone through when the average under way began
+    watched    periods of watching
+    weighted   the weighted average of its last stretch
+    """
+
+    def __init__(self, cells: Cells) -> None:
+        N = len(cells.used)
+        self.cells, self.settings = cells, cells.settings
+        self.stage = np.full(N, SEARCHING)
+        self.stretch = np.full(N, FIRST_STRETCH)
+        self.memory = np.full(N, math.nan)
+        self.transient = np.full(N, LEAST_TRANSIENT)
+        self.began = np.zeros(N, dtype=np.int64)
+        self.watched = np.zeros(N, dtype=np.int64)
+        self.weighted = np.full(N, math.nan)
+
+    def begin(self, ready: Rows) -> Rows:
+        """Give each cell its next stretch; those that have one."""
+        cells = self.cells
+        free = impact_free(cells.oscillators, cells.batch.motions, ready)
+        put_impact_free(cells, ready[free], cells.batch.motions.h[ready[free]])
+        ready = ready[~free]
+        length = np.minimum(self.stretch[ready], self._left(ready))
+        self._finish(ready[length <= 0])
+        ready, length = ready[length > 0], length[length > 0]
+        cells.aim(ready, length)
+        return ready
+
+    def look(self, through: Rows) -> Rows:
+        """See what the stretch has shown of each cell; those that have to go on."""
+        cells = self.cells
+        watching = through[self.stage[through] == WATCHING]
+        self.watched[watching] += cells.batch.done[watching]
+        through = through[~put_stopped(cells, through)]
+        warm = self.stage[through] == WARMING
+        self._average(through[warm])
+        rest = through[~warm]
+        settled = cells.settle(rest, self.settings.max_periods + self.settings.survival - cells.used)
+        put_periodic(cells, rest[settled])
+        rest = rest[~settled]
+        searching, averaging, watching = (rest[self.stage[rest] == s] for s in (SEARCHING, AVERAGING, WATCHING))
+        self._search_on(searching)
+        return np.concatenate([through[warm], searching, self._judge(averaging), self._watch_on(watching)])
+
+    def _left(self, rows: Rows) -> Rows:
+        """Periods that these cells' motions may still go in the stage they are in."""
+        watch = self.settings.survival - self.watched[rows]
+        reserve = self.settings.max_periods // 10
+        decide = self.settings.max_periods - reserve - (self.cells.used[rows] - self.watched[rows])
+        return np.where(self.stage[rows] == WATCHING, watch, decide)
+
+    def _finish(self, rows: Rows) -> None:
+        """Write what is known of cells that do not go on."""
+        average = self.cells.whole_average(rows)
+        clear = clearly_positive(average.mean, average.error, average.count)
+        relaxed = ~(self.began[rows] < self.memory[rows])
+        put_chaotic(self.cells, rows[clear], np.where(relaxed[clear], NO_REASON, NOT_RELAXED))
+        put_undecided(self.cells, rows[~clear])
+
+    # Searching
+
+    def _search_on(self, rows: Rows) -> None:
+        """Go on, or warm up where the motion has forgotten where it began."""
+        cells = self.cells
+        flown = cells.flown[rows]
+        new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
+        self.memory[new] = RELAXATIONS * relaxation_periods(cells, new)
+        most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
+        self.transient[new] = np.clip(self.memory[new], LEAST_TRANSIENT, most)
+        self.stretch[rows] = np.minimum(flown, np.maximum(self.transient[rows] - flown, 1))
+        done = rows[flown >= self.transient[rows]]
+        cells.since[done] = cells.flown[done]
+        if cells.vectors:
+            self._warm_up(done)
+        else:
+            cells.restart(done)
+            cells.averaging[done] = True
+            self.stage[done] = WATCHING
+            self._aim_watch(done)
+
+    # Watching
+
+    def _required(self, rows: Rows) -> Rows:
+        """Periods that chaos in these cells has to survive."""
+        all_of_it = self.settings.survival
+        return np.where(self.cells.has_rival(rows), all_of_it, all_of_it // WITHOUT_RIVAL)
+
+    def _missing(self, rows: Rows) -> Rows:
+        """Periods for which these cells are still to be watched, before an average as long as the last one."""
+        again = self.cells.earlier.count[rows].astype(np.int64)
+        survived = self.cells.flown[rows] - self.cells.since[rows]
+        missing = self._required(rows) - survived - again
+        return np.minimum(missing, self.settings.survival - self.watched[rows])
+
+    def _aim_watch(self, rows: Rows) -> None:
+        """The next stretch of watching: long enough for a long orbit to return in it."""
+        survived = self.cells.flown[rows] - self.cells.since[rows]
+        least = max(LEAST_WATCH, self.settings.max_period + 1)
+        self.stretch[rows] = np.maximum(np.minimum(survived // 2, self._missing(rows)), least)
+
+    def _watch(self, rows: Rows) -> None:
+        """Close the average of these cells and watch them, or go on to the next average if there is no need to."""
+        self.cells.close(rows)
+        missing = self._missing(rows) > 0
+        self._average(rows[~missing])  # the frame is as it was
+        rest = rows[missing]
+        self.cells.framed[rest], self.cells.averaging[rest], self.stage[rest] = False, False, WATCHING
+        self._aim_watch(rest)
+
+    def _watch_on(self, rows: Rows) -> Rows:
+        """Watch on or average again; those that have to go on."""
+        missing = self._missing(rows) > 0
+        self._aim_watch(rows[missing])
+        if self.cells.vectors:
+            self._warm_up(rows[~missing])
+            return rows
+        put_aperiodic(self.cells, rows[~missing])
+        return rows[missing]
+
+    # Averaging
+
+    def _warm_up(self, rows: Rows) -> None:
+        self.cells.restart(rows)
+        self.cells.framed[rows] = True
+        self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
+
+    def _average(self, rows: Rows) -> None:
+        """Growth counts from here on; a second average is to be as long as the first should have been."""
+        cells = self.cells
+        cells.restart(rows)
+        cells.averaging[rows] = True
+        self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
+        wanted = _periods_for(cells.earlier.count[rows], cells.earlier.error[rows], self._half)
+        self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * cells.earlier.count[rows]), FIRST_AVERAGE)
+
+    @property
+    def _half(self) -> float:
+        """Standard error of an average over half of the periods that the tolerance takes."""
+        return math.sqrt(2.0) * self.settings.tolerance
+
+    def _judge(self, rows: Rows) -> Rows:
+        """What the average under way shows of these cells; those that have to go on."""
+        cells = self.cells
+        mean, error, count = cells.growth(rows)
+        whole = cells.whole_average(rows)
+        second = cells.earlier.count[rows] > 0.0
+        positive = clearly_positive(mean, error, count)
+        precise = np.where(
+            second, (whole.error <= self.settings.tolerance) & (error <= 2.0 * self._half), error <= self._half
+        )
+        decided = self.settings.max_periods - self.settings.max_periods // 10
+        half_spent = cells.used[rows] - self.watched[rows] >= decided // 2
+        enough = precise | np.where(second, self._left(rows) <= 0, half_spent)
+        chaotic = ~second & positive & enough
+        self._watch(rows[chaotic])
+        compared = second & enough
+        kept = self._compare(rows[compared])
+        open_ = ~chaotic & ~compared
+        wanted = np.where(
+            second,
+            _periods_for(whole.count, whole.error, self.settings.tolerance),
+            _periods_for(count, error, self._half),
+        )
+        missing = np.where(positive | second, np.maximum(1.05 * (wanted - whole.count), WARM_UP), math.inf)
+        self.stretch[rows[open_]] = np.minimum(cells.flown[rows] - self.began[rows], missing)[open_]
+        ordered = self._find_order(rows[open_ & ~second])
+        return np.concatenate([rows[chaotic], kept, rows[open_ & second], ordered])
+
+    def _compare(self, rows: Rows) -> Rows:
+        """Finish cells whose two averages agree; where the motion has changed the later one counts. Those that go on."""
+        cells = self.cells
+        mean, error, count = cells.growth(rows)
+        before, deviation = cells.earlier.mean[rows], cells.earlier.error[rows]
+        changed = np.abs(mean - before) > CHANGED * np.hypot(error, deviation)
+        self._finish(rows[~changed])
+        rows, before = rows[changed], before[changed]
+        mean, error, count = mean[changed], error[changed], count[changed]
+        cells.earlier.count[rows] = 0.0
+        for_ever = self._left(rows) <= 0
+        positive = clearly_positive(mean, error, count)
+        put_undecided(cells, rows[for_ever & ~positive])
+        uncertain = for_ever & positive
+        put_chaotic(cells, rows[uncertain], NOT_STATIONARY)
+        put(cells, rows[uncertain], error=np.maximum(error, np.abs(mean - before))[uncertain])
+        again = rows[~for_ever & positive]
+        cells.since[again] = self.began[again]
+        self._watch(again)
+        self.stretch[rows[~for_ever & ~positive]] = count[~for_ever & ~positive]
+        return rows[~for_ever]
+
+    def _find_order(self, rows: Rows) -> Rows:
+        """Look for tori and, where the exponent is clearly negative, for long orbits; those that have to go on."""
+        cells = self.cells
+        previous = self.weighted[rows]
+        now = cells.batch.weighted[rows, 0] / cells.batch.weighted[rows, 1]
+        self.weighted[rows] = now
+        spread = np.abs(now - previous)
+        flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
+        flat[flat] = far_from_closing(
+            cells.oscillators, cells.batch.motions, cells.batch.sections, rows[flat], RETURNS, TORUS_RETURN
+        )
+        put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
+        rows = rows[~flat]
+        mean, error, count = cells.growth(rows)
+        negative = rows[clearly_positive(-mean, error, count)]
+        settled = cells.settle_long(negative, self.settings.max_periods + self.settings.survival - cells.used)
+        put_periodic(cells, negative[settled])
+        return np.setdiff1d(rows, negative[settled], assume_unique=True)
+
+
+def _periods_for(count: Array, error: Array, wanted: float) -> Array:
+    """Periods that an average takes whose error is that over ``count`` periods, until it is as small as wanted."""
+    return np.asarray(count * np.minimum(error / wanted, FARTHEST) ** 2)

@@ -1,0 +1,222 @@
+"""What becomes of cells, written as arrays: the results of orbits, of impact-free motion and of averages.
+
+Each function writes those result variables that are asked for, of some of the cells.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.cells import Array, Cells, Mask, Rows, clearly_positive, taken
+from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
+from workers.kernel.cells import physical_states, reset_frames
+from workers.kernel.stroboscopic import (
+    LOWER,
+    MARCH_GAVE_UP,
+    MIN_SPEED,
+    NOT_FINITE,
+    OUT_OF_WORK,
+    RUNNING,
+    STATUS,
+    STUCK,
+    UPPER,
+    WORK,
+    WORK_OF_A_TRIAL,
+    motions_at,
+)
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    COSTLY_PERIOD,
+    FAILED,
+    GAVE_UP,
+    NO_IMPACT,
+    NO_REASON,
+    PERIODIC,
+    QUASIPERIODIC,
+    UNDETERMINED,
+    WORK_SPENT,
+)
+from workers.results import NOT_FINITE as NO_LONGER_FINITE
+from workers.stretch import batch_of, run
+
+REASON_OF = {MARCH_GAVE_UP: GAVE_UP, OUT_OF_WORK: COSTLY_PERIOD, NOT_FINITE: NO_LONGER_FINITE}
+"""Why a motion cannot go on, by its status."""
+
+
+def put(cells: Cells, rows: Rows, **values: Any) -> None:
+    """Write result variables of these cells, those that are asked for."""
+    for name, value in values.items():
+        if name in cells.found:
+            cells.found[name][rows] = value
+
+
+def put_stopped(cells: Cells, rows: Rows) -> Mask:
+    """Write the results of those cells whose motion cannot go on: failed, or undecided where its work is spent."""
+    tally = cells.batch.motions.tally[rows]
+    status = tally[:, STATUS].astype(np.int64)
+    finite = np.isfinite(cells.batch.motions.h[rows]).all(axis=(1, 2))
+    status[(status == RUNNING) & ~finite] = NOT_FINITE
+    broke = (status == RUNNING) & (tally[:, WORK] < 0.0)
+    put_undecided(cells, rows[broke], WORK_SPENT)
+    for code, reason in REASON_OF.items():
+        failed = rows[status == code]
+        regime = UNDETERMINED if code == OUT_OF_WORK else FAILED
+        put(cells, failed, regime=regime, periods_used=cells.used[failed], reason=reason)
+    return np.asarray((status != RUNNING) | broke)
+
+
+def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
+    """Write the results of cells that move without impact, from block states h on."""
+    if not len(rows):
+        return
+    oscillators = taken(cells.oscillators, rows)
+    exponents = free_exponents(oscillators)
+    total = np.sum(exponents, axis=1)
+    steady = np.where((oscillators.trace > 0.0)[:, None, None], 0.0, h)
+    put(
+        cells,
+        rows,
+        largest=exponents[:, 0],
+        error=np.abs(exponents[:, 0]) * 1e-15,
+        spectrum=exponents,
+        sum_law_defect=total - sum_of_exponents(oscillators, 0.0),
+        regime=NO_IMPACT,
+        period=1,
+        impacts_per_period=0.0,
+        stuck_fraction=0.0,
+        periods_used=cells.used[rows],
+    )
+    put_states(cells, rows, steady, np.zeros((len(rows), 1), dtype=np.int64), np.ones(len(rows), dtype=np.int64))
+
+
+def put_periodic(cells: Cells, rows: Rows) -> None:
+    """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's."""
+    orbits = cells.orbits
+    cells.used[rows] += orbits.period[rows]
+    tally, period = orbits.tally[rows], orbits.period[rows]
+    sticks = tally[:, STUCK] > 0.0
+    hits = impact_count(tally) / period
+    free = (hits == 0.0) & ~sticks
+    put_impact_free(cells, rows[free], orbits.h[rows[free]])
+    rows, tally, period, sticks, hits = (x[~free] for x in (rows, tally, period, sticks, hits))
+    exponents = orbits.exponents[rows]
+    put(
+        cells,
+        rows,
+        largest=exponents[:, 0],
+        error=orbits.error[rows],
+        spectrum=exponents,
+        sum_law_defect=_defect(cells, rows, np.sum(exponents, axis=1), tally, hits),
+        regime=PERIODIC,
+        period=period,
+        impacts_upper=np.where(sticks, -1.0, tally[:, UPPER]),
+        impacts_lower=np.where(sticks, -1.0, tally[:, LOWER]),
+        impacts_per_period=np.where(sticks, math.nan, hits),
+        symmetric=orbits.symmetric[rows],
+        sticks=sticks,
+        stuck_fraction=tally[:, STUCK] / (period * cells.oscillators.period[rows]),
+        min_impact_speed=_slowest(tally),
+        periods_used=cells.used[rows],
+    )
+    put_states(cells, rows, orbits.h[rows], orbits.contact[rows], period)
+
+
+def put_averaged(cells: Cells, rows: Rows) -> None:
+    """Write what averages show of these cells, their class left open: counts and growth over the same periods."""
+    if not len(rows):
+        return
+    motions = cells.batch.motions
+    if cells.vectors:
+        reset_frames(cells.oscillators, motions, rows[cells.averaging[rows]])
+    average = cells.whole_average(rows)
+    counted = average.count > 0.0
+    if cells.vectors:
+        put_growth(cells, rows[counted], *(field[counted] for field in average))
+    some, count, tally = rows[counted], average.count[counted], average.tally[counted]
+    sticks = tally[:, STUCK] > 0.0
+    put(
+        cells,
+        some,
+        sticks=sticks,
+        stuck_fraction=tally[:, STUCK] / (count * cells.oscillators.period[some]),
+        impacts_per_period=np.where(sticks, math.nan, impact_count(tally) / count),
+        min_impact_speed=_slowest(tally),
+    )
+    put(cells, rows, periods_used=cells.used[rows])
+    put_states(cells, rows, motions.h[rows], motions.contact[rows], np.zeros(len(rows), dtype=np.int64))
+
+
+def put_growth(cells: Cells, rows: Rows, mean: Array, error: Array, count: Array, growth: Array, tally: Array) -> None:
+    """Write the exponents that an average shows of these cells; see Average."""
+    spectrum = -np.sort(-growth / count[:, None], axis=1)
+    put(cells, rows, largest=mean, error=error, average=spectrum if cells.settings.exponents == "spectrum" else mean)
+    total = np.sum(growth, axis=1) / count
+    hits = impact_count(tally) / count
+    if cells.settings.exponents == "spectrum":
+        put(cells, rows, spectrum=spectrum, sum_law_defect=_defect(cells, rows, total, tally, hits))
+
+
+def put_chaotic(cells: Cells, rows: Rows, reason: NDArray[np.int8] | int = NO_REASON) -> None:
+    """Write the results of cells whose largest exponent is positive; a reason says why its average is uncertain."""
+    put_averaged(cells, rows)
+    put(cells, rows, regime=CHAOTIC, reason=reason, survived=cells.flown[rows] - cells.since[rows])
+
+
+def put_aperiodic(cells: Cells, rows: Rows) -> None:
+    """Write the results of cells without a stable orbit, so far as is known, whose exponents were not asked for."""
+    put_averaged(cells, rows)
+    put(cells, rows, regime=APERIODIC, survived=cells.flown[rows] - cells.since[rows])
+
+
+def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) -> None:
+    """Write the results of tori, their largest exponent from weighted averages."""
+    put_averaged(cells, rows)
+    put(cells, rows, regime=QUASIPERIODIC, largest=weighted, error=spread)
+    if "spectrum" in cells.found:
+        cells.found["spectrum"][rows, 0] = weighted
+
+
+def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
+    """Write the results of cells that cannot go on: chaotic with their true error if clear."""
+    average = cells.whole_average(rows)
+    chaotic = clearly_positive(average.mean, average.error, average.count)
+    put_chaotic(cells, rows[chaotic])
+    put_averaged(cells, rows[~chaotic])
+    put(cells, rows[~chaotic], regime=UNDETERMINED, error=math.nan, reason=reason)
+
+
+def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) -> None:
+    """Write the physical state of these cells, given in blocks, and the sections from it on.
+
+    The next K states, those of an orbit of known ``period`` repeated. NaN from where the motion cannot be followed.
+    """
+    motions, oscillators = motions_at(h, contact), taken(cells.oscillators, rows)
+    every = np.arange(len(rows))
+    put(cells, rows, state=physical_states(oscillators, motions, every))
+    K = cells.settings.section_samples
+    if K == 0:
+        return
+    batch = batch_of(oscillators, motions)
+    counts = np.where(period > 0, np.minimum(period, K), K)
+    states = np.full((len(rows), int(np.max(counts, initial=0)), 2 * h.shape[1]), math.nan)
+    for k in range(states.shape[1]):
+        going = every[(k < counts) & (motions.tally[:, STATUS] == RUNNING)]
+        states[going, k] = physical_states(oscillators, motions, going)
+        batch.periods[:], batch.done[:], motions.tally[:, WORK] = 1, 0, WORK_OF_A_TRIAL
+        run(batch, going)
+    put(cells, rows, section=states[every[:, None], np.arange(K) % counts[:, None]])
+
+
+def _defect(cells: Cells, rows: Rows, total: Array, tally: Array, hits: Array) -> Array:
+    """A sum of exponents minus its exact value; NaN where that law does not hold, see exponents.sum_law_holds."""
+    holds = sum_law_holds(tally)
+    exact = sum_of_exponents(taken(cells.oscillators, rows), hits)
+    return np.where(holds, np.where(holds, total, 0.0) - exact, math.nan)
+
+
+def _slowest(tally: Array) -> Array:
+    """Slowest impacts counted; NaN without impacts, 0 where the mass came to rest."""
+    return np.where(np.isfinite(tally[:, MIN_SPEED]), tally[:, MIN_SPEED], math.nan)
