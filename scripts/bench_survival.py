@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=32, help="cells along each axis")
     parser.add_argument("--far", type=int, default=120_000, help="periods watched for the truth beside no rival")
     parser.add_argument("--planes", default="", help="parts of names of planes, by comma; all by default")
-    parser.add_argument("--survivals", default="0,8000,40000,160000")
+    parser.add_argument("--survivals", default="0,16000,48000,160000")
     parser.add_argument("--tolerance", type=float, default=0.02)
     parser.add_argument("--json", type=Path, help="write the rows here, too")
     options = parser.parse_args()

@@ -185,12 +185,14 @@ class _Course:
         all_of_it = self.settings.survival
         return np.where(self.cells.has_rival(rows), all_of_it, all_of_it // WITHOUT_RIVAL)
 
-    def _missing(self, rows: Rows) -> Rows:
-        """Periods for which these cells are still to be watched, before an average as long as the last one."""
-        again = self.cells.earlier.count[rows].astype(np.int64)
-        survived = self.cells.flown[rows] - self.cells.since[rows]
-        missing = self._required(rows) - survived - again
+    def _to_watch(self, rows: Rows) -> Rows:
+        """Periods for which these cells are still to be watched, so far as ``survival`` allows."""
+        missing = self._required(rows) - (self.cells.flown[rows] - self.cells.since[rows])
         return np.minimum(missing, self.settings.survival - self.watched[rows])
+
+    def _missing(self, rows: Rows) -> Rows:
+        """Periods for which these cells are still to be watched before an average as long as the last one."""
+        return self._to_watch(rows) - self.cells.earlier.count[rows].astype(np.int64)
 
     def _aim_watch(self, rows: Rows) -> None:
         """The next stretch of watching: long enough for a long orbit to return in it."""
@@ -240,34 +242,40 @@ class _Course:
 
     def _judge(self, rows: Rows) -> Rows:
         """What the average under way shows of these cells; those that have to go on."""
+        second = self.cells.earlier.count[rows] > 0.0
+        return np.concatenate([self._judge_first(rows[~second]), self._judge_second(rows[second])])
+
+    def _judge_first(self, rows: Rows) -> Rows:
+        """Half of the accuracy, in periods, is enough to call a cell chaotic; so is half of the budget."""
         cells = self.cells
         mean, error, count = cells.growth(rows)
-        whole = cells.whole_average(rows)
-        second = cells.earlier.count[rows] > 0.0
         positive = clearly_positive(mean, error, count)
-        precise = np.where(
-            second, (whole.error <= self.settings.tolerance) & (error <= 2.0 * self._half), error <= self._half
-        )
         decided = self.settings.max_periods - self.settings.max_periods // 10
         half_spent = cells.used[rows] - self.watched[rows] >= decided // 2
-        enough = precise | np.where(second, self._left(rows) <= 0, half_spent)
-        chaotic = ~second & positive & enough
+        chaotic = positive & ((error <= self._half) | half_spent)
         self._watch(rows[chaotic])
-        compared = second & enough
-        kept = self._compare(rows[compared])
-        open_ = ~chaotic & ~compared
-        wanted = np.where(
-            second,
-            _periods_for(whole.count, whole.error, self.settings.tolerance),
-            _periods_for(count, error, self._half),
-        )
-        missing = np.where(positive | second, np.maximum(1.05 * (wanted - whole.count), WARM_UP), math.inf)
-        self.stretch[rows[open_]] = np.minimum(cells.flown[rows] - self.began[rows], missing)[open_]
-        ordered = self._find_order(rows[open_ & ~second])
-        return np.concatenate([rows[chaotic], kept, rows[open_ & second], ordered])
+        missing = np.where(positive, _periods_for(count, error, self._half) - count, math.inf)
+        self._average_on(rows[~chaotic], missing[~chaotic])
+        return np.concatenate([rows[chaotic], self._find_order(rows[~chaotic])])
+
+    def _judge_second(self, rows: Rows) -> Rows:
+        """Both averages together are to have the accuracy asked for, and chaos to have survived."""
+        whole = self.cells.whole_average(rows)
+        _, error, _ = self.cells.growth(rows)
+        wanted = _periods_for(whole.count, whole.error, self.settings.tolerance) - whole.count
+        watch = self._to_watch(rows)
+        precise = (whole.error <= self.settings.tolerance) & (error <= 2.0 * self._half)
+        enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
+        self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
+        return np.concatenate([rows[~enough], self._compare(rows[enough])])
+
+    def _average_on(self, rows: Rows, missing: Array) -> None:
+        """The next stretch of an average that takes so many periods more: at most as long as what there is of it."""
+        longest = self.cells.flown[rows] - self.began[rows]
+        self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
     def _compare(self, rows: Rows) -> Rows:
-        """Finish cells whose two averages agree; where the motion has changed the later one counts. Those that go on."""
+        """Finish cells whose two averages agree; where motion has changed the later one counts. Those that go on."""
         cells = self.cells
         mean, error, count = cells.growth(rows)
         before, deviation = cells.earlier.mean[rows], cells.earlier.error[rows]
@@ -276,17 +284,17 @@ class _Course:
         rows, before = rows[changed], before[changed]
         mean, error, count = mean[changed], error[changed], count[changed]
         cells.earlier.count[rows] = 0.0
-        for_ever = self._left(rows) <= 0
+        out = self._left(rows) <= 0
         positive = clearly_positive(mean, error, count)
-        put_undecided(cells, rows[for_ever & ~positive])
-        uncertain = for_ever & positive
+        put_undecided(cells, rows[out & ~positive])
+        uncertain = out & positive
         put_chaotic(cells, rows[uncertain], NOT_STATIONARY)
         put(cells, rows[uncertain], error=np.maximum(error, np.abs(mean - before))[uncertain])
-        again = rows[~for_ever & positive]
+        again = rows[~out & positive]
         cells.since[again] = self.began[again]
         self._watch(again)
-        self.stretch[rows[~for_ever & ~positive]] = count[~for_ever & ~positive]
-        return rows[~for_ever]
+        self.stretch[rows[~out & ~positive]] = count[~out & ~positive]
+        return rows[~out]
 
     def _find_order(self, rows: Rows) -> Rows:
         """Look for tori and, where the exponent is clearly negative, for long orbits; those that have to go on."""

@@ -33,7 +33,7 @@ REGIMES = (
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a cell has no result, or an uncertain one: its code in the data, its name there, the regime of such a cell, and a sentence."""
+    """Why a cell has no result, or an uncertain one: its code and its name in the data, its regime, and a sentence."""
 
     code: int
     name: str

@@ -37,7 +37,7 @@ class Settings:
     exponents: str = "largest"
     tolerance: float = 0.01
     max_periods: int = 20000
-    survival: int = 40000
+    survival: int = 48000
     method: str = "adaptive"
     transient_periods: int = 2000
     periods: int = 6000
