@@ -39,7 +39,7 @@ def plane(name: str, side: int) -> dict[str, NDArray[Any] | float]:
     """Parameters of a plane of side x side cells, flat."""
     given = PLANES[name]
     axes = [key for key, value in given.items() if isinstance(value, tuple)]
-    grids = np.meshgrid(*(np.linspace(*given[key], side) for key in axes))
+    grids = np.meshgrid(*(np.linspace(given[key][0], given[key][1], side) for key in axes))
     return {**given, **{key: grid.ravel() for key, grid in zip(axes, grids, strict=True)}}
 
 

@@ -152,7 +152,7 @@ class _Course:
     def _finish(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
         average = self.cells.whole_average(rows)
-        clear = clearly_positive(average.mean, average.error, average.count)
+        clear = clearly_positive(average.mean, average.error, average.periods)
         relaxed = ~(self.began[rows] < self.memory[rows])
         put_chaotic(self.cells, rows[clear], np.where(relaxed[clear], NO_REASON, NOT_RELAXED))
         put_undecided(self.cells, rows[~clear])
@@ -192,7 +192,7 @@ class _Course:
 
     def _missing(self, rows: Rows) -> Rows:
         """Periods for which these cells are still to be watched before an average as long as the last one."""
-        return self._to_watch(rows) - self.cells.earlier.count[rows].astype(np.int64)
+        return self._to_watch(rows) - self.cells.earlier.periods[rows].astype(np.int64)
 
     def _aim_watch(self, rows: Rows) -> None:
         """The next stretch of watching: long enough for a long orbit to return in it."""
@@ -232,8 +232,8 @@ class _Course:
         cells.restart(rows)
         cells.averaging[rows] = True
         self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
-        wanted = _periods_for(cells.earlier.count[rows], cells.earlier.error[rows], self._half)
-        self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * cells.earlier.count[rows]), FIRST_AVERAGE)
+        wanted = _periods_for(cells.earlier.periods[rows], cells.earlier.error[rows], self._half)
+        self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * cells.earlier.periods[rows]), FIRST_AVERAGE)
 
     @property
     def _half(self) -> float:
@@ -242,7 +242,7 @@ class _Course:
 
     def _judge(self, rows: Rows) -> Rows:
         """What the average under way shows of these cells; those that have to go on."""
-        second = self.cells.earlier.count[rows] > 0.0
+        second = self.cells.earlier.periods[rows] > 0.0
         return np.concatenate([self._judge_first(rows[~second]), self._judge_second(rows[second])])
 
     def _judge_first(self, rows: Rows) -> Rows:
@@ -262,7 +262,7 @@ class _Course:
         """Both averages together are to have the accuracy asked for, and chaos to have survived."""
         whole = self.cells.whole_average(rows)
         _, error, _ = self.cells.growth(rows)
-        wanted = _periods_for(whole.count, whole.error, self.settings.tolerance) - whole.count
+        wanted = _periods_for(whole.periods, whole.error, self.settings.tolerance) - whole.periods
         watch = self._to_watch(rows)
         precise = (whole.error <= self.settings.tolerance) & (error <= 2.0 * self._half)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
@@ -283,7 +283,7 @@ class _Course:
         self._finish(rows[~changed])
         rows, before = rows[changed], before[changed]
         mean, error, count = mean[changed], error[changed], count[changed]
-        cells.earlier.count[rows] = 0.0
+        cells.forget(rows)
         out = self._left(rows) <= 0
         positive = clearly_positive(mean, error, count)
         put_undecided(cells, rows[out & ~positive])

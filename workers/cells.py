@@ -31,14 +31,14 @@ LONG_PERIOD, LONG_AT_ONCE = 1000, 64
 
 
 class Average(NamedTuple):
-    """What was averaged of N cells: mean growth of the first vector and its standard error (N,), periods (N,).
+    """What was averaged of N cells: mean growth of the first vector and its standard error (N,), over ``periods`` (N,).
 
     growth (N, m) sums of all vectors, tally (N, TALLIES) counts over the same periods.
     """
 
     mean: Array
     error: Array
-    count: Array
+    periods: Array
     growth: Array
     tally: Array
 
@@ -165,25 +165,30 @@ class Cells:
         """Keep the average under way as the earlier one, in its place."""
         reset_frames(self.oscillators, self.batch.motions, cells)
         e, motions = self.earlier, self.batch.motions
-        e.mean[cells], e.error[cells], e.count[cells] = self.growth(cells)
+        e.mean[cells], e.error[cells], e.periods[cells] = self.growth(cells)
         e.growth[cells], e.tally[cells] = motions.growth[cells], motions.tally[cells]
+
+    def forget(self, cells: Rows) -> None:
+        """Take the earlier average of these cells for none."""
+        for field in self.earlier:
+            field[cells] = 0.0
 
     def whole_average(self, cells: Rows) -> Average:
         """The earlier average of these cells and the one under way as one."""
         mean, error, count = self.growth(cells)
         e, motions = each(self.earlier, lambda field: field[cells]), self.batch.motions
-        under_way = (count > 0.0) & (np.isfinite(error) | (e.count == 0.0))  # or too short to have an error
+        under_way = (count > 0.0) & (np.isfinite(error) | (e.periods == 0.0))  # or too short to have an error
         count = np.where(under_way, count, 0.0)
         mean, error = np.where(under_way, mean, 0.0), np.where(under_way, error, 0.0)
-        total = e.count + count
+        total = e.periods + count
         growth = np.where(under_way[:, None], motions.growth[cells], 0.0) + e.growth
         tally = np.where(under_way[:, None], motions.tally[cells], 0.0) + e.tally
         slowest = np.where(under_way, motions.tally[cells, MIN_SPEED], np.inf)
-        tally[:, MIN_SPEED] = np.minimum(slowest, np.where(e.count > 0.0, e.tally[:, MIN_SPEED], np.inf))
+        tally[:, MIN_SPEED] = np.minimum(slowest, np.where(e.periods > 0.0, e.tally[:, MIN_SPEED], np.inf))
         return Average(
-            mean=(e.mean * e.count + mean * count) / total,
-            error=np.hypot(e.error * e.count, error * count) / total,
-            count=total,
+            mean=(e.mean * e.periods + mean * count) / total,
+            error=np.hypot(e.error * e.periods, error * count) / total,
+            periods=total,
             growth=growth,
             tally=tally,
         )

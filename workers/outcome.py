@@ -132,10 +132,10 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     if cells.vectors:
         reset_frames(cells.oscillators, motions, rows[cells.averaging[rows]])
     average = cells.whole_average(rows)
-    counted = average.count > 0.0
+    counted = average.periods > 0.0
     if cells.vectors:
         put_growth(cells, rows[counted], *(field[counted] for field in average))
-    some, count, tally = rows[counted], average.count[counted], average.tally[counted]
+    some, count, tally = rows[counted], average.periods[counted], average.tally[counted]
     sticks = tally[:, STUCK] > 0.0
     put(
         cells,
@@ -182,7 +182,7 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
 def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
     """Write the results of cells that cannot go on: chaotic with their true error if clear."""
     average = cells.whole_average(rows)
-    chaotic = clearly_positive(average.mean, average.error, average.count)
+    chaotic = clearly_positive(average.mean, average.error, average.periods)
     put_chaotic(cells, rows[chaotic])
     put_averaged(cells, rows[~chaotic])
     put(cells, rows[~chaotic], regime=UNDETERMINED, error=math.nan, reason=reason)
