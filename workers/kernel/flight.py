@@ -25,7 +25,7 @@ LEAST_STEP = 4e-16
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
 
-TRIALS = 4
+TRIALS = 2
 """Trial lengths at the end of a safe step."""
 
 TINY = 1e-300

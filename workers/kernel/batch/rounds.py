@@ -68,7 +68,9 @@ def arrival_pass(a, n):
         y_tau, v_tau = a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i]
         a[LANE.forced + i] = y_tau if at_section else y_force
         a[LANE.forced_rate + i] = v_tau if at_section else v_force
-        a[LANE.event + i] = LEFT if hit and (not rebound or spent > LONGEST_PERIOD) else side
+        leaves = hit and (not rebound or spent > LONGEST_PERIOD)
+        a[LANE.event + i] = LEFT if leaves else side
+        a[LANE.stops + i] = 1.0 if leaves or side >= AT_SECTION else 0.0
 
 
 @kernel
