@@ -211,7 +211,7 @@ def run_batch(batch, cells, enough, lanes, oscillates, modes):
     for i in range(LANES):
         park(a, i)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
-    begun = False
+    begun, renewing = False, 0
     while True:
         while active < lanes and queued < len(cells):
             r = cells[queued]
@@ -229,16 +229,19 @@ def run_batch(batch, cells, enough, lanes, oscillates, modes):
             return
         if m > 0 and begun:
             measure_pass(a, frames[0], growths[0], modes, padded(active))
-            begun = False
         ending = active < enough
-        take_round(a, n, oscillates, padded(active), chosen, gathered)
+        stopping, renewing = take_round(a, n, oscillates, begun or renewing > 0, padded(active), chosen, gathered)
+        begun = False
         if m > 0:
             move_frames(a, padded(active), blocks, frames, growths, space, modes)
-            measure_pass(a, frames[0], growths[0], modes, padded(active))
         if impacts.shape[1] > 0:
             for i in range(active):
                 if abs(a[LANE.event + i]) == 1.0:
                     record(a, i, impacts[int(a[LANE.cell + i])])
+        if stopping == 0:
+            continue
+        if m > 0:
+            measure_pass(a, frames[0], growths[0], modes, padded(active))
         count = list_lanes(a, LANE.stops, active, chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
             i = chosen[e]

@@ -38,7 +38,8 @@ def approach_pass(a, n):
 
 @kernel
 def retreat_pass(a, n):
-    """The stop that each mass moves away from: the gap, and a time that is safe from it."""
+    """The stop that each mass moves away from: the gap, and a time safe from it; how many lanes seek a longer one."""
+    count = 0
     for i in range(n):
         step, ahead, upper, lower = a[LANE.step + i], a[LANE.side + i], a[LANE.upper + i], a[LANE.lower + i]
         reach = a[LANE.bound0 + i] * (1.0 + 1e-12)
@@ -53,6 +54,8 @@ def retreat_pass(a, n):
         a[LANE.safe_time + i] = L
         seek = reach + ahead * behind >= 0.0 and step > L and a[LANE.contact_time + i] == np.inf
         a[LANE.searched + i] = 1.0 if seek else 0.0
+        count += int(seek)
+    return count
 
 
 @inlined
@@ -129,10 +132,10 @@ def safe_steps(a, n, chosen, c):
     approach_pass(a, n)
     ahead_pass(a, n)
     advance_pass(a, n)
-    retreat_pass(a, n)
-    count = list_lanes(a, LANE.searched, n, chosen)
-    close_in_pass(c, gather(a, chosen, count, c))
-    scatter(a, chosen, count, c)
+    if retreat_pass(a, n) > 0:
+        count = list_lanes(a, LANE.searched, n, chosen)
+        close_in_pass(c, gather(a, chosen, count, c))
+        scatter(a, chosen, count, c)
 
 
 @kernel
