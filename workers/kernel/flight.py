@@ -25,7 +25,7 @@ LEAST_STEP = 4e-16
 REFRESH = 8
 """Evaluations after which the derivative bounds are renewed from the decayed state."""
 
-TRIALS = 2
+TRIALS = 4
 """Trial lengths at the end of a safe step."""
 
 TINY = 1e-300
@@ -280,10 +280,10 @@ def bracket(g, v, a, j3, M2, M3, M4, H):
 
 
 @inlined
-def close_in(L, U, g, v, a, j3, M2, M3, M4):
-    """The longest time of a few between L and U, besides L, for which the gap certainly does not close."""
+def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
+    """The longest time of some trials between L and U, besides L, for which the gap certainly does not close."""
     h = math.sqrt(L * U)  # at a graze L and U can differ by orders of magnitude
-    for _ in range(TRIALS):
+    for _ in range(trials):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
         L, U = h if free else L, U if free else h
         h = 0.5 * (L + U)
@@ -294,14 +294,14 @@ def close_in(L, U, g, v, a, j3, M2, M3, M4):
 def safe_step(g, v, a, j3, M2, M3, M4, H):
     """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close."""
     L, U = bracket(g, v, a, j3, M2, M3, M4, H)
-    return close_in(L, U, g, v, a, j3, M2, M3, M4)
+    return close_in(L, U, g, v, a, j3, M2, M3, M4, TRIALS)
 
 
 @inlined
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
     """As safe_step for a gap that is opening, v <= 0, and seldom what ends a step: found with less effort."""
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
-    return close_in(L, H, g, v, a, j3, M2, M3, M4) if L < H else H
+    return close_in(L, H, g, v, a, j3, M2, M3, M4, TRIALS) if L < H else H
 
 
 @inlined

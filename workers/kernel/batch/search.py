@@ -13,6 +13,9 @@ from workers.kernel.jit import inlined, kernel
 LONGEST_MARCH = 64
 """Steps of one flight after which a lane is left to the kernels of one cell."""
 
+TRIALS = 2
+"""Trial lengths at the end of a safe step: flight.TRIALS cost more than they spare but at a graze."""
+
 
 @kernel
 def approach_pass(a, n):
@@ -106,7 +109,7 @@ def advance_pass(a, n):
     for i in range(n):
         ahead, g, L, U = a[LANE.side + i], a[LANE.gap + i], a[LANE.safe_time + i], a[LANE.limit + i]
         v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
-        h = close_in(L, U, g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i])
+        h = close_in(L, U, g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], TRIALS)
         a[LANE.step + i] = h if a[LANE.searched + i] > 0.0 else a[LANE.step + i]
 
 
@@ -116,7 +119,7 @@ def close_in_pass(c, n):
     for e in range(n):
         g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
         M2_, M3_, M4_ = c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e]
-        c[GAP.low + e] = close_in(c[GAP.low + e], c[GAP.high + e], g, v, push, jerk, M2_, M3_, M4_)
+        c[GAP.low + e] = close_in(c[GAP.low + e], c[GAP.high + e], g, v, push, jerk, M2_, M3_, M4_, TRIALS)
 
 
 @kernel
