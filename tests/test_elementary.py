@@ -1,4 +1,4 @@
-"""exp, sin and cos of the vector loops, against 40-digit arithmetic."""
+"""exp, log, sin and cos of the vector loops, against 40-digit arithmetic."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.kernel.elementary import cosc_sinc, exp_minus, log, sin_cos
 from workers.model.oscillator import COLUMN, LARGEST_ANGLE, make_blocks, mass_spring
 
 EPS = 2.0**-52
@@ -50,6 +50,18 @@ def test_the_exponential_of_what_is_no_number_is_none() -> None:
     assert math.isnan(exp_minus(math.nan))
 
 
+def test_the_logarithm_is_right_to_an_ulp_also_next_to_one() -> None:
+    near = [sign * 10.0**-k + 1.0 for k in range(1, 16) for sign in (-1.0, 1.0)]
+    with mp.workdps(40):
+        for x in [*np.geomspace(1e-307, 1e308, 3001).tolist(), *np.linspace(0.5, 2.0, 1000).tolist(), *near]:
+            assert abs(log(x) - mp.log(x)) <= EPS * abs(mp.log(x))
+
+
+def test_the_logarithm_of_one_zero_infinity_and_no_number() -> None:
+    assert (log(1.0), log(0.0), log(math.inf)) == (0.0, -math.inf, math.inf)
+    assert math.isnan(log(math.nan))
+
+
 def test_the_series_are_cosine_and_sinc_of_either_sign() -> None:
     with mp.workdps(40):
         for x in np.linspace(-0.1, 0.1, 401).tolist():
@@ -59,7 +71,7 @@ def test_the_series_are_cosine_and_sinc_of_either_sign() -> None:
             assert abs(sinc - (mp.sin(root) / root if x else mp.mpf(1)).real) <= EPS
 
 
-@pytest.mark.parametrize("function", [exp_minus, sin_cos, cosc_sinc], ids=["exp", "sin and cos", "series"])
+@pytest.mark.parametrize("function", [exp_minus, log, sin_cos, cosc_sinc], ids=["exp", "log", "sin and cos", "series"])
 def test_compiled_and_interpreted_differ_by_rounding_alone(function: Callable[[float], object]) -> None:
     """Products and sums may be fused, nothing else."""
     rng = np.random.default_rng(2)

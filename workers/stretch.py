@@ -47,11 +47,12 @@ def run(batch: Batch, cells: NDArray[np.int64], *, to_end: bool = True, lanes: i
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
     place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
     """
+    modes = (0,) * batch.blocks.shape[1]
     underdamped = np.all(batch.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):
         some = cells[underdamped == oscillates]
         if len(some):
-            run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates)
+            run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates, modes)
 
 
 def run_periods(

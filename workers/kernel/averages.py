@@ -43,7 +43,8 @@ def add_to_blocks(levels, x):
         deviation = x - levels[k, MEAN]
         levels[k, MEAN] += deviation / levels[k, COUNT]
         levels[k, SQUARES] += deviation * (x - levels[k, MEAN])
-        if levels[k, COUNT] % 2.0 == 1.0:
+        half = 0.5 * levels[k, COUNT]
+        if half != math.floor(half):
             levels[k, UNPAIRED] = x
             return
         x = 0.5 * (levels[k, UNPAIRED] + x)

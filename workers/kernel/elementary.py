@@ -1,4 +1,4 @@
-"""exp, sin and cos without a branch or a call, so that loops over cells compile to vector instructions.
+"""exp, log, sin and cos without a branch or a call, so that loops over cells compile to vector instructions.
 
 Each reduces its argument and sums a Taylor series, with an error of about one unit in the last place.
 """
@@ -21,6 +21,11 @@ _LOG2_E = 1.0 / math.log(2.0)
 _LN2_HIGH = float.fromhex("0x1.62e42feep-1")
 _LN2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
 """ln 2 in two parts, the first of 32 bits: its product with any exponent is exact."""
+
+_FRACTION = (1 << _EXPONENT_BITS) - 1
+_BITS_OF_2_52 = (1023 + 52) << _EXPONENT_BITS
+_HALF_ROOT = 0x3FE6A09E667F3BCD
+"""The bits of 1 / sqrt(2)."""
 
 _TWO_OVER_PI = 2.0 / math.pi
 _PI2_HIGH = float.fromhex("0x1.921fb54p0")
@@ -50,6 +55,31 @@ def exp_minus(x):
     p = p * r + 1.0 / 6.0
     p = p * r + 0.5
     return 0.0 if x > _LARGEST_EXPONENT else (1.0 + (r + r * r * p)) * power
+
+
+@inlined
+def log(x):
+    """log x of a normal number x > 0, k ln 2 + log(1 + f) with 1 / sqrt(2) < 1 + f < sqrt(2); -inf at 0."""
+    bits = np.float64(x).view(np.int64) + (_EXPONENT_OF_ONE - _HALF_ROOT)
+    k = np.int64((bits >> _EXPONENT_BITS) | _BITS_OF_2_52).view(np.float64) - (2.0**52 + 1023.0)
+    f = np.int64((bits & _FRACTION) + _HALF_ROOT).view(np.float64) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    p = 2.0 / 23.0
+    p = p * z + 2.0 / 21.0
+    p = p * z + 2.0 / 19.0
+    p = p * z + 2.0 / 17.0
+    p = p * z + 2.0 / 15.0
+    p = p * z + 2.0 / 13.0
+    p = p * z + 2.0 / 11.0
+    p = p * z + 2.0 / 9.0
+    p = p * z + 2.0 / 7.0
+    p = p * z + 2.0 / 5.0
+    p = p * z + 2.0 / 3.0
+    half = 0.5 * f * f
+    found = k * _LN2_HIGH - ((half - (s * (half + z * p) + k * _LN2_LOW)) - f)
+    found = found if x < np.inf else x
+    return -np.inf if x == 0.0 else found
 
 
 @inlined

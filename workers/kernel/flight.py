@@ -280,10 +280,10 @@ def bracket(g, v, a, j3, M2, M3, M4, H):
 
 
 @inlined
-def close_in(L, U, g, v, a, j3, M2, M3, M4):
-    """The longest time of a few between L and U, besides L, for which the gap certainly does not close."""
+def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
+    """The longest time of some trials between L and U, besides L, for which the gap certainly does not close."""
     h = math.sqrt(L * U)  # at a graze L and U can differ by orders of magnitude
-    for _ in range(TRIALS):
+    for _ in range(trials):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
         L, U = h if free else L, U if free else h
         h = 0.5 * (L + U)
@@ -294,34 +294,33 @@ def close_in(L, U, g, v, a, j3, M2, M3, M4):
 def safe_step(g, v, a, j3, M2, M3, M4, H):
     """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close."""
     L, U = bracket(g, v, a, j3, M2, M3, M4, H)
-    return close_in(L, U, g, v, a, j3, M2, M3, M4)
+    return close_in(L, U, g, v, a, j3, M2, M3, M4, TRIALS)
 
 
 @inlined
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
     """As safe_step for a gap that is opening, v <= 0, and seldom what ends a step: found with less effort."""
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
-    return close_in(L, H, g, v, a, j3, M2, M3, M4) if L < H else H
+    return close_in(L, H, g, v, a, j3, M2, M3, M4, TRIALS) if L < H else H
 
 
 @inlined
 def landing(g, v, a, j3, M3, M4, tol):
     """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
 
-    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 from its series in g / v by Halley's method; what the cubic leaves out is
-    below M4 s^4 / 24.
+    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 from its series in g / v by a step of Halley's method, which is exact to
+    rounding where v changes by less than a 64th until then; what the cubic leaves out is below M4 s^4 / 24.
     """
     inv_v = 1.0 / v
     first = g * inv_v
     j6, a2, j2 = j3 * (1.0 / 6.0), 0.5 * a, 0.5 * j3
     e = a2 * first * inv_v
     s = first * (1.0 - e + 2.0 * (e * e) - j6 * (first * first) * inv_v)
-    for _ in range(2):
-        excess = ((j6 * s + a2) * s + v) * s - g
-        speed = (j2 * s + a) * s + v
-        s -= excess * speed / (speed * speed - 0.5 * excess * (j3 * s + a))
+    excess = ((j6 * s + a2) * s + v) * s - g
+    speed = (j2 * s + a) * s + v
+    s -= excess * speed / (speed * speed - 0.5 * excess * (j3 * s + a))
     sure = v > 0.0 and M4 * (first * first * first * first) <= 12.0 * tol
-    sure = sure and (abs(a) + M3 * first) * first <= 0.25 * v and M4 * (s * s * s * s) <= 24.0 * tol
+    sure = sure and (abs(a) + M3 * first) * first <= v * (1.0 / 64.0) and M4 * (s * s * s * s) <= 24.0 * tol
     return s if sure else np.inf
 
 

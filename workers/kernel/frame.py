@@ -52,43 +52,6 @@ def log_length(lam, V, growth):
 
 
 @kernel
-def inner_pass(lam, U, first, second, products, count):
-    """inner of two vectors of ``count`` frames at once; see orthonormalise_pass."""
-    for i in range(count):
-        products[i] = 0.0
-    for j in range(U.shape[1]):
-        for i in range(count):
-            products[i] += lam[j, i] * U[first, j, 0, i] * U[second, j, 0, i] + U[first, j, 1, i] * U[second, j, 1, i]
-
-
-@kernel
-def orthonormalise_pass(lam, rank, U, norms, work, count):
-    """orthonormalise for ``count`` frames at once: the same operations, as loops over frames.
-
-    U (m, n, 2, N) the frames, lam (n, N), rank (N,); norms (m, N) takes what growth is to add the logs of; work (2, N).
-    """
-    products, inverse = work[0], work[1]
-    m, n = U.shape[0], U.shape[1]
-    for k in range(m):
-        inner_pass(lam, U, k, k, products, count)
-        for i in range(count):
-            exists = k < rank[i]
-            norm = math.sqrt(products[i])
-            norms[k, i] = norm if exists else 0.0
-            inverse[i] = 1.0 / norm if exists else 0.0
-        for j in range(n):
-            for i in range(count):
-                U[k, j, 0, i] *= inverse[i]
-                U[k, j, 1, i] *= inverse[i]
-        for later in range(k + 1, m):
-            inner_pass(lam, U, k, later, products, count)
-            for j in range(n):
-                for i in range(count):
-                    U[later, j, 0, i] -= products[i] * U[k, j, 0, i]
-                    U[later, j, 1, i] -= products[i] * U[k, j, 1, i]
-
-
-@kernel
 def add_row(triangle, growth, i, k, factor):
     """Take into the triangle that vector k had this multiple of vector i taken off, of which exp(growth) was in it."""
     if factor != 0.0:  # exp(...) may be infinite between blocks that never couple

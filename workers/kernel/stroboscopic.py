@@ -258,9 +258,9 @@ def reset_frame(osc, motion):
 
 
 @inlined
-def needs_reset(spread, more):
+def needs_reset(spread, more, limit):
     """Whether the frame has to be made orthonormal before the next flight and impact spread it that much further."""
-    return spread > 0.0 and spread + more > MAX_SPREAD
+    return spread > 0.0 and spread + more > limit
 
 
 @piece
@@ -378,7 +378,7 @@ def propagate(osc, motion, duration):
         hit = abs(side) == 1
         arrived = arrive(osc, h, s, phase, side) if hit else NOWHERE
         spread = impact_spread(arrived[2] / arrived[1], unit, loss) if vectors and hit else 0.0
-        if needs_reset(tally[SPREAD], s * rate + spread):
+        if needs_reset(tally[SPREAD], s * rate + spread, MAX_SPREAD):
             reset_frame(osc, motion)
         if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
             fly_far(osc, motion, s)

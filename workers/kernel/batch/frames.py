@@ -1,4 +1,10 @@
-"""The tangent frames of a batch's lanes: through flights and impacts, and made orthonormal again."""
+"""The tangent frames of a batch's lanes: through flights and impacts, and made orthonormal again.
+
+Loops over the first n lanes, all of them in every round: a lane whose flight goes on keeps its frame by a mask, which
+costs less than to pick the others out. u are the fields of one vector, see entry.
+modes is a tuple with one entry per block: its length is known when a kernel is compiled, so that loops over blocks
+inside one over lanes are unrolled.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,124 +12,226 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.batch.layout import AT_SECTION, BLOCK, BLOCK_SIZE, COLUMN, LANE, LANE_SIZE, LEFT
-from workers.kernel.batch.search import padded
+from workers.kernel.batch.layout import AT_SECTION, BLOCK, BLOCK_SIZE, COLUMN, FLYING, LANE, LANE_SIZE, LEFT, STRIDE
+from workers.kernel.batch.search import list_lanes, padded
+from workers.kernel.elementary import log
 from workers.kernel.flight import TINY
-from workers.kernel.frame import graded_flow, orthonormalise, orthonormalise_pass
+from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.jit import inlined, kernel
-from workers.kernel.stroboscopic import LOST, MAX_SPREAD, impact_spread, needs_reset
+from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
 
 Array = NDArray[np.float64]
 
-
-@inlined
-def flow_frame(a, i, frames):
-    """Take the tangent vectors of lane i, frames[i] (m, n, 2), through the flight that it has just ended."""
-    for j in range(frames.shape[2]):
-        b = LANE_SIZE + j * BLOCK_SIZE + i
-        f11, f12, f21, f22 = a[b + BLOCK.f11], a[b + BLOCK.f12], a[b + BLOCK.f21], a[b + BLOCK.f22]
-        for k in range(frames.shape[1]):
-            u0, u1 = frames[i, k, j, 0], frames[i, k, j, 1]
-            frames[i, k, j, 0] = f11 * u0 + f12 * u1
-            frames[i, k, j, 1] = f21 * u0 + f22 * u1
-
-
-@inlined
-def saltate_frame(blocks, r, restitution, ratio, frames, i):
-    """Take the tangent vectors of lane i, cell r, through an impact, as impact.saltation does; blocks: see Batch."""
-    for k in range(frames.shape[1]):
-        dy, dv = 0.0, 0.0
-        for j in range(frames.shape[2]):
-            u0, u1 = frames[i, k, j, 0], frames[i, k, j, 1]
-            dy += blocks[r, j, COLUMN.c0] * u0 + blocks[r, j, COLUMN.c1] * u1
-            dv += blocks[r, j, COLUMN.cA0] * u0 + blocks[r, j, COLUMN.cA1] * u1
-        along_k = -(1.0 + restitution) * (dv - ratio * dy)
-        along_Ak = -(1.0 + restitution) * dy
-        for j in range(frames.shape[2]):
-            frames[i, k, j, 0] += along_k * blocks[r, j, COLUMN.k0] + along_Ak * blocks[r, j, COLUMN.Ak0]
-            frames[i, k, j, 1] += along_k * blocks[r, j, COLUMN.k1] + along_Ak * blocks[r, j, COLUMN.Ak1]
+MAX_SPREAD_OF_ONE = 100.0
+"""MAX_SPREAD of a frame of one vector, which no other can drown: its square stays in range."""
 
 
 class Workspace(NamedTuple):
-    """Arrays in which the frames of some lanes are made orthonormal, as frame.orthonormalise_pass takes them.
+    """Where the frames of some lanes are made orthonormal, as normalise_pass takes them; lanes are which.
 
-    lanes (LANES,) are which they are.
+    frames (m, 2 n STRIDE) and growths (m, STRIDE) as those of the lanes, lam (2 n STRIDE,), rank (STRIDE,).
     """
 
+    frames: Array
+    growths: Array
     lam: Array
     rank: Array
-    frames: Array
-    norms: Array
-    work: Array
     lanes: NDArray[np.uint32]
 
 
-@kernel
-def reset_together(a, count, blocks, tally, frames, growths, space):
-    """Make the frames of the first ``count`` of space.lanes orthonormal."""
-    lam, rank, U, norms, work, lanes = space
-    m, n = frames.shape[1], frames.shape[2]
-    for e in range(count):
-        i = lanes[e]
-        r = int(a[LANE.cell + i])
-        rank[e] = 2 * n - tally[r, LOST]
-        for j in range(n):
-            lam[j, e] = blocks[r, j, COLUMN.lam]
-            for k in range(m):
-                U[k, j, 0, e], U[k, j, 1, e] = frames[i, k, j, 0], frames[i, k, j, 1]
-    orthonormalise_pass(lam, rank, U, norms, work, padded(count))
-    for e in range(count):
-        i = lanes[e]
-        for k in range(m):
-            growths[i, k] += math.log(norms[k, e])
-            for j in range(n):
-                frames[i, k, j, 0], frames[i, k, j, 1] = U[k, j, 0, e], U[k, j, 1, e]
+@inlined
+def entry(j, c, i):
+    """Where number c (0 or 1) of block j of frame i is in the numbers of one vector of many frames.
+
+    Unsigned: the check of a negative index would keep a loop over i from becoming vector instructions.
+    """
+    return np.uint64((2 * j + c) * STRIDE + i)
 
 
 @kernel
-def fly_frame_far(a, i, blocks, tally, frames, growths):
-    """As flow_frame, for a flight that spreads the frame far."""
-    r = int(a[LANE.cell + i])
-    rank = 2 * frames.shape[2] - int(tally[r, LOST])
-    no_triangle = np.zeros((0, 0))
-    graded_flow(blocks[r], a[LANE.flown + i], frames[i], growths[i], no_triangle, rank)
-    orthonormalise(blocks[r, :, COLUMN.lam], frames[i], growths[i], no_triangle, rank)
-    a[LANE.frame_spread + i] = 0.0
+def normalise_pass(lam, rank, k, u, growth, modes, count):
+    """The part of frame.orthonormalise that makes vector k a unit vector, for ``count`` frames at once.
+
+    u (2 n STRIDE,) are its numbers, each for all frames see entry, lam (2 n STRIDE,) as the first
+    of each two, rank and growth
+    (STRIDE,) one for each frame; modes: a tuple of length n.
+    """
+    for i in range(count):
+        square = 0.0
+        for j in range(len(modes)):
+            u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
+            square += lam[entry(j, 0, i)] * u0 * u0 + u1 * u1
+        exists, norm = k < rank[i], math.sqrt(square)
+        growth[i] += log(norm if exists else 0.0)
+        inverse = 1.0 / norm if exists else 0.0
+        for j in range(len(modes)):
+            u[entry(j, 0, i)] *= inverse
+            u[entry(j, 1, i)] *= inverse
 
 
 @kernel
-def move_frames(a, events, blocks, tally, frames, growths, space):
-    """Take these lanes' tangent vectors through the flight and impact just ended, as stroboscopic.propagate does."""
-    lanes, count = space.lanes, np.int64(0)  # no literal, or Numba compiles for it what is called with it
-    for i in events:
-        side = a[LANE.event + i]
-        ratio = a[LANE.a + i] / (side * max(side * a[LANE.v + i], TINY))
-        jump = impact_spread(ratio, a[LANE.time_unit + i], a[LANE.loss_spread + i]) if abs(side) == 1.0 else 0.0
-        a[LANE.ratio + i], a[LANE.impact_spread + i] = ratio, jump
-        due = side != LEFT and needs_reset(a[LANE.frame_spread + i], a[LANE.flown + i] * a[LANE.spread_rate + i] + jump)
-        lanes[count] = i
-        count += int(due)
-        a[LANE.frame_spread + i] = 0.0 if due else a[LANE.frame_spread + i]
-    reset_together(a, count, blocks, tally, frames, growths, space)
-    for i in events:
-        spread = a[LANE.flown + i] * a[LANE.spread_rate + i]
-        if a[LANE.event + i] == LEFT:
-            continue
-        if a[LANE.frame_spread + i] + spread > MAX_SPREAD:
-            fly_frame_far(a, i, blocks, tally, frames, growths)
-        else:
-            flow_frame(a, i, frames)
-            a[LANE.frame_spread + i] += spread
-        if a[LANE.event + i] == AT_SECTION:
-            continue
-        saltate_frame(blocks, int(a[LANE.cell + i]), a[LANE.restitution + i], a[LANE.ratio + i], frames, i)
-        a[LANE.frame_spread + i] += a[LANE.impact_spread + i]
+def project_pass(lam, u, w, modes, count):
+    """The part of frame.orthonormalise that takes the unit vector u out of the later vector w; see normalise_pass."""
+    for i in range(count):
+        overlap = 0.0
+        for j in range(len(modes)):
+            e0, e1 = entry(j, 0, i), entry(j, 1, i)
+            overlap += lam[e0] * u[e0] * w[e0] + u[e1] * w[e1]
+        for j in range(len(modes)):
+            e0, e1 = entry(j, 0, i), entry(j, 1, i)
+            w[e0] -= overlap * u[e0]
+            w[e1] -= overlap * u[e1]
 
 
 @inlined
-def copy_frame(V, growth, source, W, increase, target):
-    """W[target] = V[source], with its growth (m,)."""
-    for k in range(V.shape[1]):
-        increase[target, k] = growth[source, k]
-        for j in range(V.shape[2]):
-            W[target, k, j, 0], W[target, k, j, 1] = V[source, k, j, 0], V[source, k, j, 1]
+def at(j, field, i):
+    """Where a field of block j of lane i is; unsigned as entry is."""
+    return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
+
+
+@kernel
+def workspace(m, n):
+    """A workspace for m vectors of n blocks."""
+    return Workspace(
+        np.zeros((m, 2 * n * STRIDE)),
+        np.zeros((m, STRIDE)),
+        np.zeros(2 * n * STRIDE),
+        np.zeros(STRIDE),
+        np.zeros(STRIDE, dtype=np.uint32),
+    )
+
+
+@kernel
+def spread_pass(a, limit, n):
+    """What happens to each frame; how many are to be orthonormal first, also those that the flight spreads far."""
+    count = 0
+    for i in range(n):
+        side, v, before = a[LANE.event + i], a[LANE.v + i], a[LANE.frame_spread + i]
+        hit = abs(side) == 1.0
+        moves = side != FLYING and side != LEFT
+        ratio = a[LANE.a + i] / (side * max(side * v, TINY))
+        ratio = ratio if hit else 0.0
+        jump = impact_spread(ratio, a[LANE.time_unit + i], a[LANE.loss_spread + i])
+        jump = jump if hit else 0.0
+        spread = a[LANE.flown + i] * a[LANE.spread_rate + i]
+        due = moves and needs_reset(before, spread + jump, limit)
+        start = 0.0 if due else before
+        far = moves and start + spread > limit
+        after = (0.0 if far else start + spread) + jump
+        a[LANE.frame_spread + i] = after if moves else before
+        a[LANE.ratio + i] = ratio
+        a[LANE.loss + i] = 1.0 + a[LANE.restitution + i] if hit else 0.0
+        a[LANE.due + i] = 1.0 if due or far else 0.0
+        count += int(due or far)
+        a[LANE.far + i] = 1.0 if far else 0.0
+        a[LANE.flows + i] = 1.0 if moves and not far else 0.0
+    return count
+
+
+@kernel
+def orthonormalise_due(a, count, frames, growths, space, modes):
+    """frame.orthonormalise of the frames of the first ``count`` of space.lanes."""
+    U, growing, lam, rank, lanes = space
+    m = len(frames)
+    for e in range(count):
+        i = lanes[e]
+        rank[e] = a[LANE.rank + i]
+        for j in range(len(modes)):
+            lam[entry(j, 0, e)] = a[at(j, BLOCK.lam, i)]
+        for k in range(m):
+            growing[k, e] = growths[k, i]
+            for j in range(len(modes)):
+                U[k, entry(j, 0, e)], U[k, entry(j, 1, e)] = frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)]
+    for k in range(m):
+        normalise_pass(lam, rank, k, U[k], growing[k], modes, padded(count))
+        for later in range(k + 1, m):
+            project_pass(lam, U[k], U[later], modes, padded(count))
+    for e in range(count):
+        i = lanes[e]
+        for k in range(m):
+            growths[k, i] = growing[k, e]
+            for j in range(len(modes)):
+                frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)] = U[k, entry(j, 0, e)], U[k, entry(j, 1, e)]
+
+
+@kernel
+def transfer_pass(a, u, modes, n):
+    """Take one vector through the flights that have ended, and through the impacts, as impact.saltation does."""
+    for i in range(n):
+        flows, dy, dv = a[LANE.flows + i] > 0.0, 0.0, 0.0
+        for j in range(len(modes)):
+            e0, e1 = entry(j, 0, i), entry(j, 1, i)
+            u0, u1 = u[e0], u[e1]
+            w0 = a[at(j, BLOCK.f11, i)] * u0 + a[at(j, BLOCK.f12, i)] * u1
+            w1 = a[at(j, BLOCK.f21, i)] * u0 + a[at(j, BLOCK.f22, i)] * u1
+            w0, w1 = w0 if flows else u0, w1 if flows else u1
+            u[e0], u[e1] = w0, w1
+            dy += a[at(j, BLOCK.c0, i)] * w0 + a[at(j, BLOCK.c1, i)] * w1
+            dv += a[at(j, BLOCK.cA0, i)] * w0 + a[at(j, BLOCK.cA1, i)] * w1
+        along_k = -a[LANE.loss + i] * (dv - a[LANE.ratio + i] * dy)
+        along_Ak = -a[LANE.loss + i] * dy
+        for j in range(len(modes)):
+            u[entry(j, 0, i)] += along_k * a[at(j, BLOCK.k0, i)] + along_Ak * a[at(j, BLOCK.Ak0, i)]
+            u[entry(j, 1, i)] += along_k * a[at(j, BLOCK.k1, i)] + along_Ak * a[at(j, BLOCK.Ak1, i)]
+
+
+@kernel
+def fly_frame_far(a, i, blocks, frames, growths):
+    """As transfer_pass for the flight of lane i, which spreads its frame far; blocks: see Batch."""
+    m, n = frames.shape[0], blocks.shape[1]
+    constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
+    V, growth, no_triangle = np.empty((m, n, 2)), np.empty(m), np.zeros((0, 0))
+    take_frame(frames, growths, i, V, growth)
+    graded_flow(constants, a[LANE.flown + i], V, growth, no_triangle, rank)
+    orthonormalise(constants[:, COLUMN.lam], V, growth, no_triangle, rank)
+    give_frame(V, growth, frames, growths, i)
+
+
+@kernel
+def move_frames(a, n, blocks, frames, growths, space, modes):
+    """Take the tangent vectors of all lanes through the flights and impacts just ended, as stroboscopic.propagate does.
+
+    blocks: see Batch.
+    """
+    if spread_pass(a, MAX_SPREAD if len(frames) > 1 else MAX_SPREAD_OF_ONE, n) > 0:
+        count = list_lanes(a, LANE.due, n, space.lanes)
+        orthonormalise_due(a, count, frames, growths, space, modes)
+        for i in space.lanes[:count]:
+            if a[LANE.far + i] > 0.0:
+                fly_frame_far(a, i, blocks, frames, growths)
+    for k in range(len(frames)):
+        transfer_pass(a, frames[k], modes, n)
+
+
+@kernel
+def measure_pass(a, u, growth, modes, n):
+    """The growth over the period of the first vector, where a lane is at its section or has just begun.
+
+    LANE.log_length, NaN where it is yet unknown, is frame.log_length at the last section.
+    """
+    for i in range(n):
+        before, square = a[LANE.log_length + i], 0.0
+        for j in range(len(modes)):
+            u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
+            square += a[at(j, BLOCK.lam, i)] * u0 * u0 + u1 * u1
+        length = growth[i] + 0.5 * log(square)
+        a[LANE.period_growth + i] = length - before
+        a[LANE.log_length + i] = length if a[LANE.event + i] == AT_SECTION or before != before else before
+
+
+@inlined
+def give_frame(V, growth, frames, growths, i):
+    """Put tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
+    for k in range(V.shape[0]):
+        growths[k, i] = growth[k]
+        for j in range(V.shape[1]):
+            frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)] = V[k, j, 0], V[k, j, 1]
+
+
+@inlined
+def take_frame(frames, growths, i, V, growth):
+    """Write the tangent vectors of lane i to V (m, n, 2) and their growth (m,)."""
+    for k in range(V.shape[0]):
+        growth[k] = growths[k, i]
+        for j in range(V.shape[1]):
+            V[k, j, 0], V[k, j, 1] = frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)]

@@ -48,6 +48,7 @@ class LaneFields(NamedTuple):
     own_stop: int  # the stop that the flight starts on, +-1; 0 from its first step on
     flight_evaluations: int
     starts: int  # 1 where a flight starts, else 0
+    stops: int  # 1 at a section and where the lane has LEFT, else 0
     renews: int  # 1 where the bounds are to be computed anew, else 0
     # the signal at ``time``
     forced: int  # its forced part, and the derivative of that
@@ -64,8 +65,6 @@ class LaneFields(NamedTuple):
     # an impact
     kick: int  # change of velocity
     shift: int  # change of position, which takes off rounding
-    ratio: int  # a / v just before it
-    impact_spread: int  # how far it spreads the frame
     # what is counted
     impacts_upper: int
     impacts_lower: int
@@ -74,13 +73,22 @@ class LaneFields(NamedTuple):
     period_cost: int  # evaluations of this period, each flight counted as one at least
     recorded: int
     cell: int  # the row of the batch that the lane works on
+    # the tangent frame
+    rank: int  # how many directions exist
     frame_spread: int  # see stroboscopic.SPREAD
     log_length: int  # of the first tangent vector, at the last section
+    period_growth: int  # by how much that is less than now
+    due: int  # 1 where the frame is to be made orthonormal, else 0
+    flows: int  # 1 where a flight has ended that the frame goes through, else 0
+    far: int  # 1 where the flight spreads the frame far, else 0
+    loss: int  # 1 + R at an impact, else 0
+    ratio: int  # a / v just before an impact, else 0
     # the search for the next step
     side: int  # the stop looked at, +-1
     gap: int  # distance from it
     contact_time: int  # after which the stop ahead is certain to be met; infinity where that is not known
     safe_time: int  # for which the gap certainly stays open
+    limit: int  # of that time
     step: int
     searched: int  # 1 where a longer step is sought, else 0
 

@@ -28,7 +28,11 @@ LONGEST_PERIOD = 2000.0
 
 @kernel
 def arrival_pass(a, n):
-    """The event that each lane has reached: an impact's kick and counts, and the start of the next flight."""
+    """The event that each lane has reached: an impact's kick and counts, and the start of the next flight.
+
+    Returns how many lanes stop at a section or have left, and how many want bounds anew.
+    """
+    stopping, renewing = 0, 0
     for i in range(n):
         side, s, y, acceleration = a[LANE.event + i], a[LANE.time + i], a[LANE.y + i], a[LANE.a + i]
         up, down, r, cA2k = a[LANE.upper + i], a[LANE.lower + i], a[LANE.restitution + i], a[LANE.cA2k + i]
@@ -55,7 +59,9 @@ def arrival_pass(a, n):
         a[LANE.period_cost + i] = spent
         a[LANE.flight_evaluations + i] = 0.0 if event else count
         a[LANE.starts + i] = 1.0 if event else 0.0
-        a[LANE.renews + i] = 1.0 if event or count == RENEWAL * math.floor(count / RENEWAL) else 0.0
+        renews = event or count == RENEWAL * math.floor(count * (1.0 / RENEWAL))
+        a[LANE.renews + i] = 1.0 if renews else 0.0
+        renewing += int(renews)
         phase_hit = phase + a[LANE.omega + i] * s
         phase = phase_hit if hit else phase
         a[LANE.flight_phase + i] = tau if at_section else phase
@@ -68,21 +74,28 @@ def arrival_pass(a, n):
         y_tau, v_tau = a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i]
         a[LANE.forced + i] = y_tau if at_section else y_force
         a[LANE.forced_rate + i] = v_tau if at_section else v_force
-        a[LANE.event + i] = LEFT if hit and (not rebound or spent > LONGEST_PERIOD) else side
+        leaves = hit and (not rebound or spent > LONGEST_PERIOD)
+        a[LANE.event + i] = LEFT if leaves else side
+        stops = leaves or side >= AT_SECTION
+        a[LANE.stops + i] = 1.0 if stops else 0.0
+        stopping += int(stops)
+    return stopping, renewing
 
 
 @kernel
-def take_round(a, blocks, oscillates, n, chosen, c):
+def take_round(a, blocks, oscillates, renews, n, chosen, c):
     """One round of the first n lanes, a multiple of VECTOR_WIDTH.
 
-    oscillates says that all blocks of all cells are underdamped; chosen and c are overwritten.
+    oscillates says that all blocks of all cells are underdamped, renews that a lane may want bounds anew; chosen and c
+    are overwritten. Returns what arrival_pass does.
     """
-    restart_pass(a, n)
-    for j in range(blocks):
-        if oscillates:
-            oscillating_bounds_pass(a, fields_of(a, j), n)
-        else:
-            bounds_pass(a, fields_of(a, j), n)
+    if renews:
+        restart_pass(a, n)
+        for j in range(blocks):
+            if oscillates:
+                oscillating_bounds_pass(a, fields_of(a, j), n)
+            else:
+                bounds_pass(a, fields_of(a, j), n)
     safe_steps(a, n, chosen, c)
     step_pass(a, n)
     forced_pass(a, n)
@@ -91,4 +104,4 @@ def take_round(a, blocks, oscillates, n, chosen, c):
             oscillating_block_pass(a, fields_of(a, j), n)
         else:
             block_pass(a, fields_of(a, j), n)
-    arrival_pass(a, n)
+    return arrival_pass(a, n)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.batch.frames import Workspace, copy_frame, move_frames
+from workers.kernel.batch.frames import give_frame, measure_pass, move_frames, take_frame, workspace
 from workers.kernel.batch.layout import (
     BLOCK,
     BLOCK_CONSTANTS,
@@ -30,6 +30,7 @@ from workers.kernel.jit import inlined, kernel
 from workers.kernel.stroboscopic import (
     EVALUATIONS,
     FREE,
+    LOST,
     LOWER,
     MIN_SPEED,
     RECORDED,
@@ -106,6 +107,7 @@ def load(a, i, r, head, blocks, h, tally):
     a[LANE.impacts_upper + i], a[LANE.impacts_lower + i] = tally[r, UPPER], tally[r, LOWER]
     a[LANE.slowest_impact + i], a[LANE.frame_spread + i] = tally[r, MIN_SPEED], tally[r, SPREAD]
     a[LANE.evaluations + i], a[LANE.period_cost + i] = tally[r, EVALUATIONS], 0.0
+    a[LANE.rank + i], a[LANE.log_length + i] = 2 * h.shape[1] - tally[r, LOST], np.nan
     a[LANE.recorded + i], a[LANE.cell + i] = tally[r, RECORDED], r
 
 
@@ -186,11 +188,12 @@ def go_alone(batch, r):
 
 
 @kernel
-def run_batch(batch, cells, enough, lanes, oscillates):
+def run_batch(batch, cells, enough, lanes, oscillates, modes):
     """Advance these cells of a batch by their periods, or to where their motion or their work ends.
 
     Changes the arrays of the batch, see there. At most ``lanes`` <= LANES cells are under way at a time; once fewer
-    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
+    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped;
+    modes is a tuple with one entry per block.
     """
     # Taken out once: a field of a record costs a reference count at every use.
     head, blocks, periods, done, sections = batch.head, batch.blocks, batch.periods, batch.done, batch.sections
@@ -199,20 +202,16 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     )  # fmt: skip
     impacts, levels, weighted = batch.motions.impacts, batch.levels, batch.weighted
     n, m = h.shape[1], V.shape[1]
-    a = np.zeros(LANE_SIZE + n * BLOCK_SIZE)
+    vectors = LANE_SIZE + n * BLOCK_SIZE
+    growing = vectors + m * n * 2 * STRIDE
+    a = np.zeros(growing + m * STRIDE)
+    frames, growths = a[vectors:growing].reshape((m, 2 * n * STRIDE)), a[growing:].reshape((m, STRIDE))
     gathered, chosen = np.zeros(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
-    frames, growths = np.zeros((LANES, m, n, 2)), np.zeros((LANES, m))
-    space = Workspace(
-        lam=np.zeros((n, STRIDE)),
-        rank=np.zeros(STRIDE),
-        frames=np.zeros((m, n, 2, STRIDE)),
-        norms=np.zeros((m, STRIDE)),
-        work=np.zeros((2, STRIDE)),
-        lanes=np.zeros(LANES, dtype=np.uint32),
-    )
+    space = workspace(m, n)
     for i in range(LANES):
         park(a, i)
     active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    begun, renewing = False, 0
     while True:
         while active < lanes and queued < len(cells):
             r = cells[queued]
@@ -223,48 +222,45 @@ def run_batch(batch, cells, enough, lanes, oscillates):
                 go_alone(batch, r)
             if not over(batch, r):
                 load(a, active, r, head, blocks, h, tally)
-                take_frame(a, active, r, blocks, V, growth, frames, growths)
+                give_frame(V[r], growth[r], frames, growths, active)
+                begun = True
                 active += 1
         if active == 0:
             return
+        if m > 0 and begun:
+            measure_pass(a, frames[0], growths[0], modes, padded(active))
         ending = active < enough
-        take_round(a, n, oscillates, padded(active), chosen, gathered)
-        count = list_lanes(a, LANE.event, active, chosen)
+        stopping, renewing = take_round(a, n, oscillates, begun or renewing > 0, padded(active), chosen, gathered)
+        begun = False
         if m > 0:
-            move_frames(a, chosen[:count], blocks, tally, frames, growths, space)
+            move_frames(a, padded(active), blocks, frames, growths, space, modes)
+        if impacts.shape[1] > 0:
+            for i in range(active):
+                if abs(a[LANE.event + i]) == 1.0:
+                    record(a, i, impacts[int(a[LANE.cell + i])])
+        if stopping == 0:
+            continue
+        if m > 0:
+            measure_pass(a, frames[0], growths[0], modes, padded(active))
+        count = list_lanes(a, LANE.stops, active, chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
             i = chosen[e]
-            event = a[LANE.event + i]
             r = int(a[LANE.cell + i])
-            if abs(event) == 1.0:
-                if impacts.shape[1] > 0:
-                    record(a, i, impacts[r])
-                continue
-            if event == LEFT:
+            if a[LANE.event + i] == LEFT:
                 go_alone(batch, r)
                 if not over(batch, r):
                     load(a, i, r, head, blocks, h, tally)
-                    take_frame(a, i, r, blocks, V, growth, frames, growths)
+                    give_frame(V[r], growth[r], frames, growths, i)
+                    begun = True
             else:
                 k = done[r]
                 if m > 0:
-                    length = log_length(blocks[r, :, COLUMN.lam], frames[i], growths[i])
-                    add_growth(levels[r], weighted[r], length - a[LANE.log_length + i], k, periods[r])
-                    a[LANE.log_length + i] = length
-                    copy_frame(frames, growths, i, V, growth, r)
+                    add_growth(levels[r], weighted[r], a[LANE.period_growth + i], k, periods[r])
+                    take_frame(frames, growths, i, V[r], growth[r])
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
             if ending or done[r] == periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0:
                 active -= 1
                 move_lane(a, active, i)
-                copy_frame(frames, growths, active, frames, growths, i)
                 park(a, active)
-
-
-@kernel
-def take_frame(a, i, r, blocks, V, growth, frames, growths):
-    """Put the tangent vectors of cell r into lane i."""
-    copy_frame(V, growth, r, frames, growths, i)
-    if V.shape[1] > 0:
-        a[LANE.log_length + i] = log_length(blocks[r, :, COLUMN.lam], V[r], growth[r])

@@ -1,7 +1,7 @@
 """The next time of every lane, certified or an arrival: one turn of the loop of flight.next_crossing.
 
-Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). What most lanes can do
-without is done only for those that need it, gathered in c (see GapFields).
+Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). What few lanes need is
+done for those alone, gathered in c (see GapFields).
 """
 
 import numpy as np
@@ -12,6 +12,9 @@ from workers.kernel.jit import inlined, kernel
 
 LONGEST_MARCH = 64
 """Steps of one flight after which a lane is left to the kernels of one cell."""
+
+TRIALS = 2
+"""Trial lengths at the end of a safe step: flight.TRIALS cost more than they spare but at a graze."""
 
 
 @kernel
@@ -33,13 +36,13 @@ def approach_pass(a, n):
         a[LANE.gap + i] = max(g, 0.0)
         a[LANE.contact_time + i] = contact
         a[LANE.step + i] = room
-        a[LANE.safe_time + i] = 0.0
         a[LANE.searched + i] = 1.0 if reach - ahead * stop >= 0.0 and contact == np.inf else 0.0
 
 
 @kernel
 def retreat_pass(a, n):
-    """The stop that each mass moves away from: the gap, and a time that is safe from it."""
+    """The stop that each mass moves away from: the gap, and a time safe from it; how many lanes seek a longer one."""
+    count = 0
     for i in range(n):
         step, ahead, upper, lower = a[LANE.step + i], a[LANE.side + i], a[LANE.upper + i], a[LANE.lower + i]
         reach = a[LANE.bound0 + i] * (1.0 + 1e-12)
@@ -54,6 +57,8 @@ def retreat_pass(a, n):
         a[LANE.safe_time + i] = L
         seek = reach + ahead * behind >= 0.0 and step > L and a[LANE.contact_time + i] == np.inf
         a[LANE.searched + i] = 1.0 if seek else 0.0
+        count += int(seek)
+    return count
 
 
 @inlined
@@ -65,10 +70,10 @@ def padded(count):
 @kernel
 def list_lanes(a, field, n, chosen):
     """How many lanes have this field set, and which: without a branch, which the processor would often mispredict."""
-    count = 0
+    count, bits = 0, a.view(np.uint64)
     for i in range(n):
         chosen[count] = i
-        count += int(a[field + i] != 0.0)
+        count += int(bits[field + i] != 0)
     return count
 
 
@@ -88,13 +93,24 @@ def gather(a, chosen, count, c):
 
 
 @kernel
-def bracket_pass(c, n):
-    """Bounds of the time for which each gap stays open, instead of 0 and the longest step."""
-    for e in range(n):
-        g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
-        L, U = bracket(g, v, push, jerk, c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e], c[GAP.high + e])
-        c[GAP.low + e] = L
-        c[GAP.high + e] = U
+def ahead_pass(a, n):
+    """A step that is safe from the stop ahead, for every lane that is not certain to meet it: a first one."""
+    for i in range(n):
+        ahead, g, H = a[LANE.side + i], a[LANE.gap + i], a[LANE.step + i]
+        v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
+        L, U = bracket(g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], H)
+        a[LANE.safe_time + i] = L
+        a[LANE.limit + i] = U
+
+
+@kernel
+def advance_pass(a, n):
+    """The longest step found between those bounds."""
+    for i in range(n):
+        ahead, g, L, U = a[LANE.side + i], a[LANE.gap + i], a[LANE.safe_time + i], a[LANE.limit + i]
+        v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
+        h = close_in(L, U, g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], TRIALS)
+        a[LANE.step + i] = h if a[LANE.searched + i] > 0.0 else a[LANE.step + i]
 
 
 @kernel
@@ -103,7 +119,7 @@ def close_in_pass(c, n):
     for e in range(n):
         g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
         M2_, M3_, M4_ = c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e]
-        c[GAP.low + e] = close_in(c[GAP.low + e], c[GAP.high + e], g, v, push, jerk, M2_, M3_, M4_)
+        c[GAP.low + e] = close_in(c[GAP.low + e], c[GAP.high + e], g, v, push, jerk, M2_, M3_, M4_, TRIALS)
 
 
 @kernel
@@ -117,15 +133,12 @@ def scatter(a, chosen, count, c):
 def safe_steps(a, n, chosen, c):
     """A step that is safe from both stops, for every lane that is not certain to meet one."""
     approach_pass(a, n)
-    count = list_lanes(a, LANE.searched, n, chosen)
-    padded = gather(a, chosen, count, c)
-    bracket_pass(c, padded)
-    close_in_pass(c, padded)
-    scatter(a, chosen, count, c)
-    retreat_pass(a, n)
-    count = list_lanes(a, LANE.searched, n, chosen)
-    close_in_pass(c, gather(a, chosen, count, c))
-    scatter(a, chosen, count, c)
+    ahead_pass(a, n)
+    advance_pass(a, n)
+    if retreat_pass(a, n) > 0:
+        count = list_lanes(a, LANE.searched, n, chosen)
+        close_in_pass(c, gather(a, chosen, count, c))
+        scatter(a, chosen, count, c)
 
 
 @kernel

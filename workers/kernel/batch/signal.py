@@ -113,11 +113,11 @@ def share_at_start(a, q, i):
     q[BLOCK.start0 + i] = h0 if fresh else start0
     q[BLOCK.start1 + i] = h1 if fresh else start1
     q0, q1, q2, q3 = output_of(q, i, h0, h1)
-    a[LANE.y + i] += q0 if fresh else 0.0
-    a[LANE.v + i] += q1 if fresh else 0.0
-    a[LANE.a + i] += q2 if fresh else 0.0
-    a[LANE.jerk + i] += q3 if fresh else 0.0
-    a[LANE.scale + i] += abs(q0) if fresh else 0.0
+    a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
+    a[LANE.v + i] = a[LANE.v + i] + q1 if fresh else a[LANE.v + i]
+    a[LANE.a + i] = a[LANE.a + i] + q2 if fresh else a[LANE.a + i]
+    a[LANE.jerk + i] = a[LANE.jerk + i] + q3 if fresh else a[LANE.jerk + i]
+    a[LANE.scale + i] = a[LANE.scale + i] + abs(q0) if fresh else a[LANE.scale + i]
     return q0, q1
 
 
@@ -132,10 +132,10 @@ def add_bounds(a, i, bounds):
     """Add a block's bounds to the sums where they are computed anew."""
     renew = a[LANE.renews + i] > 0.0
     b0, b2, b3, b4 = bounds
-    a[LANE.bound0 + i] += b0 if renew else 0.0
-    a[LANE.bound2 + i] += b2 if renew else 0.0
-    a[LANE.bound3 + i] += b3 if renew else 0.0
-    a[LANE.bound4 + i] += b4 if renew else 0.0
+    a[LANE.bound0 + i] = a[LANE.bound0 + i] + b0 if renew else a[LANE.bound0 + i]
+    a[LANE.bound2 + i] = a[LANE.bound2 + i] + b2 if renew else a[LANE.bound2 + i]
+    a[LANE.bound3 + i] = a[LANE.bound3 + i] + b3 if renew else a[LANE.bound3 + i]
+    a[LANE.bound4 + i] = a[LANE.bound4 + i] + b4 if renew else a[LANE.bound4 + i]
 
 
 @kernel
