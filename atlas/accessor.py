@@ -12,7 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.query import connected
 from atlas.query import queries as query
+from atlas.query.extremes import extremes
 from atlas.query.window import Window
 from atlas.render import figure, portrait
 from workers import Settings
@@ -54,6 +56,28 @@ class AtlasAccessor:
     def reasons(self, window: Window | None = None) -> dict[str, int]:
         """How many cells have no result, by the reason in words. See ``queries.reasons``."""
         return query.reasons(self._ds, window)
+
+    def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> list[dict[str, Any]]:
+        """Where a variable is smallest and largest in each regime, period or pattern of impacts, or in the "plane".
+
+        See ``extremes.extremes``.
+        """
+        return extremes(self._ds, name, by, window)
+
+    def windows(
+        self, by: str = "regime", value: object = None, window: Window | None = None, least: int = 1
+    ) -> list[dict[str, Any]]:
+        """Connected windows of equal regime, period or impacts, ``windows("period", 3)``, the largest first.
+
+        See ``connected.windows``.
+        """
+        return connected.windows(self._ds, by, value, window, least)
+
+    def labels(
+        self, by: str = "regime", value: object = None, window: Window | None = None, least: int = 1
+    ) -> xr.DataArray:
+        """Which of these windows each cell belongs to, by its label; 0 for none. See ``connected.labels``."""
+        return connected.labels(self._ds, by, value, window, least)
 
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None

@@ -10,8 +10,9 @@ import click
 from atlas.cli.cell import point, portrait, systems
 from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
+from atlas.cli.query import query
 from atlas.cli.run import cancel, extend, plan, run, submit
-from atlas.cli.store import query, status, verify
+from atlas.cli.store import status, verify
 from atlas.errors import InputError, RunError, one_line
 
 
