@@ -2,7 +2,8 @@
 
 ``Spec`` says what to compute, ``run`` computes it into a store, ``open`` gives the store as an xarray Dataset, whose
 ``.atlas`` answers questions and draws; ``portrait`` draws the motion of a single cell.
-``extend`` computes a larger or finer atlas from it, ``verify`` checks that it is complete and sound. ``RunOptions``
+``extend`` computes a larger or finer atlas from it, ``verify`` checks that it is complete and sound, ``pack`` makes it
+one file. ``RunOptions``
 says where and how a run computes.
 """
 
@@ -17,13 +18,14 @@ from atlas.render import portrait
 # None of them loads Dask, Zarr, xarray or Numba before it is called.
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
+from atlas.service.pack import pack
 from atlas.service.run import run
 from atlas.spec.spec import Spec
 
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["RunOptions", "Spec", "__version__", "extend", "open", "portrait", "run", "verify"]
+__all__ = ["RunOptions", "Spec", "__version__", "extend", "open", "pack", "portrait", "run", "verify"]
 
 
 def open(store: str | os.PathLike[str]) -> "xarray.Dataset":

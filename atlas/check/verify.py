@@ -22,6 +22,7 @@ from atlas.errors import ChunkError, InputError
 from atlas.overview.pyramid import drop
 from atlas.service.lease import claimed
 from atlas.service.progress import Progress
+from atlas.store.archive import refuse_packed
 from atlas.store.machine import this_machine
 from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
@@ -171,6 +172,8 @@ def verify(
     if sample < 0:
         raise InputError(f"sample: found {sample}, must be 0 or more")
     header = read_header(store)
+    if repair:
+        refuse_packed(header.place)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
     notify = on_progress or (lambda _: None)
     tiling = header.tiling

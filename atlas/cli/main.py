@@ -12,7 +12,7 @@ from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
 from atlas.cli.run import cancel, extend, plan, run, submit
-from atlas.cli.store import status, verify
+from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
 
@@ -65,5 +65,20 @@ def main() -> None:
     """
 
 
-for command in (plan, run, submit, cancel, extend, status, verify, query, render, figures, point, portrait, systems):
+for command in (
+    plan,
+    run,
+    submit,
+    cancel,
+    extend,
+    status,
+    verify,
+    pack,
+    query,
+    render,
+    figures,
+    point,
+    portrait,
+    systems,
+):
     main.add_command(command)

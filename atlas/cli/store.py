@@ -1,12 +1,14 @@
-"""Commands about a store as a whole: status, verify."""
+"""Commands about a store as a whole: status, verify, pack."""
 
 import sys
+from pathlib import Path
 
 import click
 
 from atlas.check.verify import verify as verify_store
-from atlas.cli.options import json_option, store_argument, timing_of
+from atlas.cli.options import interruptible, json_option, store_argument, timing_of
 from atlas.cli.output import to_json
+from atlas.service.pack import pack as pack_store
 from atlas.service.progress import reporter
 from atlas.service.status import Census, read_status, watch
 from atlas.store.store import read_header
@@ -49,3 +51,19 @@ def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: b
     click.echo(to_json(report.as_dict()) if as_json else str(report))
     if not report.fine:
         ctx.exit(1)
+
+
+@click.command()
+@store_argument
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--force", is_flag=True, help="Replace FILE where there is one.")
+@json_option
+@click.pass_context
+def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool) -> None:
+    """Pack STORE into one zip FILE, which every command that reads opens, and plain xarray too.
+
+    For a store that no run is at work on. STORE stays as it is.
+    """
+    with interruptible(), reporter(sys.stderr) as show:
+        packed = pack_store(store, file, force, show, timing_of(ctx))
+    click.echo(to_json(packed.as_dict()) if as_json else str(packed))
