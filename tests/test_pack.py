@@ -210,7 +210,7 @@ def test_a_half_written_file_is_reported_in_one_line(packed: Path, tmp_path: Pat
 
 def test_a_zip_file_of_something_else_is_no_atlas(tmp_path: Path) -> None:
     write_zip(tmp_path / "a.zip", [("letter.txt", b"Dear")])
-    with pytest.raises(InputError, match="a.zip: not an atlas"):
+    with pytest.raises(InputError, match=r"a\.zip: not an atlas"):
         atlas.open(tmp_path / "a.zip")
 
 

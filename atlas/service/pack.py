@@ -56,8 +56,7 @@ def pack(
     The file's name ends in .zip. It appears whole or not at all, in the place of one of that name only with ``force``.
     Of an atlas that is not complete what there is is packed.
     Raises InputError for another suffix, where there is a file already, where there is no store, and where a run is at
-    work on it: of a tile that is being written the file would have a part. RunError cannot be; OSError where the store
-    cannot be read.
+    work on it: of a tile that is being written the file would have a part.
     """
     notify = on_progress or (lambda _: None)
     target = Path(file).absolute()
@@ -80,7 +79,7 @@ def pack(
             found = header.place.get(key)
             if found is None:
                 raise InputError(
-                    f"{header.place}: {key} has gone meanwhile: a run is at work on it; pack it afterwards"
+                    f"{header.place}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
                 )
             yield key, found
             notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", passing=True))

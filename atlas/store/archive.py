@@ -1,4 +1,4 @@
-"""An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, which plain xarray opens too."""
+"""An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, so that xarray opens it too."""
 
 import errno
 import os
