@@ -8,6 +8,7 @@ from typing import Any
 
 from atlas.errors import InputError
 from atlas.service.lease import Observer
+from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
@@ -58,7 +59,6 @@ def pack(
     Raises InputError for another suffix, where there is a file already, where there is no store, and where a run is at
     work on it: of a tile that is being written the file would have a part.
     """
-    notify = on_progress or (lambda _: None)
     target = Path(file).absolute()
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"{file}: must end in {SUFFIX}, by which the other commands know it")
@@ -70,8 +70,14 @@ def pack(
     if target.exists() and not force:
         raise InputError(f"{file}: exists already; --force (force=True) replaces it")
     _refuse_running(header, timing)
-    notify(Progress("listing the objects"))
     done, keys = len(done_tiles(header)), sorted(header.place.list_keys())
+    with reporting(on_progress) as report:
+        size = _pack(header, keys, target, report or (lambda _: None), timing)
+    return Packed(str(file), len(keys), size, header.tiling.count, done)
+
+
+def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
+    """Pack the objects of these keys, and return the bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
         notify(Progress(f"packing {plural(len(keys), 'object')}"))
@@ -86,10 +92,9 @@ def pack(
         _refuse_running(header, timing)  # one that has begun meanwhile
 
     try:
-        size = write_zip(target, members())
+        return write_zip(target, members())
     except OSError as error:
-        raise InputError(f"{file}: cannot be packed: {error.strerror or error}") from None
-    return Packed(str(file), len(keys), size, header.tiling.count, done)
+        raise InputError(f"{target}: cannot be packed: {error.strerror or error}") from None
 
 
 def _refuse_running(header: Header, timing: Timing) -> None:
