@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import connected
 from atlas.query import queries as query
+from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
 from atlas.render import figure, portrait
@@ -22,6 +23,16 @@ from workers.model.system import find_system
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+class DrawnComparison(Comparison):
+    """A comparison that can draw itself."""
+
+    def plot(self) -> "Figure":
+        """A matplotlib Figure of both maps: differences of exponents, and where regimes differ."""
+        from atlas.render.together import difference  # with it matplotlib
+
+        return difference(self)
 
 
 @xr.register_dataset_accessor("atlas")
@@ -88,6 +99,19 @@ class AtlasAccessor:
     def per_unit_time(self) -> xr.Dataset:
         """The atlas with its exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
         return query.per_unit_time(self._ds)
+
+    def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
+        """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
+
+        See ``compare.Comparison``.
+        """
+        return DrawnComparison.of(self._ds, other, window)
+
+    def beside(self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None) -> "Figure":
+        """Maps of this atlas and of others side by side on one scale. See ``together.side_by_side``."""
+        from atlas.render.together import side_by_side  # with it matplotlib
+
+        return side_by_side([self._ds, *others], kind, window)
 
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> "Figure":
         """A matplotlib Figure, for a notebook to show or ``savefig``. See ``atlas.render.figure``."""

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from atlas.cli.cell import point, portrait, systems
+from atlas.cli.compare import compare
 from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
@@ -75,6 +76,7 @@ for command in (
     verify,
     pack,
     query,
+    compare,
     render,
     figures,
     point,
