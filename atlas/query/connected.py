@@ -44,8 +44,8 @@ def windows(
 
     ``value`` takes one class, such as 3 for period 3, and ``least`` windows of at least so many cells.
     Raises InputError for an unknown axis or class, and for a ``window`` without a cell.
-    Reads the variables that tell the class, of tiles that have such cells. Takes about 15 bytes of memory a cell and 2 kB
-    a window.
+    Reads the variables that tell the class, of tiles that have such cells. Takes about 15 bytes of memory a cell
+    and 2 kB a window.
     """
     return _find(ds, by, value, window, least).listed()
 
