@@ -1,45 +1,57 @@
 """Impact Atlas: maps of chaos in vibro-impact oscillators.
 
-``Spec`` says what to compute, ``run`` computes it into a store, ``open`` gives the store as an xarray Dataset, whose
-``.atlas`` answers questions and draws; ``portrait`` draws the motion of a single cell.
-``extend`` computes a larger or finer atlas from it, ``verify`` checks that it is complete and sound. ``RunOptions``
-says where and how a run computes.
+``Spec`` says what to compute, ``Settings`` how one cell is solved; ``run`` computes it into a store, ``open`` gives the
+store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``extend`` computes a larger or finer atlas
+from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
+a run computes, ``Retry`` which cells it solves again.
+Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``solve_tile`` takes arrays of parameters.
+``errors`` has what they raise.
 """
 
-import os
-from typing import TYPE_CHECKING
-
-from atlas.check.verify import verify
-from atlas.query.open import open_atlas
-from atlas.render import portrait
-
-# Imported here and not at first use: a function must replace the module of its name as attribute of the package.
-# None of them loads Dask, Zarr, xarray or Numba before it is called.
-from atlas.service.extend import extend
-from atlas.service.options import RunOptions
-from atlas.service.run import run
-from atlas.spec.spec import Spec
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    import xarray
+    from atlas import errors
+    from atlas.api import Retry, RunOptions, Settings, Spec, extend, open, pack, point, portrait, run, verify
+    from workers import solve_tile
 
-__all__ = ["RunOptions", "Spec", "__version__", "extend", "open", "portrait", "run", "verify"]
+    __version__: str
+
+__all__ = [
+    "Retry",
+    "RunOptions",
+    "Settings",
+    "Spec",
+    "__version__",
+    "errors",
+    "extend",
+    "open",
+    "pack",
+    "point",
+    "portrait",
+    "run",
+    "solve_tile",
+    "verify",
+]
 
 
-def open(store: str | os.PathLike[str]) -> "xarray.Dataset":
-    """The atlas of a store as an xarray Dataset, read from disk as it is used; ``ds.atlas`` is its accessor.
-
-    Raises atlas.errors.InputError where the store is not an atlas.
-    """
-    import atlas.accessor  # noqa: F401  registers it
-
-    return open_atlas(store)
-
-
-def __getattr__(name: str) -> str:
-    """The version of the installed distribution, looked up when asked for."""
+def __getattr__(name: str) -> Any:
+    """Load a name at its first use, so that ``import atlas`` itself takes no time."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "__version__":
         from importlib.metadata import version
 
         return version("impact-atlas")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "solve_tile":
+        import workers
+
+        return workers.solve_tile  # apart from the others, as it takes Numba with it
+    from atlas import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    """What is public; modules that happen to be loaded are not."""
+    return __all__

@@ -12,7 +12,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.query import connected
 from atlas.query import queries as query
+from atlas.query.compare import Comparison
+from atlas.query.extremes import extremes
 from atlas.query.window import Window
 from atlas.render import figure, portrait
 from workers import Settings
@@ -20,6 +23,16 @@ from workers.model.system import find_system
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+class DrawnComparison(Comparison):
+    """A comparison that can draw itself."""
+
+    def plot(self) -> "Figure":
+        """A matplotlib Figure of both maps: differences of exponents, and where regimes differ."""
+        from atlas.render.together import difference  # with it matplotlib
+
+        return difference(self)
 
 
 @xr.register_dataset_accessor("atlas")
@@ -55,6 +68,28 @@ class AtlasAccessor:
         """How many cells have no result, by the reason in words. See ``queries.reasons``."""
         return query.reasons(self._ds, window)
 
+    def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> list[dict[str, Any]]:
+        """Where a variable is smallest and largest in each regime, period or pattern of impacts, or in the "plane".
+
+        See ``extremes.extremes``.
+        """
+        return extremes(self._ds, name, by, window)
+
+    def windows(
+        self, by: str = "regime", value: object = None, window: Window | None = None, least: int = 1
+    ) -> list[dict[str, Any]]:
+        """Connected windows of equal regime, period or impacts, ``windows("period", 3)``, the largest first.
+
+        See ``connected.windows``.
+        """
+        return connected.windows(self._ds, by, value, window, least)
+
+    def labels(
+        self, by: str = "regime", value: object = None, window: Window | None = None, least: int = 1
+    ) -> xr.DataArray:
+        """Which of these windows each cell belongs to, by its label; 0 for none. See ``connected.labels``."""
+        return connected.labels(self._ds, by, value, window, least)
+
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:
@@ -64,6 +99,19 @@ class AtlasAccessor:
     def per_unit_time(self) -> xr.Dataset:
         """The atlas with its exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
         return query.per_unit_time(self._ds)
+
+    def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
+        """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
+
+        See ``compare.Comparison``.
+        """
+        return DrawnComparison.of(self._ds, other, window)
+
+    def beside(self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None) -> "Figure":
+        """Maps of this atlas and of others side by side on one scale. See ``together.side_by_side``."""
+        from atlas.render.together import side_by_side  # with it matplotlib
+
+        return side_by_side([self._ds, *others], kind, window)
 
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> "Figure":
         """A matplotlib Figure, for a notebook to show or ``savefig``. See ``atlas.render.figure``."""

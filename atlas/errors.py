@@ -53,6 +53,8 @@ class ChunkError(RunError):
 
     def __str__(self) -> str:
         found = "; ".join(f"{key} {fault}" for key, fault in self.faults.items())
+        if self.store.lower().endswith(".zip"):
+            return f"{self.store}: {found}: pack the atlas again"
         return f"{self.store}: {found}: atlas verify --repair {self.store}, then run it again"
 
 

@@ -9,7 +9,9 @@ from workers import Settings
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
 
 
-def point(system: str, given: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
+def point(
+    given: Mapping[str, Any] | None = None, *, system: str = "two-mass", settings: Settings | None = None
+) -> dict[str, Any]:
     """Results of one cell by name (``regime`` by its name), with ``system``, ``parameters`` and ``solve`` in full.
 
     ``given`` are the parameters that differ from the defaults. ``reason`` is there where the cell could not be solved.
@@ -17,8 +19,8 @@ def point(system: str, given: Mapping[str, Any], settings: Settings) -> dict[str
     """
     from workers.tile import solve_cells
 
-    record = checked_system(system)
-    parameters = checked_parameters(record, given)
+    record, settings = checked_system(system), settings or Settings()
+    parameters = checked_parameters(record, given or {})
     arrays = solve_cells(record.name, parameters, settings).arrays
     names = {regime.code: regime.name for regime in REGIMES}
     found = {variable.name: arrays[variable.name].tolist() for variable in result_variables(settings)}

@@ -21,7 +21,9 @@ from atlas.check.rules import broken_rules
 from atlas.errors import ChunkError, InputError
 from atlas.overview.pyramid import drop
 from atlas.service.lease import claimed
+from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
+from atlas.store.archive import refuse_packed
 from atlas.store.machine import this_machine
 from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
@@ -171,8 +173,14 @@ def verify(
     if sample < 0:
         raise InputError(f"sample: found {sample}, must be 0 or more")
     header = read_header(store)
+    if repair:
+        refuse_packed(header.place)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
-    notify = on_progress or (lambda _: None)
+    with reporting(on_progress) as report:
+        return _verified(header, sample, repair, seed, report or (lambda _: None))
+
+
+def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Callable[[Progress], None]) -> Report:
     tiling = header.tiling
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(header))

@@ -36,7 +36,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     checked_parameters(checked_system(system), pairs)
     if not as_json:
         say(f"{warming(settings.exponents)}, solving")
-    found = solve_point(system, pairs, settings)
+    found = solve_point(pairs, system=system, settings=settings)
     if as_json:
         click.echo(to_json(found))
     else:

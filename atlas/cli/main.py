@@ -8,10 +8,12 @@ from typing import Any
 import click
 
 from atlas.cli.cell import point, portrait, systems
+from atlas.cli.compare import compare
 from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
+from atlas.cli.query import query
 from atlas.cli.run import cancel, extend, plan, run, submit
-from atlas.cli.store import query, status, verify
+from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
 
@@ -64,5 +66,21 @@ def main() -> None:
     """
 
 
-for command in (plan, run, submit, cancel, extend, status, verify, query, render, figures, point, portrait, systems):
+for command in (
+    plan,
+    run,
+    submit,
+    cancel,
+    extend,
+    status,
+    verify,
+    pack,
+    query,
+    compare,
+    render,
+    figures,
+    point,
+    portrait,
+    systems,
+):
     main.add_command(command)

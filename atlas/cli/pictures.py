@@ -11,20 +11,20 @@ from atlas.cli.options import (
     read_bounds,
     read_pairs,
     say,
-    store_argument,
     window_option,
     workers_option,
 )
 from atlas.cli.paper import figures as draw_figures
+from atlas.errors import InputError
 from atlas.query.open import open_atlas
-from atlas.render import FORMATS, KINDS, OVERLAYS
+from atlas.render import FORMATS, KINDS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
 
 
 @click.command()
-@store_argument
+@click.argument("stores", nargs=-1, required=True)
 @picture_option
 @click.option("--kind", metavar="KIND", help=f"One of {', '.join(KINDS)}; default: by the axes.")
 @click.option(
@@ -33,22 +33,34 @@ from atlas.service.progress import reporter
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
 def render(
-    store: str,
+    stores: tuple[str, ...],
     out: Path,
     kind: str | None,
     overlays: tuple[str, ...],
     against: str | None,
     window: tuple[str, ...],
 ) -> None:
-    """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
+    """Draw STORES, or a window of them: a map of two axes, or a sweep of one.
+
+    Several, which differ in a parameter, are drawn side by side on one scale, as maps of exponents or periods.
+    """
     from atlas.query.reads import counted
 
     bounds = read_pairs("--window", window, read_bounds)
+    if len(stores) > 1 and (overlays or against):
+        raise InputError(f"{'--overlay' if overlays else '--against'} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
-        dataset = open_atlas(store)
+        atlases = [open_atlas(store) for store in stores]
         other = None if against is None else open_atlas(against)
+        check_path(out)
         say("drawing")
-        draw(dataset, out, kind=kind, window=bounds, overlays=overlays, against=other)
+        if len(atlases) > 1:
+            from atlas.render import together  # with it matplotlib
+
+            names = [store.rstrip("/").rpartition("/")[2] for store in stores]
+            together.save(together.side_by_side(atlases, kind, bounds, names), out, atlases)
+        else:
+            draw(atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other)
     if reads.chunks:
         cells = f"overview {reads.level}" if reads.level else "the cells themselves"
         say(f"{reads.chunks} chunks read, of {cells}")

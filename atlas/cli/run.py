@@ -34,6 +34,7 @@ from atlas.service.run import run as run_spec
 from atlas.service.submit import submit as submit_spec
 from atlas.service.summary import Summary
 from atlas.spec.spec import Spec
+from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.task.compile import compile_once, warming
@@ -54,6 +55,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     read = Spec.from_toml(spec)
     made = make_plan(read, workers)
     place = place_of(out)
+    refuse_packed(place)
     if place.local is not None:
         check_disk(made, place.local)
     if probe:

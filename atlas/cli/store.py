@@ -1,27 +1,15 @@
-"""Commands that ask a store: status, verify, query."""
+"""Commands about a store as a whole: status, verify, pack."""
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
 from atlas.check.verify import verify as verify_store
-from atlas.cli.options import (
-    input_errors,
-    json_option,
-    read_bounds,
-    read_number,
-    read_pairs,
-    say,
-    store_argument,
-    timing_of,
-    window_option,
-)
-from atlas.cli.output import print_table, text, to_json
-from atlas.errors import InputError
-from atlas.query.open import open_atlas
-from atlas.service.progress import reason_lines, reporter
+from atlas.cli.options import interruptible, json_option, store_argument, timing_of
+from atlas.cli.output import to_json
+from atlas.service.pack import pack as pack_store
+from atlas.service.progress import reporter
 from atlas.service.status import Census, read_status, watch
 from atlas.store.store import read_header
 
@@ -67,43 +55,15 @@ def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: b
 
 @click.command()
 @store_argument
-@click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
-@window_option
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Write the cells of the window to a .csv or .nc (netCDF) file."
-)
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--force", is_flag=True, help="Replace FILE where there is one.")
 @json_option
-def query(store: str, point: tuple[str, ...], window: tuple[str, ...], out: Path | None, as_json: bool) -> None:
-    """What STORE holds at a point, or the share of each regime in a window (default: everywhere), or a window's cells.
+@click.pass_context
+def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool) -> None:
+    """Pack STORE into one zip FILE, which every command that reads opens, and plain xarray too.
 
-    Shares are of the area in the axes' own units. Also see: atlas render.
+    For a store that no run is at work on. STORE stays as it is.
     """
-    from atlas.query import queries as questions
-    from atlas.query.export import check_path, export
-    from atlas.query.reads import counted
-
-    if point and window:
-        raise InputError("--at asks for one cell, --window for shares; give one of the two")
-    wanted = read_pairs("--at", point, read_number)
-    bounds = read_pairs("--window", window, read_bounds)
-    if out is not None and point:
-        raise InputError("--at prints one cell, --out writes a window; give one of the two")
-    found: dict[str, Any]
-    with input_errors(), counted() as reads:
-        if out is not None:
-            check_path(out)
-        dataset = open_atlas(store)
-        if out is not None:
-            say("reading and writing")
-            found = {"file": str(out), "cells": export(dataset, out, bounds)}
-        else:
-            found = questions.at(dataset, wanted) if point else questions.fractions(dataset, bounds)
-        why = questions.reasons(dataset, bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
-    if as_json:
-        click.echo(to_json(found | ({"reasons": why} if why else {})))
-    elif point or out:
-        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
-    else:
-        print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
-        click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
-        say(f"{reads.chunks} chunks read")
+    with interruptible(), reporter(sys.stderr) as show:
+        packed = pack_store(store, file, force, show, timing_of(ctx))
+    click.echo(to_json(packed.as_dict()) if as_json else str(packed))

@@ -3,7 +3,7 @@
 import csv
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,6 +62,20 @@ def check_path(path: Path) -> None:
     if path.suffix.lower() not in FORMATS:
         found = f"found {path.suffix!r}" if path.suffix else "found none"
         raise InputError(f"{path.name}: the suffix chooses the format, {found}; possible: {', '.join(FORMATS)}")
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write a list of entries with equal keys as CSV, one row each; the file appears whole or not at all.
+
+    Raises InputError for a path that cannot be written.
+    """
+    try:
+        with _whole(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 @contextmanager

@@ -3,11 +3,13 @@
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from atlas.errors import InputError, check_names, shown
+from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import Target, complete
@@ -63,8 +65,10 @@ def extend(
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
     target = Target(grown, place, origin=Origin(str(old.place), old.run_id))
-    options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
-    return complete(target, client, options)
+    with reporting(options.on_progress) as report:
+        options = replace(options, on_progress=report)
+        options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
+        return complete(target, client, options)
 
 
 def extended(old: Header, given: Spec) -> Spec:

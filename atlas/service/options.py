@@ -20,7 +20,7 @@ class RunOptions:
     tls           files for an encrypted connection to it
     retry         which cells of finished tiles to solve again; nothing else is solved then
     probe         solve a few cells first, so that the plan has a time
-    on_progress   called with each Progress
+    on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
     timing        how long the run waits for everything else
     """

@@ -51,6 +51,12 @@ class Progress:
         """Seconds to the end at this rate, or None before the first tile."""
         return (self.cells - self.cells_done) / self.rate if self.rate else None
 
+    def __str__(self) -> str:
+        return f"{self.stage}: {status_line(self)}" if self.tiles else self.stage
+
+    def __repr__(self) -> str:
+        return f"<Progress {self}>"
+
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
     """A progress bar where the stream is a terminal, a plain line every few seconds otherwise."""

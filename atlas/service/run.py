@@ -13,6 +13,7 @@ from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import outcomes
 from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
+from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.plan import Plan, check_disk, default_workers, make_plan
 from atlas.service.probe import probe
@@ -44,13 +45,15 @@ def run(
     """Compute an atlas into a store, or complete one that an earlier run of the same spec began.
 
     The tiles run on ``client`` (used, not closed), or where ``options`` say: on the cluster of a scheduler, or on a
-    local one, the default. A store at a URL that stops answering is waited for ``options.patience`` seconds.
+    local one, the default. In a notebook a bar shows the progress, unless the options have a function for it.
+    A store at a URL that stops answering is waited for ``options.patience`` seconds.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where a
     server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
     """
-    return complete(Target(spec, place_of(store)), client, options)
+    with reporting(options.on_progress) as report:
+        return complete(Target(spec, place_of(store)), client, replace(options, on_progress=report))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import Target, complete
 from atlas.spec.spec import Spec
+from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import find, read_header
@@ -65,6 +66,7 @@ def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> st
     scheduler, timing = options.scheduler, options.timing
     if scheduler is None:
         raise InputError("submit: needs the address of a scheduler")
+    refuse_packed(place_of(store))
     options.report(Progress(f"connecting to {scheduler}", passing=True))
     with connected(scheduler, options.tls, timing) as client:
         count_threads(client, lambda: options.report(Progress("waiting for the scheduler's first worker")), timing)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from urllib.parse import unquote, urlsplit
 
 from atlas.errors import InputError
+from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class Place(Hashable, Protocol):
 
     @property
     def local(self) -> Path | None:
-        """The folder, None where it is not on this machine's disks."""
+        """The folder, None where it is not one of this machine's disks."""
 
     def get(self, key: str) -> bytes | None:
         """An object's bytes, None where there is none."""
@@ -56,15 +57,17 @@ class Place(Hashable, Protocol):
 def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -> Place:
     """The place that a user named by a path or a URL; InputError for a URL that cannot be one.
 
+    A path that ends in .zip is an atlas packed into one file, unless it is a folder.
+
     A server at a URL that does not answer is waited for ``patience`` seconds.
     """
-    if isinstance(store, LocalPlace | ObjectPlace):
+    if isinstance(store, LocalPlace | ObjectPlace | ZipPlace):
         return store
     if not isinstance(store, str) or "://" not in store:
-        return LocalPlace(Path(store).absolute())  # type: ignore[arg-type]
+        return _place_at(Path(store).absolute())  # type: ignore[arg-type]
     scheme = store.partition("://")[0]
     if scheme == "file":
-        return LocalPlace(Path(unquote(urlsplit(store.rstrip("/")).path)).absolute())
+        return _place_at(Path(unquote(urlsplit(store.rstrip("/")).path)).absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
     place = ObjectPlace(store.rstrip("/"), patience)
@@ -75,6 +78,10 @@ def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -
     except Exception as error:
         raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
     return place
+
+
+def _place_at(path: Path) -> Place:
+    return ZipPlace(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalPlace(path)
 
 
 def waiting(place: Place, patience: float) -> Place:

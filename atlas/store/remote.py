@@ -1,12 +1,16 @@
-"""Zarr's own store of a place; at a URL one that waits for a server that does not answer, as the place itself does."""
+"""Zarr's own store of a place.
+
+At a URL it waits for a server that does not answer, as the place itself does; of a zip file damage is an OSError.
+"""
 
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterable
 from typing import Any, Self, TypeVar
 
 from zarr.abc.store import ByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
-from zarr.storage import LocalStore, ObjectStore
+from zarr.storage import LocalStore, ObjectStore, ZipStore
 
+from atlas.store.archive import ZipPlace, reading
 from atlas.store.location import ObjectPlace, Place
 from atlas.store.outage import persist_async
 
@@ -90,8 +94,31 @@ class RemoteStore(ObjectStore[Any]):
         return await persist_async(call, self._place.url, self._place.patience)
 
 
-def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore":
-    """Zarr's store of a place."""
+class PackedStore(ZipStore):
+    """Zarr's ZipStore of a place, for reading."""
+
+    def __init__(self, place: ZipPlace) -> None:
+        super().__init__(place.path, mode="r")
+
+    async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
+        """See Zarr's Store."""
+        with reading(self.path):
+            return await super().get(key, prototype, byte_range)
+
+    async def get_partial_values(
+        self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
+    ) -> list[Buffer | None]:
+        """See Zarr's Store."""
+        with reading(self.path):
+            return await super().get_partial_values(prototype, key_ranges)
+
+
+def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore":
+    """Zarr's store of a place; OSError for a zip file that is to be written."""
+    if isinstance(place, ZipPlace):
+        if not read_only:
+            place.remove("")
+        return PackedStore(place)
     if isinstance(place, ObjectPlace):
         return RemoteStore(place, read_only)
     assert place.local is not None, "a place is a folder or an object store"

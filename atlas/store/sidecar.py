@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
+from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
 from atlas.store.notes import notes_at_url
 
@@ -37,8 +38,9 @@ def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
     place = place_of(store)
     if isinstance(place, ObjectPlace):
         return notes_at_url(place)
-    assert place.local is not None
-    return Folder(place.local.parent / f".{place.local.name}.run")
+    path = place.path if isinstance(place, ZipPlace) else place.local  # nobody claims a file, so there are none
+    assert path is not None
+    return Folder(path.parent / f".{path.name}.run")
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.spec.spec import Spec, differences
+from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.build import build, consolidate, create_variable
 from atlas.store.digests import DIGESTS, TILES
 from atlas.store.location import LocalPlace, Place, place_of
@@ -142,7 +143,8 @@ def _read_header(place: Place) -> Header:
     foreign = InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
     content = place.get(ROOT)
     if content is None:
-        raise foreign if place.local is not None and place.local.exists() else InputError(f"{place}: no such store")
+        path = place.path if isinstance(place, ZipPlace) else place.local
+        raise foreign if path is not None and path.exists() else InputError(f"{place}: no such store")
     attrs: Any = {}
     try:
         root = json.loads(content)
@@ -184,6 +186,7 @@ def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str
 def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
     """The header of a store that a run of this spec may resume, None where there is none yet; else InputError."""
     place = place_of(store)
+    refuse_packed(place)
     with _refused(place, "written"):
         if _is_free(place, spec):
             _check_writable(place)

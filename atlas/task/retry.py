@@ -18,10 +18,18 @@ NEEDED = (REGIME.name, BUDGET.name)
 
 @dataclass(frozen=True)
 class Retry:
-    """Which cells to solve again: codes of their regimes, and the budget they get, None for the one they had."""
+    """Which cells to solve again, ``Retry(("failed",))``, and the budget they get, None for the one they had.
 
-    regimes: tuple[int, ...]
+    ``regimes`` are names, "failed" and "undetermined", or codes, which they become. InputError for an unknown name.
+    """
+
+    regimes: tuple[int | str, ...]
     max_periods: int | None = None
+
+    def __post_init__(self) -> None:
+        check_names("regime to retry", [each for each in self.regimes if isinstance(each, str)], RETRIABLE)
+        codes = tuple(RETRIABLE[each] if isinstance(each, str) else each for each in self.regimes)
+        object.__setattr__(self, "regimes", codes)
 
     def selects(self, stored: dict[str, np.ndarray]) -> np.ndarray:
         """Mask of the cells of a stored tile that are to be solved again.

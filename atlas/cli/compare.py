@@ -1,0 +1,57 @@
+"""The command that holds two atlases against each other."""
+
+from pathlib import Path
+
+import click
+
+from atlas.cli.options import input_errors, json_option, read_bounds, read_pairs, say, window_option
+from atlas.cli.output import print_table, to_json
+from atlas.query.open import open_atlas
+from atlas.render import check_path
+from atlas.text import plural
+
+
+@click.command()
+@click.argument("store")
+@click.argument("other")
+@window_option
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="Draw both maps of it; the suffix chooses the format."
+)
+@json_option
+def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+    """Compare STORE with OTHER, of the same axes: cells by their regimes in both, differences of exponents.
+
+    Differences are OTHER's minus STORE's.
+    """
+    from atlas.query.compare import Comparison
+
+    bounds = read_pairs("--window", window, read_bounds)
+    if out is not None:
+        check_path(out)
+    with input_errors():
+        compared = Comparison.of(open_atlas(store), open_atlas(other), bounds)
+        message = compared.as_dict()
+        if out is not None:
+            from atlas.render import together  # with it matplotlib
+
+            say("drawing")
+            together.save(together.difference(compared), out, (compared.one, compared.other))
+    if as_json:
+        click.echo(to_json(message | ({} if out is None else {"file": str(out)})))
+        return
+    for name, (here, there) in compared.differing.items():
+        click.echo(f"{name}: {here:g} in {store}, {there:g} in {other}")
+    names = list(message["regimes"])
+    rows = [(here, *(str(message["regimes"][here][there]) for there in names)) for here in names]
+    print_table(f"cells: rows by {store}, columns by {other}", ["", *names], rows)
+    click.echo(f"the same regime: {100 * message['same']:.2f} % of the area")
+    most = compared.numbers.most
+    if most is not None:
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in most[1].items())
+        click.echo(
+            f"exponents of {plural(message['compared'], 'cell')}: mean difference {message['mean']:.4g}, "
+            f"mean size {message['size']:.4g}, the most {most[0]:.4g} at {where}"
+        )
+    if out is not None:
+        click.echo(str(out))

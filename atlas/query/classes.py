@@ -1,0 +1,114 @@
+"""What cells have in common: their regime, the period of their orbit, or the pattern of its impacts."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, check_names, shown
+from atlas.query.walk import Block
+from workers.results import PENDING, PERIODIC, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_NEEDED = {REGIME.name: (), "period": ("period",), "impacts": ("period", "impacts_upper", "impacts_lower")}
+BY = tuple(_NEEDED)
+"""What cells can be told apart by."""
+STICKS = "sticks"
+"""The pattern of all motions that rest on a stop: their impacts are infinitely many."""
+
+_NAMES = {regime.code: regime.name for regime in REGIMES}
+_STUCK = (0, -1, -1)
+
+
+class Classes:
+    """The classes of cells, numbered from 1 on as they are met.
+
+    regime    every regime but pending
+    period    forcing periods of the orbit, of periodic cells
+    impacts   ``n-p-q``, of periodic cells: n forcing periods, p impacts at the upper stop and q at the lower in an
+              orbit; "sticks" for all that stick
+
+    ``value`` is the one class that is meant, None for all. Raises InputError for another ``by``, for a value that it
+    cannot have, and where the atlas does not hold what it takes.
+    """
+
+    def __init__(self, ds: "xr.Dataset", by: str, value: object = None) -> None:
+        check_names("class of cells", [by], BY)
+        self.by, self.names = by, _NEEDED[by]
+        for name in self.names:
+            if name not in ds:
+                raise InputError(f"by {by}: this atlas does not hold {name!r}")
+        self._only = None if value is None else _key_of(by, value)
+        self._numbers: dict[tuple[int, ...], int] = {}
+        if by != REGIME.name:
+            self.codes: tuple[int, ...] = (PERIODIC,)
+        else:
+            self.codes = tuple(code for code in _NAMES if code != PENDING) if self._only is None else self._only
+
+    def number(self, block: Block) -> NDArray[np.int32]:
+        """The number of the class of every cell, 0 where it has none or another than the one that is meant."""
+        counted = np.isin(block.regime, self.codes)
+        numbers = np.zeros(block.regime.shape, np.int32)
+        keys = self._keys(block, counted)
+        if self._only is not None:
+            meant = (keys == self._only).all(axis=1)
+            counted[counted], keys = meant, keys[meant]
+        if keys.size:
+            found, which = _distinct(keys)
+            known = [self._numbers.setdefault(key, len(self._numbers) + 1) for key in found]
+            numbers[counted] = np.array(known, np.int32)[which]
+        return numbers
+
+    def ordered(self) -> list[tuple[int, Any]]:
+        """The classes met, by their numbers, with what they are called, in order of code, period or pattern."""
+        return [(number, self._value(key)) for key, number in sorted(self._numbers.items())]
+
+    def _keys(self, block: Block, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+        if self.by == REGIME.name:
+            return block.regime[counted].astype(np.int64)[:, None]
+        if not counted.any():
+            return np.zeros((0, len(self.names)), np.int64)
+        keys = np.stack([block.values[name][counted] for name in self.names], axis=1).astype(np.int64)
+        if self.by == "impacts":
+            keys[(keys[:, 1:] < 0).any(axis=1)] = _STUCK
+        return keys
+
+    def _value(self, key: tuple[int, ...]) -> Any:
+        if self.by == REGIME.name:
+            return _NAMES[key[0]]
+        if self.by == "period":
+            return key[0]
+        return STICKS if key == _STUCK else "-".join(map(str, key))
+
+
+def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[np.intp]]:
+    """The different rows, and which of them each row is."""
+    if keys.shape[1] == 1:
+        found, which = np.unique(keys[:, 0], return_inverse=True)
+        return [(key,) for key in found.tolist()], which
+    rows, which = np.unique(keys, axis=0, return_inverse=True)
+    return [tuple(row) for row in rows.tolist()], which.reshape(-1)
+
+
+def _key_of(by: str, value: object) -> tuple[int, ...]:
+    """What a user calls a class, as a key."""
+    if by == REGIME.name:
+        codes = {name: code for code, name in _NAMES.items() if code != PENDING}
+        check_names("regime", [value], codes)
+        return (codes[str(value)],)
+    parts: Sequence[object] = [value]
+    if by == "impacts":
+        if value == STICKS:
+            return _STUCK
+        parts = value.split("-") if isinstance(value, str) else value if isinstance(value, tuple) else []
+    try:
+        key = tuple(int(str(part)) for part in parts)
+    except ValueError:
+        key = ()
+    if len(key) != len(_NEEDED[by]) or key[0] < 1 or min(key) < 0:
+        right = "a whole number, 1 or more" if by == "period" else "n-p-q, such as 3-2-2, or sticks"
+        raise InputError(f"{by}: found {shown(value)}, must be {right}")
+    return key

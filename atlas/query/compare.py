@@ -1,0 +1,219 @@
+"""Two atlases of the same cells, held against each other: exponents by their difference, regimes by a table."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, shown
+from atlas.query.resample import view
+from atlas.query.window import Window, axis_names, axis_values, cell_widths, inside, within
+from workers.results import CHAOTIC, LARGEST, NO_IMPACT, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_TOGETHER = 1 << 22
+"""Cells read at a time."""
+_FIRST = min(regime.code for regime in REGIMES)
+_NAMES = [regime.name for regime in sorted(REGIMES, key=lambda regime: regime.code)]
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What a comparison comes to in numbers.
+
+    cells         of each pair of regimes (here, there), by ``_FIRST + index``
+    same          share of the area that has the same regime in both, of what is pending in neither; NaN where all is
+    compared      cells whose exponents were compared
+    mean, size    the mean of their differences, and of their absolute values; NaN without such cells
+    most          the difference that is largest in size, and the cell that has it, by axis; None without such cells
+    """
+
+    cells: NDArray[np.int64]
+    same: float
+    compared: int
+    mean: float
+    size: float
+    most: tuple[float, dict[str, float]] | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two atlases with the same axes: ``one``, here, and ``other``, there.
+
+    ``differing`` has the fixed parameters that differ, by name, here and there. What takes the cells is read when it
+    is asked for.
+    """
+
+    one: "xr.Dataset"
+    other: "xr.Dataset"
+    differing: dict[str, tuple[float, float]]
+    weights: tuple[NDArray[np.float64], ...]
+
+    @classmethod
+    def of(cls, one: "xr.Dataset", other: "xr.Dataset", window: Window | None = None) -> Self:
+        """The comparison of two atlases in a window; InputError, which says what differs, unless their cells agree.
+
+        They have to be of one system and to have the same axes with the same values, to the bit. Fixed parameters,
+        settings and solver versions may differ.
+        """
+        _check_cells(one, other)
+        found = inside(one, window)
+        weights = tuple(cell_widths(one, str(dim))[found[str(dim)]] for dim in one[REGIME.name].dims)
+        fixed = [str(n) for n in one.coords if n in other.coords and one[n].ndim == other[n].ndim == 0]
+        numbers = [n for n in fixed if one[n].dtype.kind in "iuf"]
+        differing = {n: (float(one[n]), float(other[n])) for n in numbers if float(one[n]) != float(other[n])}
+        return cls(within(one, window), within(other, window), differing, weights)
+
+    @property
+    def has_exponents(self) -> bool:
+        """Whether both atlases hold exponents."""
+        return LARGEST.name in self.one and LARGEST.name in self.other
+
+    @cached_property
+    def difference(self) -> "xr.DataArray":
+        """The largest exponent there minus that here; NaN where one has none, or the class of the motion is not known.
+
+        InputError where one of the atlases holds no exponents.
+        """
+        import xarray
+
+        if not self.has_exponents:
+            raise InputError("one of the two atlases holds no exponents to compare")
+        one = self.one[LARGEST.name]
+        values = np.concatenate([difference for _, _, _, difference in self._strips()])
+        attrs = {"long_name": "difference of the largest Lyapunov exponents, there minus here", "units": LARGEST.units}
+        coords = {str(dim): one[dim] for dim in one.dims}
+        return xarray.DataArray(values, coords, one.dims, "difference", attrs)
+
+    @cached_property
+    def regimes(self) -> "xr.DataArray":
+        """The number of cells of each pair of regimes, those that occur, with dimensions ``here`` and ``there``."""
+        import xarray
+
+        cells = self.numbers.cells
+        kept = np.flatnonzero(cells.sum(axis=0) + cells.sum(axis=1))
+        names = [_NAMES[k] for k in kept]
+        attrs = {"long_name": "cells by their regimes in both atlases", "units": "1"}
+        coords = {"here": names, "there": names}
+        return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("here", "there"), "regimes", attrs)
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """The table and the differences in numbers, from one reading of both atlases."""
+        count = len(_NAMES)
+        cells = np.zeros((count, count), np.int64)
+        area = np.zeros((count, count))
+        compared, total, size, most = 0, 0.0, 0.0, None
+        rest = self.weights[1] if len(self.weights) == 2 else np.ones(1)
+        for first, here, there, difference in self._strips():
+            pairs = (count * (here - _FIRST) + (there - _FIRST)).astype(np.intp)
+            cells += np.bincount(pairs.ravel(), minlength=count**2).reshape(count, count)
+            rows = self.weights[0][first : first + here.shape[0]]
+            weight = np.multiply.outer(rows, rest).reshape(here.shape)
+            area += np.bincount(pairs.ravel(), weight.ravel(), count**2).reshape(count, count)
+            known = ~np.isnan(difference)
+            if known.any():
+                values = np.abs(difference[known])
+                compared, total, size = (
+                    compared + values.size,
+                    total + float(difference[known].sum()),
+                    size + values.sum(),
+                )
+                k = int(values.argmax())
+                if most is None or values[k] > abs(most[0]):
+                    at = np.argwhere(known)[k]
+                    most = float(difference[known][k]), self._place(first, at.tolist())
+        solved = area[1:, 1:]  # pending comes first
+        return Numbers(
+            cells,
+            float(np.trace(solved) / solved.sum()) if solved.sum() else float("nan"),
+            compared,
+            total / compared if compared else float("nan"),
+            float(size) / compared if compared else float("nan"),
+            most,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas compare --json`` prints."""
+        names, cells = self.regimes.here.values.tolist(), self.regimes.values.tolist()
+        numbers = self.numbers
+        return {
+            "parameters": {name: list(pair) for name, pair in self.differing.items()},
+            "regimes": {here: dict(zip(names, row, strict=True)) for here, row in zip(names, cells, strict=True)},
+            "same": numbers.same,
+            "compared": numbers.compared,
+            "mean": numbers.mean,
+            "size": numbers.size,
+            "most": None if numbers.most is None else numbers.most[1] | {"difference": numbers.most[0]},
+        }
+
+    def __repr__(self) -> str:
+        changed = ", ".join(f"{name} {here:g} and {there:g}" for name, (here, there) in self.differing.items())
+        cells = " x ".join(str(weight.size) for weight in reversed(self.weights))
+        return f"<Comparison of two atlases of {cells} cells{f', {changed}' if changed else ''}>"
+
+    def _strips(self) -> Iterator[tuple[int, NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]]:
+        """Some rows at a time: the first of them, the regimes here and there, and the differences."""
+        regime = self.one[REGIME.name]
+        chunk = (regime.encoding.get("chunks") or (1,))[0]
+        rows = max(1, _TOGETHER * regime.shape[0] // max(1, regime.size) // chunk) * chunk
+        names = [LARGEST.name] if self.has_exponents else []
+        for first in range(0, regime.shape[0], rows):
+            part = {regime.dims[0]: slice(first, first + rows)}
+            here, there = (
+                view(ds.isel(part), names).transpose(*regime.dims, ...) for ds in (self.one, self.other)
+            )  # fmt: skip
+            codes = here[REGIME.name].values, there[REGIME.name].values
+            if names:
+                difference = differences(*codes, here[LARGEST.name].values, there[LARGEST.name].values)
+            else:
+                difference = np.full(codes[0].shape, np.nan)
+            yield first, *codes, difference
+
+    def _place(self, first: int, at: list[int]) -> dict[str, float]:
+        index = dict(zip(self.one[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
+        return {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
+
+
+def differences(
+    here: NDArray[np.int8], there: NDArray[np.int8], one: NDArray[np.float64], other: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Exponents there minus here by their regimes; NaN where a class is not known, or an exponent is not finite."""
+    known = (np.minimum(here, there) >= NO_IMPACT) & (np.maximum(here, there) <= CHAOTIC)
+    known &= np.isfinite(one) & np.isfinite(other)
+    return np.subtract(other, one, where=known, out=np.full(one.shape, np.nan))
+
+
+def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
+    """InputError, with what differs, unless two atlases have the same axes in the same unit of exponents."""
+    names, others = axis_names(one), axis_names(other)
+    if names != others:
+        raise InputError(f"the axes differ: {', '.join(names)} here, {', '.join(others)} there")
+    systems = [_system(ds) for ds in (one, other)]
+    if systems[0] != systems[1]:
+        raise InputError(f"the systems differ: {systems[0]} here, {systems[1]} there")
+    for name in names:
+        here, there = axis_values(one, name), axis_values(other, name)
+        if here.size != there.size or here[0] != there[0] or here[-1] != there[-1]:
+            ends = [f"{v.size} values from {v[0]:g} to {v[-1]:g}" for v in (here, there)]
+            raise InputError(f"axis {name} differs: {ends[0]} here, {ends[1]} there")
+        if not np.array_equal(here, there):
+            k = int(np.flatnonzero(here != there)[0])
+            raise InputError(f"axis {name} differs: value {k + 1} is {here[k]!s} here, {there[k]!s} there")
+    if LARGEST.name in one and LARGEST.name in other:
+        units = [ds[LARGEST.name].attrs.get("units", LARGEST.units) for ds in (one, other)]
+        if units[0] != units[1]:
+            raise InputError(f"the units of exponents differ: {shown(units[0])} here, {shown(units[1])} there")
+
+
+def _system(ds: "xr.Dataset") -> str:
+    try:
+        return str(json.loads(ds.attrs["spec"])["system"])
+    except (KeyError, TypeError, ValueError):
+        return ""

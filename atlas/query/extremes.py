@@ -1,0 +1,111 @@
+"""Where a variable is smallest and largest, in each regime, for each period or in all."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.query.classes import Classes
+from atlas.query.resample import view
+from atlas.query.walk import Block, walk
+from atlas.query.window import Window, axis_names, axis_values, within
+from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, PENDING, PERIODIC, REASON, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+PLANE = "plane"
+"""All cells together."""
+_OF_MOTIONS = (LARGEST.name, ERROR.name)
+_OF_ORBITS = ("period", "impacts_upper", "impacts_lower")
+
+
+def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window | None = None) -> list[dict[str, Any]]:
+    """The smallest and the largest value of a variable in each class of cells, and where it has them.
+
+    Two entries a class: ``by`` itself (see ``Classes``; none for "plane", all cells together), ``extreme`` ("smallest"
+    or "largest"), each axis with the cell's own parameter, ``value``, ``error`` (of ``largest`` only: that of the
+    exponent) and ``cells``, how many were compared. Of equal values the first counts, row by row.
+    Compared are finite values of solved cells: an exponent of -inf is no number, one without a class no result (the
+    average of an undetermined cell may be far off), a period one of periodic cells, and impacts that are infinitely
+    many (where it sticks) are left out. Classes without such a value are too.
+    Raises InputError for a variable that is no number of each cell, and as ``windows`` does.
+    Reads the variable, and what tells the class, of tiles that have such cells.
+    """
+    _check(ds, name)
+    classes, part = None if by == PLANE else Classes(ds, by), within(ds, window)
+    codes = _codes(name)
+    if classes is not None:
+        codes = codes & {*classes.codes}
+    needed = [name, *(classes.names if classes else ())]
+    dims = part[REGIME.name].dims
+    best: dict[int, _Best] = {}
+    for block in walk(part, needed, codes):
+        counted = np.isin(block.regime, list(codes)) & np.isfinite(block.values[name])
+        if name in _OF_ORBITS:
+            counted &= block.values[name] >= 0
+        numbers = np.where(counted, 1 if classes is None else classes.number(block), 0)
+        for number in np.unique(numbers[numbers > 0]).tolist():
+            best.setdefault(number, _Best()).add(block, block.values[name], numbers == number)
+    ordered = [(1, None)] if classes is None else classes.ordered()
+    found: list[dict[str, Any]] = []
+    for number, value in ordered:
+        for extreme, (at, number_there) in best[number].ends() if number in best else ():
+            index = dict(zip(map(str, dims), at, strict=True))
+            entry: dict[str, Any] = {} if classes is None else {by: value}
+            entry |= {"extreme": extreme}
+            entry |= {axis: float(axis_values(part, axis)[index[axis]]) for axis in axis_names(part)}
+            entry["value"] = number_there
+            if name == LARGEST.name and ERROR.name in ds:
+                one = part.isel({axis: slice(i, i + 1) for axis, i in index.items()})
+                entry["error"] = float(view(one, [ERROR.name])[ERROR.name].values.item())
+            found.append(entry | {"cells": best[number].cells})
+    return found
+
+
+class _Best:
+    """The smallest and the largest value so far, and the indices of their cells."""
+
+    def __init__(self) -> None:
+        self.cells = 0
+        self.low: tuple[Any, tuple[int, ...]] | None = None
+        self.high: tuple[Any, tuple[int, ...]] | None = None
+
+    def add(self, block: Block, values: Any, cells: Any) -> None:
+        """Compare the marked cells of a block."""
+        at = np.argwhere(cells)
+        self.cells += len(at)
+        inside = values[cells]
+        for low, k in ((True, int(inside.argmin())), (False, int(inside.argmax()))):
+            value = inside[k].item()
+            place = tuple(int(i) + s.start for i, s in zip(at[k], block.cells, strict=True))
+            before = self.low if low else self.high
+            better = before is None or (value < before[0] if low else value > before[0])
+            if better or (before is not None and value == before[0] and place < before[1]):
+                if low:
+                    self.low = value, place
+                else:
+                    self.high = value, place
+
+    def ends(self) -> list[tuple[str, tuple[tuple[int, ...], Any]]]:
+        """Both ends, by name: indices and value."""
+        assert self.low is not None and self.high is not None
+        return [("smallest", self.low[::-1]), ("largest", self.high[::-1])]
+
+
+def _codes(name: str) -> set[int]:
+    """The regimes in which a variable is a result."""
+    if name in _OF_MOTIONS:
+        return set(range(NO_IMPACT, CHAOTIC + 1))
+    return {PERIODIC} if name in _OF_ORBITS else {regime.code for regime in REGIMES} - {PENDING}
+
+
+def _check(ds: "xr.Dataset", name: str) -> None:
+    dims = set(ds[REGIME.name].dims) if REGIME.name in ds else set(axis_names(ds))
+    fitting = [
+        str(each) for each in ds.data_vars
+        if set(ds[each].dims) == dims and ds[each].dtype.kind in "if" and each not in (REGIME.name, REASON.name)
+    ]  # fmt: skip
+    if name not in fitting:
+        what = "is no number of each cell" if name in ds else "is no variable of this atlas"
+        raise InputError(f"{name!r} {what}; possible: {', '.join(fitting)}")

@@ -1,0 +1,88 @@
+"""A run's progress in a notebook: one bar under the cell, changed in place."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from html import escape
+from types import TracebackType
+from typing import Any
+
+from atlas.service.progress import Progress
+
+INTERVAL = 0.25
+"""Seconds between two changes of the bar: each is a message to the browser."""
+
+
+@contextmanager
+def reporting(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
+    """What is to be called with each Progress: the given function; without one a bar in a notebook, elsewhere none."""
+    display = None if on_progress else _notebook_display()
+    if display is None:
+        yield on_progress
+        return
+    with NotebookReporter(display) as reporter:
+        yield reporter
+
+
+class NotebookReporter(AbstractContextManager["NotebookReporter"]):
+    """A bar that ``display``, IPython's function, shows once and changes from then on; its last state stays.
+
+    IPython's own displays are all that this takes. Rich's bar needs ipywidgets, which a notebook may not have.
+    """
+
+    def __init__(self, display: Callable[..., Any], interval: float = INTERVAL) -> None:
+        self._display, self._interval = display, interval
+        self._handle: Any = None
+        self._shown: Progress | None = None
+        self._last: Progress | None = None
+        self._due = 0.0
+
+    def __call__(self, progress: Progress) -> None:
+        """Show the snapshot, at once where its stage is new."""
+        new = self._last is None or self._last.stage != progress.stage
+        self._last = progress
+        if (new and not progress.passing) or time.monotonic() >= self._due:
+            self._show()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Show the last snapshot."""
+        if self._last is not self._shown:
+            self._show()
+
+    def _show(self) -> None:
+        assert self._last is not None
+        self._shown, self._due = self._last, time.monotonic() + self._interval
+        if self._handle is None:
+            self._handle = self._display(Bar(self._last), display_id=True)
+        else:
+            self._handle.update(Bar(self._last))
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A snapshot as a notebook shows it."""
+
+    progress: Progress
+
+    def __repr__(self) -> str:
+        return str(self.progress)
+
+    def _repr_html_(self) -> str:
+        known = f' value="{self.progress.cells_done}"' if self.progress.cells_done else ""
+        bar = f'<progress{known} max="{self.progress.cells}"></progress> ' if self.progress.cells else ""
+        return f"<div>{bar}<span>{escape(str(self.progress))}</span></div>"
+
+
+def _notebook_display() -> Callable[..., Any] | None:
+    """IPython's display where this is a kernel, to which a notebook is the screen; None elsewhere, as in a terminal."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if getattr(shell, "kernel", None) is None:
+        return None
+    from IPython.display import display
+
+    return display

@@ -1,0 +1,103 @@
+"""Packing a store into one zip file, which every reading command and plain xarray open."""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from atlas.errors import InputError
+from atlas.service.lease import Observer
+from atlas.service.notebook import reporting
+from atlas.service.progress import Progress
+from atlas.service.timing import TIMING, Timing
+from atlas.store.archive import SUFFIX, write_zip
+from atlas.store.location import place_of
+from atlas.store.sidecar import notes_of
+from atlas.store.store import Header, done_tiles, read_header
+from atlas.text import byte_size, plural
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What was packed: the file, its objects and bytes, and how far the atlas in it is."""
+
+    file: str
+    objects: int
+    bytes: int
+    tiles: int
+    tiles_done: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether every tile is finished."""
+        return self.tiles_done == self.tiles
+
+    def __str__(self) -> str:
+        packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
+        if self.complete:
+            return packed
+        done = f"only {self.tiles_done} of {self.tiles} tiles are done"
+        return f"{packed}\n{done}: the rest reads as pending, and a zip file cannot be completed; keep the store"
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas pack --json`` prints."""
+        return asdict(self) | {"complete": self.complete}
+
+
+def pack(
+    store: str | os.PathLike[str],
+    file: str | os.PathLike[str],
+    force: bool = False,
+    on_progress: Callable[[Progress], None] | None = None,
+    timing: Timing = TIMING,
+) -> Packed:
+    """Pack a store, a folder or a URL, into one zip file; the store stays as it is.
+
+    The file's name ends in .zip. It appears whole or not at all, in the place of one of that name only with ``force``.
+    Of an atlas that is not complete what there is is packed.
+    Raises InputError for another suffix, where there is a file already, where there is no store, and where a run is at
+    work on it: of a tile that is being written the file would have a part.
+    """
+    target = Path(file).absolute()
+    if target.suffix.lower() != SUFFIX:
+        raise InputError(f"{file}: must end in {SUFFIX}, by which the other commands know it")
+    if target.is_dir():
+        raise InputError(f"{file}: is a folder")
+    header = read_header(store)
+    if place_of(target) == header.place:
+        raise InputError(f"{file}: is the store itself")
+    if target.exists() and not force:
+        raise InputError(f"{file}: exists already; --force (force=True) replaces it")
+    _refuse_running(header, timing)
+    done, keys = len(done_tiles(header)), sorted(header.place.list_keys())
+    with reporting(on_progress) as report:
+        size = _pack(header, keys, target, report or (lambda _: None), timing)
+    return Packed(str(file), len(keys), size, header.tiling.count, done)
+
+
+def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
+    """Pack the objects of these keys, and return the bytes of the file."""
+
+    def members() -> Iterator[tuple[str, bytes]]:
+        notify(Progress(f"packing {plural(len(keys), 'object')}"))
+        for k, key in enumerate(keys, 1):
+            found = header.place.get(key)
+            if found is None:
+                raise InputError(
+                    f"{header.place}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
+                )
+            yield key, found
+            notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", passing=True))
+        _refuse_running(header, timing)  # one that has begun meanwhile
+
+    try:
+        return write_zip(target, members())
+    except OSError as error:
+        raise InputError(f"{target}: cannot be packed: {error.strerror or error}") from None
+
+
+def _refuse_running(header: Header, timing: Timing) -> None:
+    seen = Observer(notes_of(header.place), timing).settle()
+    if seen is not None and seen.alive is not False and not seen.trouble:
+        raise InputError(f"{header.place}: {seen.record} is at work on it; pack it when that has ended")

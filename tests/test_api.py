@@ -1,0 +1,66 @@
+"""Claims about ``import atlas``: what it offers, and that it loads nothing before it is used."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import atlas
+from atlas.errors import InputError
+from workers.results import FAILED, UNDETERMINED
+
+ROOT = Path(__file__).parent.parent
+PUBLIC = ["Retry", "RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point"]
+PUBLIC += ["portrait", "run", "solve_tile", "verify"]
+
+
+def in_a_new_process(code: str) -> object:
+    shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(shown.stdout)
+
+
+def test_dir_shows_what_is_public_and_nothing_else() -> None:
+    import atlas.query.queries
+
+    assert atlas.query.queries  # a module that is loaded is no public name for that
+    assert dir(atlas) == sorted(PUBLIC)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(atlas, name)
+
+
+def test_another_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'atlas' has no attribute 'rum'"):
+        atlas.rum  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_importing_atlas_loads_no_library_and_no_module_of_its_own() -> None:
+    code = "import json, sys, atlas\nprint(json.dumps([n for n in sys.modules if n.split('.')[0] in %r]))"
+    libraries = ("atlas", "workers", "numpy", "dask", "zarr", "xarray", "matplotlib", "numba", "click", "rich")
+    assert in_a_new_process(code % (libraries,)) == ["atlas"]
+
+
+def test_a_spec_is_read_without_dask_zarr_xarray_numba_or_matplotlib() -> None:
+    code = (
+        "import json, sys, atlas\natlas.Spec.from_toml('tiny')\nprint(json.dumps([n for n in %r if n in sys.modules]))"
+    )
+    assert in_a_new_process(code % (("dask", "distributed", "zarr", "xarray", "numba", "matplotlib"),)) == []
+
+
+def test_the_errors_are_there_before_anything_else_is_used() -> None:
+    assert in_a_new_process("import json, atlas\nprint(json.dumps(issubclass(atlas.errors.InputError, ValueError)))")
+
+
+def test_a_point_is_solved_with_the_defaults_of_the_system() -> None:
+    found = atlas.point({"omega": 4.0, "b": 0.5}, settings=atlas.Settings(max_periods=500))
+    assert (found["system"], found["regime"], found["parameters"]["R"]) == ("two-mass", "no_impact", 0.8)
+
+
+def test_a_retry_takes_regimes_by_name() -> None:
+    assert atlas.Retry(("failed", "undetermined"), 9) == atlas.Retry((FAILED, UNDETERMINED), 9)
+    with pytest.raises(InputError, match="unknown regime to retry 'faild'; did you mean 'failed'"):
+        atlas.Retry(("faild",))
