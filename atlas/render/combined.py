@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -37,23 +36,23 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The combined map as a figure; InputError where the atlas lacks periods or exponents."""
     plane = overlays.read(ds, ["period", LARGEST.name], "combined", options)
     largest = np.where(plane.regime == CHAOTIC, plane[LARGEST.name], np.nan)
-    norm = Normalize(0.0, exponent.scale_ends(largest)[1])
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    norm = Normalize(*options.page.ends(0.0, exponent.scale_ends(largest)[1]))
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, plane["period"], largest, norm)
-        maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
+        maps.draw(ax, plane, rgba, options)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         bar = drawn.colorbar(
             ScalarMappable(norm, COLORMAP),
             ax=ax,
-            extend=style.beyond(largest, 0.0, float(norm.vmax or 1.0)),
+            extend=style.beyond(largest, float(norm.vmin or 0.0), float(norm.vmax or 1.0)),
             aspect=28,
             pad=0.02,
             extendfrac=0.03,
         )
         bar.set_label(r"chaotic: $\lambda_1$ [per forcing period]")
         bar.outline.set_linewidth(0.6)
-        maps.legend_below(drawn, entries)
+        options.page.legend(drawn, entries)
     return drawn
 
 

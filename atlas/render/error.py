@@ -24,4 +24,4 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     error = np.where(maps.determined(plane.regime), plane[ERROR.name], np.nan)
     # Nothing is known better than to rounding; an error of zero would have no place on a log scale.
     known = np.where(np.isfinite(error), np.maximum(error, np.finfo(float).tiny), np.nan)
-    return scalar.figure(ds, plane, np.where(error == 0.0, np.finfo(float).eps, known), SCALE, options.overlays)
+    return scalar.figure(ds, plane, np.where(error == 0.0, np.finfo(float).eps, known), SCALE, options)

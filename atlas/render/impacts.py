@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -59,16 +58,17 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The impact map as a figure; InputError where the atlas holds no impact counts."""
     plane = overlays.read(ds, VARIABLES, "impacts", options)
     counts = tuple(plane[name] for name in VARIABLES)
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend, colors = paint(plane.regime, *counts)
-        maps.draw(ax, plane, rgba)
+        maps.draw(ax, plane, rgba, options)
         rests = (plane.regime == PERIODIC) & (counts[1] < 0)
         axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
-        maps.legend_beside(drawn, entries, title="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
+        options.page.legend(drawn, entries, beside="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        options.page.fit(drawn)
         drawn.draw_without_rendering()  # from here on the plot has its size
-        _name_regions(ax, plane, counts, colors)
+        _name_regions(ax, plane, counts, colors, _LABEL_SIZE * options.page.scale)
     return drawn
 
 
@@ -112,16 +112,20 @@ def paint(
 
 
 def _name_regions(
-    ax: Axes, plane: maps.Plane, counts: tuple[NDArray[np.int32], ...], colors: dict[ImpactPattern, str]
+    ax: Axes,
+    plane: maps.Plane,
+    counts: tuple[NDArray[np.int32], ...],
+    colors: dict[ImpactPattern, str],
+    type_size: float,
 ) -> None:
     """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
     if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
         return  # cells differ in size, and distances in cells mean nothing
-    extent = ax.get_window_extent()
-    width, height = (float(size) / ax.figure.dpi * 72.0 for size in (extent.width, extent.height))
+    extent, drawn_dpi = ax.get_window_extent(), ax.figure.dpi
+    width, height = (float(size) / drawn_dpi * 72.0 for size in (extent.width, extent.height))
     step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
     for motion, color in colors.items():
-        half = 0.29 * _LABEL_SIZE * len(motion.label), 0.62 * _LABEL_SIZE
+        half = 0.29 * type_size * len(motion.label), 0.62 * type_size
         least = 4.0 * half[0] * half[1] / (step[0] * step[1])  # cells that the name takes
         cells = plane.regime == PERIODIC
         for count, wanted in zip(counts, motion, strict=True):
@@ -141,7 +145,7 @@ def _name_regions(
                     plane.y.values[box[0].start + row],
                     motion.label,
                     color=style.ink_on(color),
-                    fontsize=_LABEL_SIZE,
+                    fontsize=type_size,
                     rotation=angle,
                     ha="center",
                     va="center_baseline",

@@ -1,6 +1,6 @@
 """Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import xarray as xr
@@ -39,12 +39,12 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str, options: maps.Opti
     return maps.read(ds, (*variables, *extra), kind, options.pixels)
 
 
-def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, chosen: Sequence[str]) -> list[Artist]:
+def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     """Draw overlays over a map and return their legend entries."""
     entries: list[Artist] = []
     for name, lines in DRAW.items():
-        if name in chosen:
-            entries += lines(ax, ds, plane)
+        if name in options.overlays:
+            entries += lines(ax, ds, plane, options)
     return entries
 
 
@@ -100,7 +100,7 @@ def large_regions(regime: NDArray[np.int8], share: float = LEAST_REGION) -> NDAr
     return regime[tuple(nearest)].astype(np.int16)
 
 
-def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
+def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     system = style.system_of(ds)
     if system is None:
         raise InputError("overlay 'grazing': the atlas does not name a system that is known here")
@@ -116,14 +116,14 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
     return [Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, path_effects=halo, label=label)]
 
 
-def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
+def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     regions = large_regions(plane.regime)
     for code in np.unique(regions):
         axes.outline(ax, plane.x, plane.y, regions == code, "#101418", 0.5)
     return [Line2D([], [], color="#101418", linewidth=0.9, label="regime boundary")]
 
 
-def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
+def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     known = maps.determined(plane.regime) & np.isfinite(plane[LARGEST.name])
     if min(known.shape) < 2:
         return []
@@ -139,9 +139,9 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
             continue
         lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="black", linewidths=0.5)
         lines.set(alpha=0.8, zorder=2.5)
-        lines.set_paths([_long_pieces(ax, path) for path in lines.get_paths()])
-        names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0, inline=False)
-        _thin_out(ax, names)
+        lines.set_paths([_long_pieces(ax, path, options.size) for path in lines.get_paths()])
+        names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0 * options.page.scale, inline=False)
+        _thin_out(ax, names, options.size)
     return [Line2D([], [], color="black", alpha=0.8, linewidth=0.6, label=r"$\lambda_1$ constant")]
 
 
@@ -149,7 +149,7 @@ def _signed(sign: float) -> Callable[[float], str]:
     return lambda level: f"{sign * level:g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _long_pieces(ax: Axes, path: Path) -> Path:
+def _long_pieces(ax: Axes, path: Path, size: tuple[float, float]) -> Path:
     """The pieces of a line that are long enough to be followed by eye."""
     # Not path.to_polygons, which leaves out points that stand out by less than a ninth of a unit, of data here.
     vertices = np.asarray(path.vertices)
@@ -158,17 +158,17 @@ def _long_pieces(ax: Axes, path: Path) -> Path:
     long = [
         each
         for each in pieces
-        if len(each) > 1 and np.hypot(*np.diff(_in_points(ax, each), axis=0).T).sum() >= _LEAST_LINE
+        if len(each) > 1 and np.hypot(*np.diff(_in_points(ax, each, size), axis=0).T).sum() >= _LEAST_LINE
     ]
     return Path.make_compound_path(*map(Path, long)) if long else Path(np.empty((0, 2)))
 
 
-def _thin_out(ax: Axes, names: Iterable[Text]) -> None:
+def _thin_out(ax: Axes, names: Iterable[Text], size: tuple[float, float]) -> None:
     """Take away labels that would stand in another's way or over the frame; give the others a halo."""
     kept: list[NDArray[np.float64]] = []
-    width, height = _in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]))[0]
+    width, height = _in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]), size)[0]
     for name in names:
-        at = _in_points(ax, np.array([name.get_position()]))[0]
+        at = _in_points(ax, np.array([name.get_position()]), size)[0]
         framed = (
             _LABEL_ROOM / 2 < at[0] < width - _LABEL_ROOM / 2 and _LABEL_ROOM / 2 < at[1] < height - _LABEL_ROOM / 2
         )
@@ -182,14 +182,14 @@ def _thin_out(ax: Axes, names: Iterable[Text]) -> None:
             name.remove()
 
 
-def _in_points(ax: Axes, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Data coordinates in points from the lower left corner of the plot, by a map's nominal size: as a layout that
+def _in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
+    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
     is not made yet will have them, nearly.
     """
-    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * maps.SIZE)
+    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
-DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane], list[Artist]]] = {
+DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane, maps.Options], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
     "isolines": _isolines,

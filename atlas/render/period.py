@@ -5,7 +5,6 @@ from typing import TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -40,12 +39,12 @@ for the greatest least difference between any two, also as seen without red or w
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The isoperiodic map as a figure; InputError where the atlas holds no periods."""
     plane = overlays.read(ds, ["period"], "period", options)
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, plane["period"])
-        maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
-        maps.legend_beside(drawn, entries)
+        maps.draw(ax, plane, rgba, options)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
+        options.page.legend(drawn, entries, beside="")
     return drawn
 
 

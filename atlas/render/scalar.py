@@ -1,11 +1,9 @@
 """Maps of one number that has no natural middle: an even scale from pale to dark, by the same steps of lightness."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -15,7 +13,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
+from atlas.errors import InputError
 from atlas.render import maps, overlays, style
+from atlas.render.page import STANDARD, Page
 
 _SHARE = 0.5
 """Per cent of cells that may lie beyond each end of the scale."""
@@ -35,22 +35,22 @@ def figure(
     plane: maps.Plane,
     values: NDArray[np.float64],
     scale: Scale,
-    overlaid: Sequence[str],
+    options: maps.Options,
     zero: tuple[str, str] | None = None,
 ) -> Figure:
     """A map of ``values`` (y, x); cells that are NaN show their regime.
 
     ``zero``: colour and name of cells that are 0; where there are no others the figure has no colour bar.
     """
-    norm = color_norm(values, scale.log)
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    norm = color_norm(values, scale.log, options.page)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, values, norm, scale.colormap, zero)
-        maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, overlaid)]
+        maps.draw(ax, plane, rgba, options)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         if zero is None or np.any(values > 0.0):
             _colour_bar(drawn, ax, values, norm, scale)
-        maps.legend_below(drawn, entries)
+        options.page.legend(drawn, entries)
     return drawn
 
 
@@ -73,20 +73,24 @@ def paint(
     return rgba, legend + maps.paint_regimes(rgba, regime, ~known)
 
 
-def color_norm(values: NDArray[np.float64], log: bool) -> Normalize:
+def color_norm(values: NDArray[np.float64], log: bool, page: Page = STANDARD) -> Normalize:
     """The scale of finite values, of positive ones where it is logarithmic: to percentiles near both ends.
 
-    A logarithmic one spans a decade at least. Without such values, it is any.
+    A logarithmic one spans a decade at least. Without such values, it is any. Ends that the page gives are kept.
     """
     finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
-    if finite.size == 0:
-        return LogNorm(0.1, 1.0) if log else Normalize(0.0, 1.0)
-    low, high = np.percentile(finite, [_SHARE, 100.0 - _SHARE])
-    if log:
-        # A scale within a decade has ticks that nobody reads.
-        low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
-        return LogNorm(float(low), float(high))
-    return Normalize(float(low), float(high) if high > low else float(low) + 1.0)
+    low, high = (0.1, 1.0) if log else (0.0, 1.0)
+    if finite.size:
+        low, high = (float(end) for end in np.percentile(finite, [_SHARE, 100.0 - _SHARE]))
+        if log:
+            # A scale within a decade has ticks that nobody reads.
+            low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
+        elif high <= low:
+            high = low + 1.0
+    low, high = page.ends(low, high)
+    if log and low <= 0.0:
+        raise InputError(f"this scale is logarithmic: found vmin {low:g}, must be positive")
+    return LogNorm(low, high) if log else Normalize(low, high)
 
 
 def _colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Normalize, scale: Scale) -> None:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -10,13 +9,14 @@ from matplotlib.lines import Line2D
 
 from atlas.errors import InputError
 from atlas.render import axes, style, sweep
+from atlas.render.page import STANDARD, Page
 from workers.results import REGIME, SECTION, SPECTRUM
 
 COLORS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
 """The colour of each exponent, largest first; those of systems with more begin again."""
 
 
-def figure(ds: xr.Dataset) -> Figure:
+def figure(ds: xr.Dataset, page: Page = STANDARD) -> Figure:
     """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
     if SPECTRUM.name not in ds:
         raise InputError(
@@ -28,11 +28,11 @@ def figure(ds: xr.Dataset) -> Figure:
     )
     panels[SPECTRUM.name] = _draw_spectrum
     read, x = sweep.line(ds, list(panels))
-    with rc_context(style.STYLE):
+    with page.context():
         legend: list[Artist] = list(sweep.regime_legend(read[REGIME.name].values)) if len(panels) > 1 else []
         for i in range(read[SPECTRUM.name].shape[-1]):
             legend.append(Line2D([], [], color=color(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
-        return sweep.stack(ds, read, x, panels, legend)
+        return sweep.stack(ds, read, x, panels, legend, page)
 
 
 def color(i: int) -> str:
@@ -40,10 +40,10 @@ def color(i: int) -> str:
     return COLORS[i % len(COLORS)]
 
 
-def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
-    size = sweep.point_size(x, 1.4)
+    size = sweep.point_size(x, 1.4, page)
     for i in reversed(range(spectrum.shape[-1])):  # the largest on top
         values = np.where(np.isfinite(spectrum[:, i]), spectrum[:, i], np.nan)
         # Equal ones come in pairs: the lower ones are wider, and so seen beneath.

@@ -1,0 +1,67 @@
+"""Texts made to fit: labels and titles that are longer than their figure are broken into lines."""
+
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+TITLE = "title"
+"""The mark, as a group's name, of texts whose parts may move to the next line."""
+
+
+def fit(drawn: Figure) -> None:
+    """Break labels and titles that are longer than the figure into lines."""
+    for _ in range(3):  # a label in two lines leaves less room for others
+        drawn.draw_without_rendering()
+        titles = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() == TITLE)
+        if not any([_fit_title(drawn, each) for each in titles] + [_fit_labels(drawn)]):
+            return
+
+
+def _fit_title(drawn: Figure, text: Text) -> bool:
+    """Put as many parts of a title, which stand two spaces apart, into each line as fit."""
+    room = drawn.bbox.x1 - text.get_window_extent().x0 - 3.0
+    lines, before = [], text.get_text()
+    for line in before.split("\n"):
+        parts = line.split(",  ")
+        kept = parts[0]
+        for part in parts[1:]:
+            text.set_text(f"{kept},  {part}")
+            if text.get_window_extent().width <= room:
+                kept = text.get_text()
+            else:
+                lines.append(f"{kept},")
+                kept = part
+        lines.append(kept)
+    text.set_text("\n".join(lines))
+    return text.get_text() != before
+
+
+def _fit_labels(drawn: Figure) -> bool:
+    changed = False
+    for ax in drawn.axes:
+        for text, upright in ((ax.xaxis.label, False), (ax.yaxis.label, True)):
+            extent = text.get_window_extent()
+            size, room = (extent.height, drawn.bbox.height) if upright else (extent.width, drawn.bbox.width)
+            low, high = (extent.y0, extent.y1) if upright else (extent.x0, extent.x1)
+            end = drawn.bbox.height if upright else drawn.bbox.width
+            if text.get_text() and (size > room or low < 0.0 or high > end):
+                broken = _broken(text.get_text())
+                changed |= broken != text.get_text()
+                text.set_text(broken)
+    return changed
+
+
+def _broken(label: str) -> str:
+    """A label with its longest line in two, at the space nearest to its middle that is in no formula or bracket."""
+    lines = label.split("\n")
+    longest = max(range(len(lines)), key=lambda i: len(lines[i]))
+    line = lines[longest]
+    spaces = [
+        at
+        for at, letter in enumerate(line)
+        if letter == " " and line[:at].count("$") % 2 == 0 and line[:at].count("[") == line[:at].count("]")
+    ]
+    if not spaces:
+        return label
+    at = min(spaces, key=lambda i: abs(i - len(line) / 2))
+    lines[longest : longest + 1] = [line[:at], line[at + 1 :]]
+    return "\n".join(lines)
