@@ -36,17 +36,19 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
 
 
 def _fit_labels(drawn: Figure) -> bool:
+    """Break labels that leave the figure, and labels of heights that would run into those of the next plot."""
     changed = False
     for ax in drawn.axes:
-        for text, upright in ((ax.xaxis.label, False), (ax.yaxis.label, True)):
-            extent = text.get_window_extent()
-            size, room = (extent.height, drawn.bbox.height) if upright else (extent.width, drawn.bbox.width)
-            low, high = (extent.y0, extent.y1) if upright else (extent.x0, extent.x1)
-            end = drawn.bbox.height if upright else drawn.bbox.width
-            if text.get_text() and (size > room or low < 0.0 or high > end):
-                broken = _broken(text.get_text())
-                changed |= broken != text.get_text()
-                text.set_text(broken)
+        plot = ax.get_window_extent()
+        across, up = (text.get_window_extent() for text in (ax.xaxis.label, ax.yaxis.label))
+        too_long = {
+            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width or across.width > 1.6 * plot.width,
+            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or up.height > 1.05 * plot.height,
+        }
+        for text in [each for each, long in too_long.items() if long and each.get_text()]:
+            before = text.get_text()
+            text.set_text(_broken(before))
+            changed |= text.get_text() != before
     return changed
 
 

@@ -173,6 +173,10 @@ class Page:
                 )
                 room = drawn.bbox.width
             if columns == 1 or made.get_window_extent().width <= room - 4.0:
+                if not self.given and self.height is None and rows > 2:
+                    # What a long legend takes is added to the page, not taken from the plot.
+                    more = made.get_window_extent().height / drawn.dpi * (rows - 2) / rows
+                    drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + more)
                 return
             made.remove()
 
