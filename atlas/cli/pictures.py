@@ -2,11 +2,13 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
 from atlas.cli.options import (
     input_errors,
+    look_options,
     picture_option,
     read_bounds,
     read_pairs,
@@ -17,7 +19,7 @@ from atlas.cli.options import (
 )
 from atlas.cli.paper import figures as draw_figures
 from atlas.query.open import open_atlas
-from atlas.render import FORMATS, KINDS, OVERLAYS
+from atlas.render import FORMATS, KINDS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
@@ -32,6 +34,7 @@ from atlas.service.progress import reporter
 )
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
+@look_options()
 def render(
     store: str,
     out: Path,
@@ -39,16 +42,18 @@ def render(
     overlays: tuple[str, ...],
     against: str | None,
     window: tuple[str, ...],
+    **look: Any,
 ) -> None:
     """Draw STORE, or a window of it: a map of two axes, or a sweep of one."""
     from atlas.query.reads import counted
 
+    check_path(out)
     bounds = read_pairs("--window", window, read_bounds)
     with input_errors(), counted() as reads:
         dataset = open_atlas(store)
         other = None if against is None else open_atlas(against)
         say("drawing")
-        draw(dataset, out, kind=kind, window=bounds, overlays=overlays, against=other)
+        draw(dataset, out, kind=kind, window=bounds, overlays=overlays, against=other, **look)
     if reads.chunks:
         cells = f"overview {reads.level}" if reads.level else "the cells themselves"
         say(f"{reads.chunks} chunks read, of {cells}")

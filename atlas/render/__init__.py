@@ -68,7 +68,10 @@ OVERLAYS = ("grazing", "boundaries", "isolines")
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
 
-__all__ = ["FORMATS", "KINDS", "MAPS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
+LOOK = ("width", "height", "font_size", "dpi", "vmin", "vmax", "title", "style")
+"""What else can be chosen of every picture: see ``page.Look``."""
+
+__all__ = ["FORMATS", "KINDS", "LOOK", "MAPS", "OVERLAYS", "check_path", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
 
 
 def figure(
