@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.render import combined, error, impacts, maps, overlays, scalar, sticking
+from atlas.render import combined, error, impacts, maps, overlays, period, scalar, sticking, symmetry
 from tests.pictures import NAN, atlas, colour, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import TWO_MASS
@@ -118,13 +118,19 @@ def test_motions_that_stick_are_one_class() -> None:
     assert [entry.get_label() for entry in legend] == ["1-1-1", "periodic, sticks"]
 
 
-def test_the_rarest_motions_share_the_class_of_others_so_that_the_legend_fits() -> None:
+def test_a_motion_has_its_colour_whatever_else_there_is_on_the_plane() -> None:
     many = [(1, k, k) for k in range(1, 15)]
-    frequent = many * 3 + [(7, 9, 9)]
-    rgba, legend, palette = impacts.paint(*counted(*frequent))
-    assert palette[impacts.ImpactPattern(7, 9, 9)] == impacts.OTHER
-    assert tuple(rgba[0, -1][:3]) == rgb(impacts.OTHER)
-    assert len(legend) == len(impacts.HUES) + 1
+    alone, _, _ = impacts.paint(*counted((7, 9, 9)))
+    among, _, _ = impacts.paint(*counted(*many * 3, (7, 9, 9)))
+    assert tuple(alone[0, 0]) == tuple(among[0, -1])
+
+
+def test_motions_that_share_a_colour_share_a_line_of_the_legend() -> None:
+    many = [(n, 40, 40) for n in range(1, 60)]
+    _, legend, _ = impacts.paint(*counted(*many, (1, 1, 1)))
+    assert len(legend) == 1 + len(impacts.UNLISTED)
+    assert legend[0].get_label() == "1-1-1"
+    assert legend[1].get_label().count("-40-40") == 3 and legend[1].get_label().endswith(", …")
 
 
 def test_a_motion_is_named_inside_its_region() -> None:
@@ -155,15 +161,15 @@ def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow()
 
 def test_the_combined_map_gives_periods_their_class_and_chaos_its_exponent() -> None:
     cells, ds = drawn(render.figure(plane(), "combined")), plane()
-    assert tuple(cells[1, 0][:3]) == rgb(combined.CLASSES[0][2])
-    assert tuple(cells[1, 4][:3]) == rgb(combined.CLASSES[1][2])
+    assert tuple(cells[1, 0][:3]) == rgb(period.CLASSES[0][2])
+    assert tuple(cells[1, 4][:3]) == rgb(period.CLASSES[1][2])
     chaotic = cells[ds["regime"].values == CHAOTIC][:, :3].astype(int)
     assert len({tuple(cell) for cell in chaotic}) > 2
     assert np.all(chaotic[:, 0] > chaotic[:, 2])
 
 
 def test_the_combined_map_keeps_periods_cool_and_chaos_warm() -> None:
-    for _, _, color in combined.CLASSES:
+    for _, _, color in period.CLASSES:
         red, _, blue = rgb(color)
         assert blue >= red
     assert np.all([red > blue for red, _, blue, _ in combined.COLORMAP(np.linspace(0, 1, 9))])
@@ -178,12 +184,43 @@ def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() ->
     assert "chaotic" not in labels(render.figure(plane(), "combined"))
 
 
+# Symmetry
+
+
+def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
+    upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
+    symmetric = np.array([[True, False, False, False, False]])
+    rgba, legend = symmetry.paint(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower)
+    expected = [symmetry.SYMMETRIC, symmetry.UPPER, symmetry.LOWER, symmetry.UNTOLD, symmetry.UNTOLD]
+    assert [tuple(cell[:3]) for cell in rgba[0]] == [rgb(color) for color in expected]
+    assert len(legend) == 4
+
+
+def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
+    cells, regime = drawn(render.figure(plane(), "symmetry")), plane()["regime"].values
+    assert tuple(cells[regime == CHAOTIC][0]) == colour(CHAOTIC)
+
+
 # Error, cost, sticking
+
+
+def test_errors_of_each_kind_have_their_own_scale() -> None:
+    figure = render.figure(plane(), "error")
+    bars = [ax.get_ylabel() for ax in figure.axes[0].child_axes]
+    assert bars == ["periodic: numerical error", "chaotic: standard error"]
+    numerical, statistical = (ax.get_ylim() for ax in figure.axes[0].child_axes)
+    assert numerical[1] < 1e-10 < 1e-4 < statistical[0]
+
+
+def test_ends_of_the_scale_of_errors_are_those_of_chaos() -> None:
+    plain, given = (render.figure(plane(), "error", **ends).axes[0].child_axes for ends in ({}, {"vmin": 1e-3, "vmax": 0.3}))
+    assert given[1].get_ylim() == pytest.approx((1e-3, 0.3))
+    assert given[0].get_ylim() == plain[0].get_ylim()
 
 
 def test_a_larger_error_is_darker() -> None:
     cells = drawn(render.figure(plane(), "error")).astype(int).sum(axis=-1)
-    assert cells[4, 1] < cells[2, 1]
+    assert cells[1, 8] < cells[1, 2]
 
 
 def test_an_error_of_zero_is_drawn_as_the_smallest() -> None:
@@ -211,7 +248,7 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     assert len(render.figure(ds, "sticking").axes) == 1
 
 
-@pytest.mark.parametrize("colormap", [error.COLORMAP, sticking.COLORMAP, combined.COLORMAP])
+@pytest.mark.parametrize("colormap", [*error.COLORMAPS.values(), sticking.COLORMAP, combined.COLORMAP])
 def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
     """What darkens is read in grey, and without red or green."""
     shades = colormap(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]

@@ -47,6 +47,7 @@ _KINDS = {
     "exponent": _Kind(axes=2, variable=LARGEST.name),
     "period": _Kind(axes=2, variable="period", scale=False),
     "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
+    "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
     "combined": _Kind(axes=2, variable=LARGEST.name),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),

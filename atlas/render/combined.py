@@ -12,23 +12,6 @@ from numpy.typing import NDArray
 from atlas.render import exponent, maps, overlays, period, style
 from workers.results import CHAOTIC, LARGEST
 
-CLASSES: tuple[period.Class, ...] = (
-    (1, 1, "#90d0ff"),
-    (2, 2, "#638fc3"),
-    (3, 3, "#8058e9"),
-    (4, 4, "#01247c"),
-    (5, 5, "#32464f"),
-    (6, 6, "#3f00ca"),
-    (7, 8, "#00c28b"),
-    (9, 16, "#514e81"),
-    (17, None, "#3a0747"),
-)
-"""First and last period of each class and its colour: cool ones, since warm ones are the chaos.
-
-Doubled periods darken: 1, 2, 4 blue; 3, 6 violet. Chosen, with the colours of the regimes and of the chaos, for the
-greatest least difference between any two, also as seen without red or without green receptors.
-"""
-
 COLORMAP = LinearSegmentedColormap.from_list("chaos", exponent.CHAOTIC_COLORS, N=512)
 
 
@@ -60,7 +43,7 @@ def paint(
     regime: NDArray[np.int8], periods: NDArray[np.int32], largest: NDArray[np.float64], norm: Normalize
 ) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the classes present."""
-    rgba, legend = period.paint(regime, periods, CLASSES)
+    rgba, legend = period.paint(regime, periods)
     measured = (regime == CHAOTIC) & ~np.isnan(largest)
     rgba[measured] = COLORMAP(norm(largest[measured]), bytes=True)
     # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.

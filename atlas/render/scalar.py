@@ -1,5 +1,6 @@
 """Maps of one number that has no natural middle: an even scale from pale to dark, by the same steps of lightness."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +8,11 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -100,5 +102,27 @@ def _colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Norm
     bar = drawn.colorbar(mappable, ax=ax, extend=extend, aspect=28, pad=0.02, extendfrac=0.03)
     bar.set_label(scale.label)
     bar.outline.set_linewidth(0.6)
-    if scale.log and high / low > 1e4:
+    if scale.log:
+        log_ticks(bar)
+
+
+def log_ticks(bar: Colorbar, most: int = 8) -> None:
+    """Ticks of a logarithmic colour bar: powers of ten where it spans many, else 1, 2, 5 in plain numbers."""
+    low, high = (float(end) for end in (bar.norm.vmin or 0.0, bar.norm.vmax or 1.0))
+    decades = math.log10(high / low)
+    axis = bar.ax.yaxis
+    if decades > 3.0:
+        bar.set_ticks(LogLocator(numticks=most))
         bar.ax.yaxis.set_minor_locator(NullLocator())
+        return
+    steps = [1.0, 2.0, 5.0] if decades * 3.0 <= most else [1.0, 3.0] if decades * 2.0 <= most else [1.0]
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
+    axis.set_minor_locator(NullLocator())
+
+
+def plain(value: float) -> str:
+    """A number as a colour bar shows it: 0.02, 5, 2000, 20\N{NARROW NO-BREAK SPACE}000."""
+    if not 1e-3 <= abs(value) < 1e6:
+        return f"${style.number(value)}$"
+    return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"
