@@ -32,7 +32,9 @@ PALETTES = {
     "impacts": _REGIMES | {color: color for pair in impacts.HUES.values() for color in pair} | _UNLISTED,
     "symmetry": _REGIMES | {color: color for color in symmetry.NAMES},
     "spectrum": {f"exponent {i}": spectrum.color(i) for i in range(4)},
-    "points of a sweep": {str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)},
+    "points of a sweep": {
+        str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
+    },
     "hysteresis": dict(zip("ab", hysteresis.COLORS, strict=True)),
 }
 

@@ -206,14 +206,16 @@ def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
 
 def test_errors_of_each_kind_have_their_own_scale() -> None:
     figure = render.figure(plane(), "error")
-    bars = [ax.get_ylabel() for ax in figure.axes[0].child_axes]
-    assert bars == ["periodic: numerical error", "chaotic: standard error"]
+    bars = [ax.get_title(loc="left") for ax in figure.axes[0].child_axes]
+    assert bars == ["periodic", "chaotic"]
     numerical, statistical = (ax.get_ylim() for ax in figure.axes[0].child_axes)
     assert numerical[1] < 1e-10 < 1e-4 < statistical[0]
 
 
 def test_ends_of_the_scale_of_errors_are_those_of_chaos() -> None:
-    plain, given = (render.figure(plane(), "error", **ends).axes[0].child_axes for ends in ({}, {"vmin": 1e-3, "vmax": 0.3}))
+    plain, given = (
+        render.figure(plane(), "error", **ends).axes[0].child_axes for ends in ({}, {"vmin": 1e-3, "vmax": 0.3})
+    )
     assert given[1].get_ylim() == pytest.approx((1e-3, 0.3))
     assert given[0].get_ylim() == plain[0].get_ylim()
 
@@ -310,14 +312,58 @@ def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:
     assert any(each.get_zorder() == 3 and each.get_paths() for each in axes_of.collections)
 
 
-def test_regions_that_are_large_are_outlined_and_dust_is_not() -> None:
-    regime = np.full((100, 100), PERIODIC, np.int8)
-    regime[:, 50:] = CHAOTIC
+def test_isolated_cells_are_outlined_and_clouds_of_them_are_not() -> None:
+    regime = np.full((300, 300), PERIODIC, np.int8)
+    regime[:, 150:] = CHAOTIC
     regime[10, 10] = CHAOTIC
-    regions = overlays.large_regions(regime)
-    assert regions[10, 10] == PERIODIC
-    assert regions[10, 70] == CHAOTIC
-    assert np.count_nonzero(regions[:, 1:] != regions[:, :-1]) == 100
+    alone, left_out = overlays.outlined(regime, (400.0, 270.0))
+    assert not left_out and alone[10, 10] == CHAOTIC
+    regime[100:200:2, 20:120:2] = CHAOTIC
+    among, left_out = overlays.outlined(regime, (400.0, 270.0))
+    assert left_out and among[10, 10] == CHAOTIC
+    assert (among[110:190, 30:110] == PERIODIC).all()
+
+
+def test_boundaries_are_drawn_around_every_cell_that_the_query_finds() -> None:
+    """Truth: ``ds.atlas.boundary`` of the same plane."""
+    n = 40
+    regime = np.full((n, n), PERIODIC, np.int8)
+    regime[7, 30] = CHAOTIC
+    ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)}, regime=regime, largest=-np.ones((n, n)))
+    (island,) = ds.atlas.boundary("chaotic")
+    edges = np.concatenate(render.figure(ds, overlays="boundaries").axes[0].collections[0].get_segments())
+    assert (edges.min(axis=0), edges.max(axis=0)) == (
+        pytest.approx(island.min(axis=0)),
+        pytest.approx(island.max(axis=0)),
+    )
+
+
+def test_two_grazing_lines_side_by_side_are_solid_and_one_alone_is_dashed() -> None:
+    n = 140
+    ds = atlas(
+        {"omega": np.linspace(0.5, 4.5, n), "b": np.linspace(0.05, 0.6, n)},
+        regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
+    ).assign_coords(zeta=0.0005)  # fmt: skip
+    _, crowded, alone = (
+        each for each in render.figure(ds, overlays="grazing").axes[0].collections if each.get_zorder() == 3
+    )
+    found = [np.concatenate(each.get_segments()) for each in (crowded, alone)]
+    assert np.abs(found[0][:, 0] - 1.75).max() < 0.3  # beside the narrow resonance
+    assert found[1][:, 0].max() > 3.0
+
+
+def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it() -> None:
+    """Truth: the response exceeds the clearance all along the ridge, so that nothing closes the line off."""
+    n = 140
+    ds = atlas(
+        {"omega": np.linspace(0.5, 4.5, n), "mu_k": np.linspace(1.0, 5.0, n)},
+        regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
+    ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
+    x, y = maps.read(ds, (), "test").x, maps.read(ds, (), "test").y
+    fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
+    xs, ys, ratio = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)
+    assert np.mean(ridge > 0.0) > 0.95
 
 
 def test_isolines_follow_the_exponents_that_they_name() -> None:

@@ -31,7 +31,9 @@ def png(output: Any) -> str:
 
 
 def test_a_picture_shows_once_without_any_magic_line(tmp_path: Path) -> None:
-    shown = images(tmp_path, "ds.atlas.plot()", "ds.atlas.portrait(omega=4, b=0.5)", "figure = ds.atlas.plot()", "figure")
+    shown = images(
+        tmp_path, "ds.atlas.plot()", "ds.atlas.portrait(omega=4, b=0.5)", "figure = ds.atlas.plot()", "figure"
+    )
     assert [len(found) for found in shown] == [1, 1, 0, 1]
     with Image.open(io.BytesIO(shown[0][0])) as image:
         assert image.width > image.height > 400

@@ -23,6 +23,14 @@ def test_every_exponent_has_its_line() -> None:
     assert [drawn[spectrum.color(i)][0] for i in range(4)] == pytest.approx([-0.4, -0.5, -0.6, -0.7])
 
 
+def test_equal_exponents_take_turns_so_that_both_are_seen() -> None:
+    values = np.stack([np.zeros(120), -np.ones(120), -2 * np.ones(120), -2 * np.ones(120)], axis=1)
+    shown = spectrum.turns(values, 1e-9)
+    assert shown[:, :2].all()
+    assert (shown[:, 2] ^ shown[:, 3]).all()
+    assert 40 < shown[:, 3].sum() < 80
+
+
 def test_a_lost_direction_is_marked_and_not_drawn_as_a_number() -> None:
     ds = line()
     ds["spectrum"].values[2, 3] = -np.inf

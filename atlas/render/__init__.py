@@ -72,7 +72,19 @@ FORMATS = ("png", "svg", "pdf")
 LOOK = ("width", "height", "font_size", "dpi", "vmin", "vmax", "title", "style")
 """What else can be chosen of every picture: see ``page.Look``."""
 
-__all__ = ["FORMATS", "KINDS", "LOOK", "MAPS", "OVERLAYS", "check_path", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
+__all__ = [
+    "FORMATS",
+    "KINDS",
+    "LOOK",
+    "MAPS",
+    "OVERLAYS",
+    "check_path",
+    "figure",
+    "orbit_figure",
+    "portrait",
+    "render",
+    "render_orbit",
+]
 
 
 def figure(
@@ -95,7 +107,9 @@ def figure(
     from atlas.render.page import page as page_of  # with it matplotlib
 
     page = page_of(ax, **look)
-    drawn = _drawn(ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, pixels, page)
+    drawn = _drawn(
+        ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, pixels, page
+    )
     return drawn if ax is None else ax
 
 

@@ -1,5 +1,6 @@
 """The error map: how well the largest exponent of every cell is known, on a scale for each kind of error."""
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
@@ -33,9 +34,9 @@ REGIMES = {
     "between windows": (QUASIPERIODIC,),
 }
 _LABELS = {
-    "numerical": "periodic: numerical error",
-    "statistical": "chaotic: standard error",
-    "between windows": "torus: difference",
+    "numerical": "periodic",
+    "statistical": "chaotic",
+    "between windows": "torus",
 }
 
 
@@ -53,7 +54,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     with options.page.context():
         drawn, ax = maps.frame(ds, options.page)
         rgba = np.zeros((*plane.regime.shape, 4), np.uint8)
-        norms = {}
+        norms, scale = {}, options.page.scale
         for kind in present:
             ends = options.page if kind == "statistical" else scalar.STANDARD
             norms[kind] = scalar.color_norm(parts[kind], log=True, page=ends)
@@ -65,8 +66,8 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         # One above the other beside the map, the largest errors on top.
         for place, kind in enumerate(present):
-            share, gap = 1.0 / len(present), 0.09
-            box = (1.03, place * share + gap * (place > 0), 0.035, share - gap * (place > 0))
+            share, gap = 1.0 / len(present), 0.13 if len(present) > 1 else 0.05
+            box = (1.03, place * share, 0.035, share - gap)
             inset = ax.inset_axes(box)
             low, high = float(norms[kind].vmin or 0.0), float(norms[kind].vmax or 1.0)
             bar = ax.figure.colorbar(
@@ -76,8 +77,14 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
                 extendfrac=0.05,
             )
             scalar.log_ticks(bar, most=4 if len(present) > 1 else 8)
-            bar.set_label(_LABELS[kind])
+            inset.set_title(_LABELS[kind], loc="left", fontsize=mpl.rcParams["legend.fontsize"], pad=3.0 + 5.0 * scale)
             bar.outline.set_linewidth(0.6)
+        if present:
+            ax.annotate(
+                r"error of $\lambda_1$ [per forcing period]",
+                (1.065, 0.5), xycoords="axes fraction", xytext=(38.0 * scale, 0.0), textcoords="offset points",
+                rotation=90, va="center", fontsize=mpl.rcParams["axes.labelsize"],
+            )  # fmt: skip
         options.page.legend(drawn, entries)
     return drawn
 

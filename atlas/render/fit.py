@@ -1,5 +1,7 @@
 """Texts made to fit: labels and titles that are longer than their figure are broken into lines."""
 
+import re
+
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -17,18 +19,18 @@ def fit(drawn: Figure) -> None:
 
 
 def _fit_title(drawn: Figure, text: Text) -> bool:
-    """Put as many parts of a title, which stand two spaces apart, into each line as fit."""
+    """Put as many parts of a title, which commas separate, into each line as fit."""
+    before = text.get_text()
     room = drawn.bbox.x1 - text.get_window_extent().x0 - 3.0
-    lines, before = [], text.get_text()
-    for line in before.split("\n"):
-        parts = line.split(",  ")
-        kept = parts[0]
-        for part in parts[1:]:
-            text.set_text(f"{kept},  {part}")
+    lines = []
+    for line in before.replace(",\n", ",  ").split("\n"):  # what an earlier turn broke may fit now
+        kept, *rest = re.split(r"(?<=,)( +)", line)
+        for space, part in zip(rest[::2], rest[1::2], strict=True):
+            text.set_text(f"{kept}{space}{part}")
             if text.get_window_extent().width <= room:
                 kept = text.get_text()
             else:
-                lines.append(f"{kept},")
+                lines.append(kept)
                 kept = part
         lines.append(kept)
     text.set_text("\n".join(lines))
@@ -36,14 +38,15 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
 
 
 def _fit_labels(drawn: Figure) -> bool:
-    """Break labels that leave the figure, and labels of heights that would run into those of the next plot."""
+    """Break labels that leave the figure, and those of plots one above the other that run into each other."""
+    uprights = [ax.yaxis.label.get_window_extent() for ax in drawn.axes if ax.get_ylabel()]
     changed = False
     for ax in drawn.axes:
-        plot = ax.get_window_extent()
         across, up = (text.get_window_extent() for text in (ax.xaxis.label, ax.yaxis.label))
+        others = [each for each in uprights if each.bounds != up.bounds]
         too_long = {
-            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width or across.width > 1.6 * plot.width,
-            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or up.height > 1.05 * plot.height,
+            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width,
+            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or up.padded(2.0).count_overlaps(others) > 0,
         }
         for text in [each for each, long in too_long.items() if long and each.get_text()]:
             before = text.get_text()
@@ -55,7 +58,7 @@ def _fit_labels(drawn: Figure) -> bool:
 def _broken(label: str) -> str:
     """A label with its longest line in two, at the space nearest to its middle that is in no formula or bracket."""
     lines = label.split("\n")
-    longest = max(range(len(lines)), key=lambda i: len(lines[i]))
+    longest = max(range(len(lines)), key=lambda i: len(_read(lines[i])))
     line = lines[longest]
     spaces = [
         at
@@ -64,6 +67,11 @@ def _broken(label: str) -> str:
     ]
     if not spaces:
         return label
-    at = min(spaces, key=lambda i: abs(i - len(line) / 2))
+    at = min(spaces, key=lambda i: abs(len(_read(line[:i])) - len(_read(line)) / 2))
     lines[longest : longest + 1] = [line[:at], line[at + 1 :]]
     return "\n".join(lines)
+
+
+def _read(text: str) -> str:
+    """A text nearly as it is read: a symbol of mathtext as one letter."""
+    return re.sub(r"\\[a-z]+", "x", text).translate(str.maketrans("", "", "${}_^"))

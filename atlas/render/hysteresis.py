@@ -123,7 +123,9 @@ def _sections_apart(first: xr.Dataset, second: xr.Dataset, closed: NDArray[np.bo
         one, two = (each[i][np.isfinite(each[i]).all(axis=-1)] for each in samples)
         if closed[i] and min(len(one), len(two)) >= periods[i] > 0:
             distance = np.abs(one[-periods[i] :, None] - two[-periods[i] :][None]).max(axis=-1)
-            apart[i] = max(distance.min(axis=0).max(), distance.min(axis=1).max()) > _ORBIT_TOLERANCE * max(scale, 1e-12)
+            apart[i] = max(distance.min(axis=0).max(), distance.min(axis=1).max()) > _ORBIT_TOLERANCE * max(
+                scale, 1e-12
+            )
         elif not closed[i] and min(len(one), len(two)) >= _LEAST_SAMPLES:
             apart[i] = any(_distance(a, b) > _APART for a, b in zip(one.T, two.T, strict=True))
     return apart
@@ -165,7 +167,6 @@ def _points(ax: Axes, values: NDArray[np.float64], x: axes.DrawnAxis, number: in
         values[shown],
         ".",
         color=COLORS[number],
-        alpha=(0.55, 1.0)[number],
         markersize=size,
         markeredgewidth=0,
         zorder=2 + number,

@@ -102,7 +102,9 @@ def paint(
         rgba[counted] = np.array([style.rgb(colors[motion]) for motion in motions], np.uint8)[which.ravel()]
     by_area = [motions[i] for i in np.argsort(-cells, kind="stable")]
     shared = {color: [motion.label for motion in by_area if colors[motion] == color] for color in UNLISTED}
-    legend = [style.swatch(colors[motion], motion.label) for motion in motions if colors[motion] not in (*UNLISTED, STICKS)]
+    legend = [
+        style.swatch(colors[motion], motion.label) for motion in motions if colors[motion] not in (*UNLISTED, STICKS)
+    ]
     for color, names in shared.items():
         if names:
             more = ", …" if len(names) > _NAMED else ""

@@ -30,37 +30,39 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
     n = len(orbit.system.states) // 2
     masses = range(min(n, 2))
     with page.context():
-        drawn = page.figure(_height(page, n))
+        drawn = page.figure(_height(page, n, _chatter(orbit) is not None))
         drawn.set_layout_engine("constrained", hspace=0.06 if page.wide else 0.02, wspace=0.06 if page.wide else 0.02)
         if page.title:
-            title = f"{style.parameter_title(orbit.system, orbit.parameters)}\n{describe(orbit).replace(', ', ',  ')}"
+            title = f"{style.parameter_title(orbit.system, orbit.parameters)}\n{describe(orbit)}"
             size = mpl.rcParams["font.size"]
             drawn.suptitle(title, fontsize=size, ha="left", x=0.012, linespacing=1.4).set_gid(TITLE)
-        rows = 2 if page.wide else 3 + (n > 1)
-        heights = [*(0.72 for _ in masses), *([1.25] * rows if page.wide else [1.0] * (rows - 1) + [0.62])]
-        grid = drawn.add_gridspec(len(masses) + rows, 6, height_ratios=heights)
         chatter = _chatter(orbit)
+        if page.wide:
+            grid = drawn.add_gridspec(len(masses) + 2, 6, height_ratios=[*(0.72 for _ in masses), 1.25, 1.25])
+            histories = [grid[i, :4] if chatter else grid[i, :] for i in masses]
+            enlarged, rest = grid[: len(masses), 4:], len(masses)
+        else:
+            heights = [*(0.72 for _ in masses), *([0.72] * bool(chatter)), *([1.0] * (2 + (n > 1))), 0.55]
+            grid = drawn.add_gridspec(len(heights), 2, height_ratios=heights)
+            histories = [grid[i, :] for i in masses]
+            enlarged, rest = grid[len(masses), :], len(masses) + bool(chatter)
         above: Axes | None = None
         for i in masses:
-            ax = above = drawn.add_subplot(grid[i, :4] if chatter else grid[i, :], sharex=above)
+            ax = above = drawn.add_subplot(histories[i], sharex=above)
             _history(ax, orbit, i)
             ax.tick_params(labelbottom=i == masses[-1])
-        row = len(masses)
         if chatter:
-            _zoom(drawn.add_subplot(grid[:row, 4:]), orbit, chatter)
-        if page.wide:
-            _planes_in_a_row(drawn, grid, row, orbit)
-        else:
-            _planes_in_pairs(drawn, grid, row, orbit)
+            _zoom(drawn.add_subplot(enlarged), orbit, chatter)
+        (_planes_in_a_row if page.wide else _planes_in_pairs)(drawn, grid, rest, orbit)
         page.legend(drawn, _legend(orbit), handlelength=1.4)
     return drawn
 
 
-def _height(page: Page, n: int) -> float:
+def _height(page: Page, n: int, chatter: bool) -> float:
     """Height of a portrait of n masses in inches where none is asked for: a page, of narrow ones a column."""
     if page.wide:
         return (7.6 if n > 1 else 6.4) * page.width / 7.0
-    return (2.35 if n > 1 else 1.8) * page.width
+    return (2.6 if n > 1 else 2.0) * page.width + 1.2 * chatter
 
 
 def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
@@ -80,7 +82,7 @@ def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) 
 def _planes_in_pairs(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
     """The same on a narrow page: two in a row, the numbers under the exponents."""
     n = len(orbit.system.states) // 2
-    places = [grid[row, :3], grid[row, 3:], *([grid[row + 1, :3], grid[row + 1, 3:]] if n > 1 else [])]
+    places = [grid[row, 0], grid[row, 1], *([grid[row + 1, 0], grid[row + 1, 1]] if n > 1 else [])]
     for i in range(min(n, 2)):
         _phase_plane(drawn.add_subplot(places[i]), orbit, i, n + i)
     if n > 1:
@@ -148,7 +150,7 @@ def _chatter(orbit: CellOrbit) -> slice | None:
     for first, last in zip(ends[::2], ends[1::2], strict=True):
         drawn = np.flatnonzero(flights[first : last + 1] > 5.0 * orbit.period / SAMPLES)
         if last - first >= _LEAST_CHATTER and drawn.size:
-            return slice(int(first + max(0, drawn[-1] - 3)), int(last + 2))
+            return slice(int(first + max(0, drawn[-1] - 1)), int(last + 2))
     return None
 
 
@@ -166,9 +168,9 @@ def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     ax.set_xlim((times[0] - 0.3 * room) / orbit.period, (times[-1] + room) / orbit.period)
     ax.set_ylim(-0.06 * away[between].max(), 1.25 * away[between].max())
     ax.xaxis.set_major_locator(MaxNLocator(3))
-    ax.ticklabel_format(axis="y", scilimits=(-2, 3))
+    ax.yaxis.set_major_locator(MaxNLocator(4))
     ax.set_xlabel("time $t/T$")
-    ax.set_ylabel("distance from the stop")
+    ax.set_ylabel("from the stop")
     ax.set_title("chatter, enlarged", loc="left")
 
 
@@ -187,7 +189,9 @@ def _phase_plane(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
 
 def _section(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
     x, y = orbit.section[:, i], orbit.section[:, k]
-    few = x.size <= 64
+    # Of thousands of states many may be one point, where a cell was undetermined and closes after all.
+    extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
+    few = np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64
     ink = style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
@@ -206,10 +210,10 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     ax.axhline(0.0, color="black", linewidth=0.6)
     values = np.sort(orbit.running, axis=1)[:, ::-1]
     spectrum = _written(orbit)
-    for i in reversed(range(values.shape[1])):
-        # Equal ones in pairs: the lower of them is wider, and so seen beneath.
-        shown, width = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), 1.1 + 1.3 * (i % 2)
-        ax.plot(periods, shown, color=color(i), linewidth=width, alpha=1.0 if i % 2 == 0 else 0.75)
+    for i in range(values.shape[1]):
+        # Equal ones come in pairs: the lower of them is dashed, and lies on the other.
+        shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
+        ax.plot(periods, shown, color=color(i), linewidth=1.1, linestyle=dashes)
     for i, value in enumerate(spectrum):
         if np.isfinite(value):
             ax.axhline(value, color=color(i), linewidth=0.8, linestyle=(0, (2, 2)) if orbit.exact else (0, (1, 3)))
@@ -239,7 +243,13 @@ def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     many = f"averaged over\n{len(orbit.running)} periods:" if columns == 1 else f"averaged over {len(orbit.running)}:"
     lines = [("exact:" if orbit.exact else many if unknown else "averaged:", "black")]
     for i, value in enumerate(_written(orbit)):
-        text = r"-\infty" if np.isneginf(value) else "unknown" if np.isnan(value) else f"{value:.{digits}f}"
+        text = (
+            r"-\infty"
+            if np.isneginf(value)
+            else "unknown"
+            if np.isnan(value)
+            else f"{round(value, digits) + 0.0:.{digits}f}"
+        )
         lines.append((rf"$\lambda_{{{i + 1}}} = {text}$", color(i)))
     if not orbit.exact and not unknown and np.isfinite(error):
         lines.append((rf"($\lambda_1 \pm {style.number(float(f'{error:.1g}'))}$)", "black"))
@@ -250,7 +260,13 @@ def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
         column = k // rows
         step = 0.115 if columns == 1 else 1.0 / rows
         ax.text(
-            column / columns, 0.97 - step * used[column], text, transform=ax.transAxes, color=ink, fontsize=size, va="top"
+            column / columns,
+            0.97 - step * used[column],
+            text,
+            transform=ax.transAxes,
+            color=ink,
+            fontsize=size,
+            va="top",
         )
         used[column] += 1 + text.count("\n")
 

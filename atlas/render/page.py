@@ -169,7 +169,10 @@ class Page:
                 room = under.get_window_extent().width
             else:
                 made = drawn.legend(
-                    handles=handles, loc="outside lower center", ncols=columns, **{"columnspacing": 1.4, **title, **look}
+                    handles=handles,
+                    loc="outside lower center",
+                    ncols=columns,
+                    **{"columnspacing": 1.4, **title, **look},
                 )
                 room = drawn.bbox.width
             if columns == 1 or made.get_window_extent().width <= room - 4.0:

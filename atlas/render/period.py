@@ -45,9 +45,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     return drawn
 
 
-def paint(
-    regime: NDArray[np.int8], period: NDArray[np.int32]
-) -> tuple[NDArray[np.uint8], list[Patch]]:
+def paint(regime: NDArray[np.int8], period: NDArray[np.int32]) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the classes present."""
     rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
     counted = (regime == PERIODIC) & (period >= 1)

@@ -12,7 +12,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
@@ -111,18 +111,18 @@ def log_ticks(bar: Colorbar, most: int = 8) -> None:
     low, high = (float(end) for end in (bar.norm.vmin or 0.0, bar.norm.vmax or 1.0))
     decades = math.log10(high / low)
     axis = bar.ax.yaxis
-    if decades > 3.0:
+    if decades > 3.0 or high < 1e-3:
         bar.set_ticks(LogLocator(numticks=most))
-        bar.ax.yaxis.set_minor_locator(NullLocator())
+        if decades > 3.0:
+            axis.set_minor_locator(NullLocator())
+        axis.set_minor_formatter(NullFormatter())
         return
     steps = [1.0, 2.0, 5.0] if decades * 3.0 <= most else [1.0, 3.0] if decades * 2.0 <= most else [1.0]
     axis.set_major_locator(LogLocator(subs=steps))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _plain(value)))
     axis.set_minor_locator(NullLocator())
 
 
-def plain(value: float) -> str:
+def _plain(value: float) -> str:
     """A number as a colour bar shows it: 0.02, 5, 2000, 20\N{NARROW NO-BREAK SPACE}000."""
-    if not 1e-3 <= abs(value) < 1e6:
-        return f"${style.number(value)}$"
     return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"

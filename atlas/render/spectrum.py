@@ -6,6 +6,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.render import axes, style, sweep
@@ -40,15 +41,33 @@ def color(i: int) -> str:
     return COLORS[i % len(COLORS)]
 
 
+def turns(spectrum: NDArray[np.float64], width: float) -> NDArray[np.bool_]:
+    """Which exponents (n, m) are drawn on top along a sweep: all that stand alone, and of equal ones, within a width,
+    each in turn, so that their points alternate like the strands of a braid.
+    """
+    n, m = spectrum.shape
+    stretch = np.arange(n) // max(1, n // 60)
+    close = np.abs(np.diff(spectrum, axis=1)) <= width
+    group = np.concatenate([np.zeros((n, 1), int), np.cumsum(~close, axis=1)], axis=1)
+    shown = np.empty((n, m), dtype=bool)
+    for i in range(m):
+        mine = group == group[:, i : i + 1]
+        rank = mine[:, :i].sum(axis=1)
+        shown[:, i] = stretch % mine.sum(axis=1) == rank
+    return shown
+
+
 def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     size = sweep.point_size(x, 1.4, page)
-    for i in reversed(range(spectrum.shape[-1])):  # the largest on top
-        values = np.where(np.isfinite(spectrum[:, i]), spectrum[:, i], np.nan)
-        # Equal ones come in pairs: the lower ones are wider, and so seen beneath.
-        wide = size * (1.0 + 0.5 * i)
-        ax.plot(x.values, values, ".-", color=color(i), linewidth=0.4, markersize=wide, markeredgewidth=0, zorder=2)
+    finite = np.where(np.isfinite(spectrum), spectrum, np.nan)
+    shown = turns(finite, 0.005 * float(np.nanmax(finite) - np.nanmin(finite)) if np.isfinite(finite).any() else 0.0)
+    for i in range(spectrum.shape[-1]):
+        values = finite[:, i]
+        ax.plot(x.values, values, "-", color=color(i), linewidth=0.4, zorder=1.5)
+        marked = np.where(shown[:, i], values, np.nan)
+        ax.plot(x.values, marked, ".", color=color(i), markersize=size, markeredgewidth=0, zorder=2)
     lost = np.isneginf(spectrum).any(axis=1)
     if lost.any():
         # A direction lost for good has no place on the axis: a mark at its foot says so.

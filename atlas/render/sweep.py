@@ -97,8 +97,8 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> No
 
 
 def point_size(x: axes.DrawnAxis, least: float, page: Page) -> float:
-    """The diameter of a point in points: as wide as a cell, within what is seen and what separates neighbours."""
-    return float(np.clip(page.plot_size(1.0)[0] / x.values.size, least, 4.0))
+    """The diameter of a point in points: wider than a cell, but within what is seen and what tells points apart."""
+    return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
 
 
 def _points(ax: Axes, at: NDArray[np.float64], values: NDArray[np.float64], code: int, size: float) -> None:
