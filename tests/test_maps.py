@@ -361,7 +361,7 @@ def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it()
     ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
     x, y = maps.read(ds, (), "test").x, maps.read(ds, (), "test").y
     fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
-    xs, ys, ratio = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    xs, _, ratio = overlays.grazing_grid(TWO_MASS, fixed, x, y)
     ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)
     assert np.mean(ridge > 0.0) > 0.95
 

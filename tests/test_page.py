@@ -164,7 +164,8 @@ def test_a_portrait_to_another_format_is_refused_before_the_cell_is_even_looked_
 
 def test_the_command_takes_size_type_and_scale(tmp_path: Path) -> None:
     store, out = complete(tmp_path / "plane.zarr").path, tmp_path / "map.png"
-    look = "--width 85mm --height 3in --font-size 7 --dpi 150 --vmin=-2 --vmax 1 --no-title --style classic".split()
+    look = ["--width", "85mm", "--height", "3in", "--dpi", "150", "--font-size", "7", "--vmin=-2", "--vmax=1"]
+    look += ["--no-title", "--style", "classic"]
     ended = CliRunner().invoke(main, ["render", str(store), "-o", str(out), *look])
     assert ended.exit_code == 0, ended.output
     with Image.open(out) as image:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from atlas.render import maps, overlays, scalar, style
+from atlas.render.page import STANDARD
 from workers.results import CHAOTIC, ERROR, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 
@@ -56,7 +57,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         rgba = np.zeros((*plane.regime.shape, 4), np.uint8)
         norms, scale = {}, options.page.scale
         for kind in present:
-            ends = options.page if kind == "statistical" else scalar.STANDARD
+            ends = options.page if kind == "statistical" else STANDARD
             norms[kind] = scalar.color_norm(parts[kind], log=True, page=ends)
             cells = np.isfinite(parts[kind])
             least = float(norms[kind].vmin or 0.0)

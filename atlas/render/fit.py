@@ -1,6 +1,7 @@
 """Texts made to fit: labels and titles that are longer than their figure are broken into lines."""
 
 import re
+from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -13,7 +14,7 @@ def fit(drawn: Figure) -> None:
     """Break labels and titles that are longer than the figure into lines."""
     for _ in range(3):  # a label in two lines leaves less room for others
         drawn.draw_without_rendering()
-        titles = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() == TITLE)
+        titles: Any = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() == TITLE)
         if not any([_fit_title(drawn, each) for each in titles] + [_fit_labels(drawn)]):
             return
 

@@ -210,8 +210,8 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     ax.axhline(0.0, color="black", linewidth=0.6)
     values = np.sort(orbit.running, axis=1)[:, ::-1]
     spectrum = _written(orbit)
-    for i in range(values.shape[1]):
-        # Equal ones come in pairs: the lower of them is dashed, and lies on the other.
+    for i in sorted(range(values.shape[1]), key=lambda i: i % 2):
+        # Equal ones come in pairs: one of them is dashed, and lies on the other.
         shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
         ax.plot(periods, shown, color=color(i), linewidth=1.1, linestyle=dashes)
     for i, value in enumerate(spectrum):

@@ -93,10 +93,13 @@ class Page:
 
     def context(self) -> AbstractContextManager[None]:
         """Matplotlib's settings for drawing on this page; the former ones return with its end."""
-        if not self.given:
-            return mpl.rc_context({**house(self.scale), **self.rc, "savefig.dpi": self.dpi})
-        # Who gives axes has chosen their type already.
-        return mpl.rc_context({name: value for name, value in house(self.scale).items() if name in _OURS} | self.rc)
+        settings: Any = house(self.scale)
+        if self.given:  # who gives axes has chosen their type already
+            settings = {name: settings[name] for name in _OURS}
+        else:
+            settings["savefig.dpi"] = self.dpi
+        settings.update(self.rc)
+        return mpl.rc_context(settings)
 
     def figure(self, height: float) -> Figure:
         """An empty figure that leaves room for what stands outside its axes; ``height`` unless another is asked for."""
