@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
+from atlas.query.queries import boundary
 from atlas.render import combined, error, impacts, maps, overlays, period, scalar, sticking, symmetry
 from tests.pictures import NAN, atlas, colour, labels, pixel, plane
 from workers import solve_tile
@@ -325,12 +326,12 @@ def test_isolated_cells_are_outlined_and_clouds_of_them_are_not() -> None:
 
 
 def test_boundaries_are_drawn_around_every_cell_that_the_query_finds() -> None:
-    """Truth: ``ds.atlas.boundary`` of the same plane."""
+    """Truth: the query ``boundary`` of the same plane."""
     n = 40
     regime = np.full((n, n), PERIODIC, np.int8)
     regime[7, 30] = CHAOTIC
     ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)}, regime=regime, largest=-np.ones((n, n)))
-    (island,) = ds.atlas.boundary("chaotic")
+    (island,) = boundary(ds, "chaotic")
     edges = np.concatenate(render.figure(ds, overlays="boundaries").axes[0].collections[0].get_segments())
     assert (edges.min(axis=0), edges.max(axis=0)) == (
         pytest.approx(island.min(axis=0)),
