@@ -24,6 +24,8 @@ from workers.results import LARGEST, PENDING
 
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is a small one."""
+_SEEN = 5.0
+"""Width of a cell in points from which its outline leaves its colour to be seen, however many there are."""
 _CLOUD, _DENSE = 12.0, 0.2
 """Small regions are a cloud, which outlines would turn black, where they are more than this share of the area so many
 points around.
@@ -137,6 +139,8 @@ def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArr
     """Every cell's regime as boundaries show it on a map of a size (width, height) in points, and whether they leave
     something out: clouds of small regions, which take on the regime that is nearest. Isolated cells stay.
     """
+    if min(points / cells for cells, points in zip(regime.shape, size[::-1], strict=True)) >= _SEEN:
+        return regime.astype(np.int16), False
     least = max(2, int(LEAST_REGION * regime.size))
     small = np.zeros(regime.shape, dtype=bool)
     for code in np.unique(regime):
