@@ -17,7 +17,7 @@ from atlas.query import queries as query
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
-from atlas.render import figure, portrait
+from atlas.render import LOOK, check_path, figure, portrait
 from workers import Settings
 from workers.model.system import find_system
 
@@ -113,16 +113,23 @@ class AtlasAccessor:
 
         return side_by_side([self._ds, *others], kind, window)
 
-    def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> "Figure":
-        """A matplotlib Figure, for a notebook to show or ``savefig``. See ``atlas.render.figure``."""
+    def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> Any:
+        """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
+
+        ``plot("period", width="85mm", overlays="grazing")``. See ``atlas.render.figure``.
+        """
         return figure(self._ds, kind, window=window, **options)
 
-    def portrait(self, path: str | Path | None = None, **point: float) -> "Figure":
+    def portrait(self, path: str | Path | None = None, **options: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
 
-        A matplotlib Figure, also written to ``path`` if given. See ``atlas.portrait``.
+        A matplotlib Figure, shown by a notebook, also written to ``path`` if given. Size and type as in ``plot``:
+        ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
         """
-        cell = query.at(self._ds, point)
+        look = {name: options.pop(name) for name in LOOK if name in options}
+        if path is not None:
+            check_path(path)
+        cell = query.at(self._ds, options)
         try:
             spec = json.loads(self._ds.attrs["spec"])
             system, settings = spec["system"], Settings(**spec["solve"])
@@ -132,4 +139,4 @@ class AtlasAccessor:
         given = {
             name: float(cell[name] if name in cell else self._ds[name]) for name in known if name in self._ds.coords
         }
-        return portrait(given, system=system, settings=settings, path=path)
+        return portrait(given, system=system, settings=settings, path=path, **look)

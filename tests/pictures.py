@@ -69,7 +69,7 @@ def pixel(path: Path, figure: Figure, x: float, y: float) -> tuple[int, ...]:
     with Image.open(path) as written:
         image = np.asarray(written.convert("RGB"))
     figure.savefig(path.with_suffix(".again.png"))  # lays the figure out, at its own resolution
-    right, up = figure.axes[0].transData.transform((x, y)) / figure.dpi * style.STYLE["savefig.dpi"]
+    right, up = figure.axes[0].transData.transform((x, y)) / figure.dpi * style.DPI
     return tuple(int(part) for part in image[image.shape[0] - 1 - int(up), int(right)])
 
 

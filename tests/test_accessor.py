@@ -151,3 +151,9 @@ def test_a_portrait_is_of_the_nearest_cell_with_the_settings_of_the_atlas(tmp_pa
 def test_a_portrait_needs_to_know_how_the_atlas_was_solved() -> None:
     with pytest.raises(InputError, match="does not say how it was solved"):
         plane([1, 2], [0.1, 0.2]).atlas.portrait(omega=1, b=0.1)
+
+
+def test_a_picture_shows_itself_as_a_png_of_its_size() -> None:
+    data, size = plane([1, 2], [0.1, 0.2]).atlas.plot(width=5, height=4)._repr_png_()
+    assert data.startswith(b"\x89PNG")
+    assert size == {"width": 360, "height": 288}

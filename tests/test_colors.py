@@ -7,8 +7,8 @@ import pytest
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import combined, hysteresis, impacts, period, spectrum
-from workers.results import REGIMES
+from atlas.render import combined, hysteresis, impacts, period, spectrum, style, symmetry
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
 SIGHT = {
@@ -20,15 +20,21 @@ _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "perio
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined")}
-_PERIODS = {f"period {first}": color for first, _, color in combined.CLASSES}
+_PERIODS = {f"period {first}": color for first, _, color in period.CLASSES}
 _CHAOS = {f"chaos {i}": tuple(combined.COLORMAP(i / 4)[:3]) for i in range(5)}
+
+_UNLISTED = {f"unlisted {i}": color for i, color in enumerate(impacts.UNLISTED)}
 
 PALETTES = {
     "period": _REGIMES | {f"period {first}": color for first, _, color in period.CLASSES},
     "combined": _COLD | _PERIODS,
     "combined with chaos": _PLAIN | _PERIODS | _CHAOS,
-    "impacts": _REGIMES | {color: color for pair in impacts.HUES for color in pair} | {"other": impacts.OTHER},
+    "impacts": _REGIMES | {color: color for pair in impacts.HUES.values() for color in pair} | _UNLISTED,
+    "symmetry": _REGIMES | {color: color for color in symmetry.NAMES},
     "spectrum": {f"exponent {i}": spectrum.color(i) for i in range(4)},
+    "points of a sweep": {
+        str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
+    },
     "hysteresis": dict(zip("ab", hysteresis.COLORS, strict=True)),
 }
 

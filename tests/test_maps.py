@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.render import combined, error, impacts, maps, overlays, scalar, sticking
+from atlas.query.queries import boundary
+from atlas.render import combined, error, impacts, maps, overlays, period, scalar, sticking, symmetry
 from tests.pictures import NAN, atlas, colour, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import TWO_MASS
@@ -118,13 +119,19 @@ def test_motions_that_stick_are_one_class() -> None:
     assert [entry.get_label() for entry in legend] == ["1-1-1", "periodic, sticks"]
 
 
-def test_the_rarest_motions_share_the_class_of_others_so_that_the_legend_fits() -> None:
+def test_a_motion_has_its_colour_whatever_else_there_is_on_the_plane() -> None:
     many = [(1, k, k) for k in range(1, 15)]
-    frequent = many * 3 + [(7, 9, 9)]
-    rgba, legend, palette = impacts.paint(*counted(*frequent))
-    assert palette[impacts.ImpactPattern(7, 9, 9)] == impacts.OTHER
-    assert tuple(rgba[0, -1][:3]) == rgb(impacts.OTHER)
-    assert len(legend) == len(impacts.HUES) + 1
+    alone, _, _ = impacts.paint(*counted((7, 9, 9)))
+    among, _, _ = impacts.paint(*counted(*many * 3, (7, 9, 9)))
+    assert tuple(alone[0, 0]) == tuple(among[0, -1])
+
+
+def test_motions_that_share_a_colour_share_a_line_of_the_legend() -> None:
+    many = [(n, 40, 40) for n in range(1, 60)]
+    _, legend, _ = impacts.paint(*counted(*many, (1, 1, 1)))
+    assert len(legend) == 1 + len(impacts.UNLISTED)
+    assert legend[0].get_label() == "1-1-1"
+    assert legend[1].get_label().count("-40-40") == 3 and legend[1].get_label().endswith(", …")
 
 
 def test_a_motion_is_named_inside_its_region() -> None:
@@ -155,15 +162,15 @@ def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow()
 
 def test_the_combined_map_gives_periods_their_class_and_chaos_its_exponent() -> None:
     cells, ds = drawn(render.figure(plane(), "combined")), plane()
-    assert tuple(cells[1, 0][:3]) == rgb(combined.CLASSES[0][2])
-    assert tuple(cells[1, 4][:3]) == rgb(combined.CLASSES[1][2])
+    assert tuple(cells[1, 0][:3]) == rgb(period.CLASSES[0][2])
+    assert tuple(cells[1, 4][:3]) == rgb(period.CLASSES[1][2])
     chaotic = cells[ds["regime"].values == CHAOTIC][:, :3].astype(int)
     assert len({tuple(cell) for cell in chaotic}) > 2
     assert np.all(chaotic[:, 0] > chaotic[:, 2])
 
 
 def test_the_combined_map_keeps_periods_cool_and_chaos_warm() -> None:
-    for _, _, color in combined.CLASSES:
+    for _, _, color in period.CLASSES:
         red, _, blue = rgb(color)
         assert blue >= red
     assert np.all([red > blue for red, _, blue, _ in combined.COLORMAP(np.linspace(0, 1, 9))])
@@ -178,12 +185,45 @@ def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() ->
     assert "chaotic" not in labels(render.figure(plane(), "combined"))
 
 
+# Symmetry
+
+
+def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
+    upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
+    symmetric = np.array([[True, False, False, False, False]])
+    rgba, legend = symmetry.paint(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower)
+    expected = [symmetry.SYMMETRIC, symmetry.UPPER, symmetry.LOWER, symmetry.UNTOLD, symmetry.UNTOLD]
+    assert [tuple(cell[:3]) for cell in rgba[0]] == [rgb(color) for color in expected]
+    assert len(legend) == 4
+
+
+def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
+    cells, regime = drawn(render.figure(plane(), "symmetry")), plane()["regime"].values
+    assert tuple(cells[regime == CHAOTIC][0]) == colour(CHAOTIC)
+
+
 # Error, cost, sticking
+
+
+def test_errors_of_each_kind_have_their_own_scale() -> None:
+    figure = render.figure(plane(), "error")
+    bars = [ax.get_title(loc="left") for ax in figure.axes[0].child_axes]
+    assert bars == ["periodic", "chaotic"]
+    numerical, statistical = (ax.get_ylim() for ax in figure.axes[0].child_axes)
+    assert numerical[1] < 1e-10 < 1e-4 < statistical[0]
+
+
+def test_ends_of_the_scale_of_errors_are_those_of_chaos() -> None:
+    plain, given = (
+        render.figure(plane(), "error", **ends).axes[0].child_axes for ends in ({}, {"vmin": 1e-3, "vmax": 0.3})
+    )
+    assert given[1].get_ylim() == pytest.approx((1e-3, 0.3))
+    assert given[0].get_ylim() == plain[0].get_ylim()
 
 
 def test_a_larger_error_is_darker() -> None:
     cells = drawn(render.figure(plane(), "error")).astype(int).sum(axis=-1)
-    assert cells[4, 1] < cells[2, 1]
+    assert cells[1, 8] < cells[1, 2]
 
 
 def test_an_error_of_zero_is_drawn_as_the_smallest() -> None:
@@ -211,7 +251,7 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     assert len(render.figure(ds, "sticking").axes) == 1
 
 
-@pytest.mark.parametrize("colormap", [error.COLORMAP, sticking.COLORMAP, combined.COLORMAP])
+@pytest.mark.parametrize("colormap", [*error.COLORMAPS.values(), sticking.COLORMAP, combined.COLORMAP])
 def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
     """What darkens is read in grey, and without red or green."""
     shades = colormap(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]
@@ -273,14 +313,58 @@ def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:
     assert any(each.get_zorder() == 3 and each.get_paths() for each in axes_of.collections)
 
 
-def test_regions_that_are_large_are_outlined_and_dust_is_not() -> None:
-    regime = np.full((100, 100), PERIODIC, np.int8)
-    regime[:, 50:] = CHAOTIC
+def test_isolated_cells_are_outlined_and_clouds_of_them_are_not() -> None:
+    regime = np.full((300, 300), PERIODIC, np.int8)
+    regime[:, 150:] = CHAOTIC
     regime[10, 10] = CHAOTIC
-    regions = overlays.large_regions(regime)
-    assert regions[10, 10] == PERIODIC
-    assert regions[10, 70] == CHAOTIC
-    assert np.count_nonzero(regions[:, 1:] != regions[:, :-1]) == 100
+    alone, left_out = overlays.outlined(regime, (400.0, 270.0))
+    assert not left_out and alone[10, 10] == CHAOTIC
+    regime[100:200:2, 20:120:2] = CHAOTIC
+    among, left_out = overlays.outlined(regime, (400.0, 270.0))
+    assert left_out and among[10, 10] == CHAOTIC
+    assert (among[110:190, 30:110] == PERIODIC).all()
+
+
+def test_boundaries_are_drawn_around_every_cell_that_the_query_finds() -> None:
+    """Truth: the query ``boundary`` of the same plane."""
+    n = 40
+    regime = np.full((n, n), PERIODIC, np.int8)
+    regime[7, 30] = CHAOTIC
+    ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)}, regime=regime, largest=-np.ones((n, n)))
+    (island,) = boundary(ds, "chaotic")
+    edges = np.concatenate(render.figure(ds, overlays="boundaries").axes[0].collections[0].get_segments())
+    assert (edges.min(axis=0), edges.max(axis=0)) == (
+        pytest.approx(island.min(axis=0)),
+        pytest.approx(island.max(axis=0)),
+    )
+
+
+def test_two_grazing_lines_side_by_side_are_solid_and_one_alone_is_dashed() -> None:
+    n = 140
+    ds = atlas(
+        {"omega": np.linspace(0.5, 4.5, n), "b": np.linspace(0.05, 0.6, n)},
+        regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
+    ).assign_coords(zeta=0.0005)  # fmt: skip
+    _, crowded, alone = (
+        each for each in render.figure(ds, overlays="grazing").axes[0].collections if each.get_zorder() == 3
+    )
+    found = [np.concatenate(each.get_segments()) for each in (crowded, alone)]
+    assert np.abs(found[0][:, 0] - 1.75).max() < 0.3  # beside the narrow resonance
+    assert found[1][:, 0].max() > 3.0
+
+
+def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it() -> None:
+    """Truth: the response exceeds the clearance all along the ridge, so that nothing closes the line off."""
+    n = 140
+    ds = atlas(
+        {"omega": np.linspace(0.5, 4.5, n), "mu_k": np.linspace(1.0, 5.0, n)},
+        regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
+    ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
+    x, y = maps.read(ds, (), "test").x, maps.read(ds, (), "test").y
+    fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
+    xs, _, ratio = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)
+    assert np.mean(ridge > 0.0) > 0.95
 
 
 def test_isolines_follow_the_exponents_that_they_name() -> None:

@@ -1,100 +1,49 @@
-"""Claims about progress in a notebook: a bar by default, changed in place, and snapshots that print as one line."""
+"""Claims about a notebook: pictures show by themselves, once each. A kernel of its own runs every cell."""
 
-import sys
+import base64
+import io
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
+import nbclient
+import nbformat
 import pytest
-from distributed import Client
+from PIL import Image
 
-import atlas
-from atlas.check.verify import verify
-from atlas.service.notebook import NotebookReporter, reporting
-from atlas.service.plan import make_plan
-from atlas.service.progress import Progress
-from tests.planes import plane_of
+from tests.synthetic import complete
 
+pytestmark = pytest.mark.slow
 
-class Screen:
-    """What a notebook shows: each display, as HTML, in its last state; and how often it was sent something."""
-
-    def __init__(self) -> None:
-        self.cells: list[str] = []
-        self.messages = 0
-
-    def display(self, shown: Any, display_id: bool) -> Any:
-        assert display_id
-        place = len(self.cells)
-        self.cells.append("")
-
-        def update(new: Any) -> None:
-            self.messages += 1
-            self.cells[place] = new._repr_html_()
-
-        update(shown)
-        return SimpleNamespace(update=update)
+OPEN = "import atlas\nds = atlas.open('plane.zarr')"
 
 
-@pytest.fixture
-def notebook(monkeypatch: pytest.MonkeyPatch) -> Screen:
-    """This process as the kernel of a notebook, by IPython's two public functions."""
-    screen = Screen()
-    shell = SimpleNamespace(kernel=object())
-    ipython = SimpleNamespace(get_ipython=lambda: shell)
-    monkeypatch.setitem(sys.modules, "IPython", ipython)  # type: ignore[arg-type]
-    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=screen.display))  # type: ignore[arg-type]
-    return screen
+def images(folder: Path, *cells: str) -> list[list[bytes]]:
+    """The PNG images that each cell of a fresh notebook shows, in a folder with a store ``plane.zarr``."""
+    complete(folder / "plane.zarr")
+    book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in (OPEN, *cells)])
+    client = nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(folder)}})
+    client.execute()
+    return [[base64.b64decode(data) for data in map(png, cell.outputs) if data] for cell in book.cells[1:]]
 
 
-def test_a_run_in_a_notebook_shows_one_bar_and_leaves_it_full(notebook: Screen, client: Client, tmp_path: Path) -> None:
-    spec = plane_of()
-    atlas.run(spec, tmp_path / "a.zarr", client)
-    (html,) = notebook.cells
-    assert '<progress value="35" max="35">' in html
-    verify(tmp_path / "a.zarr", sample=1)
-    assert len(notebook.cells) == 2
+def png(output: Any) -> str:
+    return str(output.get("data", {}).get("image/png", ""))
 
 
-def test_a_function_of_the_users_own_takes_the_place_of_the_bar(
-    notebook: Screen, client: Client, tmp_path: Path
-) -> None:
-    seen: list[Progress] = []
-    atlas.run(plane_of(), tmp_path / "a.zarr", client, atlas.RunOptions(on_progress=seen.append))
-    assert seen and notebook.cells == []
+def test_a_picture_shows_once_without_any_magic_line(tmp_path: Path) -> None:
+    shown = images(
+        tmp_path, "ds.atlas.plot()", "ds.atlas.portrait(omega=4, b=0.5)", "figure = ds.atlas.plot()", "figure"
+    )
+    assert [len(found) for found in shown] == [1, 1, 0, 1]
+    with Image.open(io.BytesIO(shown[0][0])) as image:
+        assert image.width > image.height > 400
 
 
-def test_outside_of_a_notebook_nothing_is_shown() -> None:
-    with reporting(None) as report:
-        assert report is None
+def test_a_picture_shows_once_beside_pyplot_and_its_magic_line(tmp_path: Path) -> None:
+    shown = images(tmp_path, "%matplotlib inline\nimport matplotlib.pyplot as plt", "ds.atlas.plot('period')")
+    assert [len(found) for found in shown] == [0, 1]
 
 
-def test_ipython_in_a_terminal_is_no_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
-    ipython = SimpleNamespace(get_ipython=lambda: SimpleNamespace())
-    monkeypatch.setitem(sys.modules, "IPython", ipython)  # type: ignore[arg-type]
-    with reporting(None) as report:
-        assert report is None
-
-
-def test_many_snapshots_of_a_stage_are_few_messages_and_the_last_one_is_shown() -> None:
-    screen = Screen()
-    with NotebookReporter(screen.display, interval=1e9) as report:
-        for done in range(1, 1001):
-            report(Progress("solving", tiles=1000, cells=1000, tiles_done=done, cells_done=done))
-    assert screen.messages == 2
-    assert 'value="1000"' in screen.cells[0]
-
-
-def test_what_a_stage_says_is_no_html() -> None:
-    screen = Screen()
-    with NotebookReporter(screen.display) as report:
-        report(Progress("<b> & co"))
-    assert screen.cells == ["<div><span>&lt;b&gt; &amp; co</span></div>"]
-
-
-def test_a_snapshot_prints_as_one_short_line() -> None:
-    plan = make_plan(plane_of(), 1)
-    progress = Progress("solving", plan, 9, 35, 4, 12, 12, 6.0, {"periodic": 9, "chaotic": 3})
-    line = "solving: 4/9 tiles, 12/35 cells, 2 cells/s, 12 s left, periodic 75.0 %, chaotic 25.0 %"
-    assert (str(progress), repr(progress)) == (line, f"<Progress {line}>")
-    assert repr(Progress("starting")) == "<Progress starting>"
+def test_a_picture_in_axes_of_pyplot_shows_once_with_their_figure(tmp_path: Path) -> None:
+    drawn = "import matplotlib.pyplot as plt\nfigure, ax = plt.subplots()\nsame = ds.atlas.plot('period', ax=ax)"
+    assert [len(found) for found in images(tmp_path, f"{drawn}\nassert same is ax")] == [1]

@@ -1,5 +1,6 @@
 """Claims about the portrait of a cell: its path is the solver's motion, and each panel shows what it says."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,12 @@ from PIL import Image
 
 import atlas
 from atlas import render
-from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit, describe
+from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit, describe, modulation
 from atlas.errors import InputError
 from tests import naive
 from tests.pictures import orbit
 from workers import Settings, trace
-from workers.results import CHAOTIC, PERIODIC
+from workers.results import CHAOTIC, PERIODIC, QUASIPERIODIC, UNDETERMINED
 
 
 @pytest.fixture(scope="module")
@@ -201,3 +202,47 @@ def test_a_bad_suffix_is_refused_before_anything_is_solved(tmp_path: Path) -> No
     """Once solved, this cell would be refused for having no motion to show."""
     with pytest.raises(InputError, match=r"possible: \.png, \.svg, \.pdf"):
         atlas.portrait({"x1": 1.0}, path=tmp_path / "cell.gif")
+
+
+# What a motion needs to be seen
+
+
+def test_the_modulation_of_a_torus_is_how_long_it_takes_to_come_back() -> None:
+    """Truth: the frequencies that the section is made of."""
+    k = np.arange(4000)
+    for f, expected in ((0.02, 50.0), (1 / 3 + 0.01, 100.0), (0.5 - 0.004, 250.0)):
+        assert modulation(np.cos(2 * np.pi * f * k)[:, None]) == pytest.approx(expected, rel=0.05)
+    assert modulation(np.ones((10, 4))) == 1.0
+
+
+def test_a_torus_is_shown_until_its_modulation_has_come_round() -> None:
+    k = np.arange(200)
+    found = orbit()
+    times = np.linspace(0.0, 60 * found.period, found.times.size)
+    torus = replace(
+        found,
+        cell={**found.cell, "regime": QUASIPERIODIC, "period": 0},
+        section=0.1 * np.cos(2 * np.pi * 0.05 * k)[:, None] * np.ones(4),
+        times=times,
+    )
+    assert render.orbit_figure(torus).axes[0].get_xlim() == (0.0, 30.0)
+
+
+def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, closed: CellOrbit) -> None:
+    titles = [[ax.get_title(loc="left") for ax in render.orbit_figure(each).axes] for each in (sticking, closed)]
+    assert "chatter, enlarged" in titles[0]
+    assert "chatter, enlarged" not in titles[1]
+    (zoom,) = (ax for ax in render.orbit_figure(sticking).axes if ax.get_title(loc="left"))
+    impacts = next(each for each in zoom.lines if each.get_marker() == "o")
+    flights = np.diff(impacts.get_xdata())
+    assert len(flights) > 3 and (np.diff(flights) < 0).all()
+    assert np.ptp(zoom.get_xlim()) < 0.5  # forcing periods
+
+
+def test_the_exponents_written_of_an_undetermined_cell_are_where_its_curves_end() -> None:
+    found = orbit()
+    running = np.tile([-0.02, -0.3, -0.5, -0.9], (100, 1))
+    cell = {**found.cell, "regime": UNDETERMINED, "spectrum": np.array([0.223, -0.3, -0.5, -0.9])}
+    figure = render.orbit_figure(replace(found, cell=cell, running=running))
+    written = [text.get_text() for text in figure.axes[-1].texts]
+    assert written[:2] == ["averaged over\n100 periods:", r"$\lambda_{1} = -0.020$"]

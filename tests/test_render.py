@@ -87,7 +87,7 @@ def test_a_kind_for_other_axes_is_refused_with_those_possible(tmp_path: Path) ->
         render.render(every_regime(), tmp_path / "map.png", "sweep")
     assert str(error.value) == (
         "kind 'sweep' draws one axis, found two axes (omega, b); "
-        "possible here: exponent, period, impacts, combined, error, cost, sticking"
+        "possible here: exponent, period, impacts, symmetry, combined, error, cost, sticking"
     )
 
 
@@ -198,8 +198,8 @@ def test_every_class_of_periods_has_its_own_colour() -> None:
     periods = np.array([[1, 2, 3, 4, 5, 6, 7, 8, 9, 17, 65]], np.int32)
     rgba, legend = period.paint(np.full(periods.shape, PERIODIC, np.int8), periods)
     taken = {tuple(cell) for cell in rgba[0]} | {colour(code) for code in EVERY if code != PERIODIC}
-    assert len(taken) == 11 + 7
-    assert [entry.get_label() for entry in legend][-3:] == ["period 9–16", "period 17–64", "period ≥ 65"]
+    assert len(taken) == 9 + 7
+    assert [entry.get_label() for entry in legend][-3:] == ["period 7–8", "period 9–16", "period ≥ 17"]
 
 
 def test_periods_of_one_class_share_a_colour() -> None:

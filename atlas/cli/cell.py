@@ -8,6 +8,7 @@ import click
 from atlas.cli.options import (
     input_errors,
     json_option,
+    look_options,
     picture_option,
     read_number,
     read_pairs,
@@ -17,6 +18,7 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_table, text, to_json
+from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
 from atlas.spec.spec import checked_parameters, checked_settings, checked_system, example_names
 from atlas.task.compile import warming
@@ -47,14 +49,17 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
 @set_option
 @system_option
 @picture_option
+@look_options("vmin", "vmax")
 @settings_options("exponents", "section_samples")
-def portrait(given: tuple[str, ...], system: str, out: Path, **solve: Any) -> None:
+def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> None:
     """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
-    pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
+    check_path(out)
+    look = {name: options.pop(name) for name in LOOK if name in options}
+    pairs, settings = read_pairs("--set", given, read_number), checked_settings(options)
     checked_parameters(checked_system(system), pairs)
     say(f"{warming(settings.exponents)}, solving, drawing")
     with input_errors():
-        draw_portrait(pairs, system=system, settings=settings, path=out)
+        draw_portrait(pairs, system=system, settings=settings, path=out, **look)
     click.echo(str(out))
 
 

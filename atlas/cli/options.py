@@ -43,6 +43,27 @@ picture_option = click.option(
 )
 
 
+def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The options of a picture's size, type and scale, but not these."""
+    options = {
+        "width": click.option("--width", metavar="LENGTH", help="Of the picture: 85mm, 8.5cm, 3.35in; default: 7in."),
+        "height": click.option("--height", metavar="LENGTH", help="The same; default: by the width."),
+        "font_size": click.option("--font-size", type=float, metavar="POINTS", help="Size of the type."),
+        "dpi": click.option("--dpi", type=float, help="Dots per inch; default: 300."),
+        "vmin": click.option("--vmin", type=float, help="Lower end of the scale, for several pictures on one."),
+        "vmax": click.option("--vmax", type=float, help="Upper end of the scale."),
+        "title": click.option("--title/--no-title", default=True, help="Whether the fixed parameters stand above."),
+        "style": click.option("--style", metavar="FILE", help="A matplotlib style, or the name of one."),
+    }
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        for name in reversed([name for name in options if name not in without]):
+            command = options[name](command)
+        return command
+
+    return decorate
+
+
 def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """One option for each setting but these, from the record of settings itself."""
 

@@ -2,11 +2,13 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
 from atlas.cli.options import (
     input_errors,
+    look_options,
     picture_option,
     read_bounds,
     read_pairs,
@@ -32,6 +34,7 @@ from atlas.service.progress import reporter
 )
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
+@look_options()
 def render(
     stores: tuple[str, ...],
     out: Path,
@@ -39,6 +42,7 @@ def render(
     overlays: tuple[str, ...],
     against: str | None,
     window: tuple[str, ...],
+    **look: Any,
 ) -> None:
     """Draw STORES, or a window of them: a map of two axes, or a sweep of one.
 
@@ -46,13 +50,15 @@ def render(
     """
     from atlas.query.reads import counted
 
+    check_path(out)
     bounds = read_pairs("--window", window, read_bounds)
-    if len(stores) > 1 and (overlays or against):
-        raise InputError(f"{'--overlay' if overlays else '--against'} goes with one STORE, found {len(stores)}")
+    of_one = {"overlay": overlays, "against": against, **look, "no-title": not look["title"], "title": None}
+    given = [name.replace("_", "-") for name, value in of_one.items() if value]
+    if len(stores) > 1 and given:
+        raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
         atlases = [open_atlas(store) for store in stores]
         other = None if against is None else open_atlas(against)
-        check_path(out)
         say("drawing")
         if len(atlases) > 1:
             from atlas.render import together  # with it matplotlib
@@ -60,7 +66,7 @@ def render(
             names = [store.rstrip("/").rpartition("/")[2] for store in stores]
             together.save(together.side_by_side(atlases, kind, bounds, names), out, atlases)
         else:
-            draw(atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other)
+            draw(atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other, **look)
     if reads.chunks:
         cells = f"overview {reads.level}" if reads.level else "the cells themselves"
         say(f"{reads.chunks} chunks read, of {cells}")

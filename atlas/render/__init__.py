@@ -1,7 +1,7 @@
 """Pictures: one file per kind, drawn from a dataset or an orbit alone, without a display and without pyplot.
 
 To add a kind: write ``figure`` in a file of its own, for a map ``figure(ds, options) -> Figure`` with
-``maps.Options``, for a sweep ``figure(ds) -> Figure``, and name the file in ``_KINDS``. The tests take it up from
+``maps.Options``, for a sweep ``figure(ds, page) -> Figure``, and name the file in ``_KINDS``. The tests take it up from
 there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
@@ -21,27 +21,33 @@ from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, RE
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from atlas.cell.orbit import CellOrbit
+    from atlas.render.page import Look, Page
     from atlas.render.style import Provenance
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """How many axes and how many atlases a kind of picture draws, and a variable that it cannot do without."""
+    """How many axes and how many atlases a kind of picture draws, a variable that it cannot do without, and whether
+    it draws numbers on a scale, which may be given ends.
+    """
 
     axes: int
     variable: str
     atlases: int = 1
+    scale: bool = True
 
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
 # imported at first use: the command's help needs the names and neither matplotlib nor xarray.
 _KINDS = {
     "exponent": _Kind(axes=2, variable=LARGEST.name),
-    "period": _Kind(axes=2, variable="period"),
-    "impacts": _Kind(axes=2, variable="impacts_upper"),
+    "period": _Kind(axes=2, variable="period", scale=False),
+    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
+    "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
     "combined": _Kind(axes=2, variable=LARGEST.name),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
@@ -63,7 +69,22 @@ OVERLAYS = ("grazing", "boundaries", "isolines")
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
 
-__all__ = ["FORMATS", "KINDS", "MAPS", "OVERLAYS", "figure", "orbit_figure", "portrait", "render", "render_orbit"]
+LOOK = ("width", "height", "font_size", "dpi", "vmin", "vmax", "title", "style")
+"""What else can be chosen of every picture: see ``page.Look``."""
+
+__all__ = [
+    "FORMATS",
+    "KINDS",
+    "LOOK",
+    "MAPS",
+    "OVERLAYS",
+    "check_path",
+    "figure",
+    "orbit_figure",
+    "portrait",
+    "render",
+    "render_orbit",
+]
 
 
 def figure(
@@ -71,14 +92,36 @@ def figure(
     kind: str | None = None,
     window: Window | None = None,
     *,
-    overlays: Sequence[str] = (),
+    overlays: str | Sequence[str] = (),
     against: "xr.Dataset | None" = None,
     pixels: tuple[int, int] | None = None,
-) -> "Figure":
-    """A matplotlib Figure of an atlas, for notebooks; arguments and errors as in ``render``.
+    ax: "Axes | Sequence[Axes] | None" = None,
+    **look: "Unpack[Look]",
+) -> Any:
+    """A matplotlib Figure of an atlas, which a notebook shows; arguments and errors as in ``render``.
 
     ``pixels`` is the size, (x, y), of the plot area that a map's cells are to fill, where it is not that of a file.
+    ``ax`` are axes of yours to draw into, for a sweep one for each of its plots; they are returned in place of a
+    figure, and keep their own size and type.
     """
+    from atlas.render.page import page as page_of  # with it matplotlib
+
+    page = page_of(ax, **look)
+    drawn = _drawn(
+        ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, pixels, page
+    )
+    return drawn if ax is None else ax
+
+
+def _drawn(
+    ds: "xr.Dataset",
+    kind: str | None,
+    window: Window | None,
+    overlays: tuple[str, ...],
+    against: "xr.Dataset | None",
+    pixels: tuple[int, int] | None,
+    page: "Page",
+) -> "Figure":
     axes = axis_names(ds)
     atlases = 1 if against is None else 2
     fitting = [name for name, need in _KINDS.items() if need.axes == len(axes)]
@@ -96,6 +139,8 @@ def figure(
     if chosen not in possible:
         wanted = "a second atlas to draw against" if _KINDS[chosen].atlases == 2 else "one atlas, found two"
         raise InputError(f"kind {chosen!r} needs {wanted}; possible here: {', '.join(possible)}")
+    if not _KINDS[chosen].scale and (page.vmin is not None or page.vmax is not None):
+        raise InputError(f"kind {chosen!r} draws classes: it has no scale that vmin and vmax could end")
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
@@ -108,32 +153,28 @@ def figure(
     drawn: Figure
     with counted() as reads:
         if against is not None:
-            drawn = module.figure(shown, within(against, window))
+            drawn = module.figure(shown, within(against, window), page)
         elif len(axes) == 2:
-            from atlas.render import maps  # with it matplotlib
+            from atlas.render import maps
 
-            drawn = module.figure(shown, maps.Options(tuple(overlays), pixels or maps.PIXELS))
+            drawn = module.figure(shown, maps.Options(overlays, page, pixels))
         else:
-            drawn = module.figure(shown)
-    if max(reads.block) > 1:
-        _note_coarseness(drawn, shown, reads.block)
+            drawn = module.figure(shown, page)
+    if max(reads.block) > 1 and page.title:
+        _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
+    page.fit(drawn)
     return drawn
 
 
-def _note_coarseness(drawn: "Figure", ds: "xr.Dataset", block: tuple[int, ...]) -> None:
+def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "Page") -> None:
     """Say above a map that it is coarser than its atlas, and the exact shares of doubtful cells, too few to be seen."""
-    from matplotlib import rc_context
-
-    from atlas.render.style import STYLE
-
     shares = fractions(ds)
     doubtful = [each.name for each in REGIMES if each.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
     least = 1e-4  # less is not worth its digits, but that there is some is
     percent = {name: f"{100 * shares[name]:.2g} %" if shares[name] >= least else "< 0.01 %" for name in shares}
     listed = "".join(f",  {name} {percent[name]}" for name in doubtful if name in percent)
     cells = " × ".join(map(str, block))
-    ax = drawn.axes[0]
-    with rc_context(STYLE):
+    with page.context():
         ax.set_title(f"{ax.get_title('left')}\none cell drawn for {cells} computed{listed}".strip(), loc="left")
 
 
@@ -143,15 +184,17 @@ def render(
     kind: str | None = None,
     window: Window | None = None,
     *,
-    overlays: Sequence[str] = (),
+    overlays: str | Sequence[str] = (),
     against: "xr.Dataset | None" = None,
+    **look: "Unpack[Look]",
 ) -> Path:
     """Draw an atlas to a file and return its path.
 
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
     ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
     for one axis; ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of
-    OVERLAYS; ``against`` is the sweep the other way, which makes the kind "hysteresis".
+    OVERLAYS, one or several; ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``look`` is
+    size, type, resolution and scale: width, height, font_size, dpi, vmin, vmax, title, style, see ``page.Look``.
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the
     atlas does not hold what the kind draws, and for a path that cannot be written.
     Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
@@ -159,20 +202,25 @@ def render(
     same software.
     """
     target, suffix = _target(path)
-    drawn = figure(ds, kind, window, overlays=overlays, against=against)
+    from atlas.render.page import page as page_of
     from atlas.render.style import provenance_of
 
-    return _write(drawn, target, suffix, provenance_of(ds, *([] if against is None else [against])))
+    page = page_of(**look)
+    drawn = _drawn(ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, None, page)
+    return _write(drawn, target, suffix, provenance_of(ds, *([] if against is None else [against])), page)
 
 
-def orbit_figure(orbit: "CellOrbit") -> "Figure":
-    """A matplotlib Figure of one cell's orbit."""
+def orbit_figure(orbit: "CellOrbit", **look: "Unpack[Look]") -> "Figure":
+    """A matplotlib Figure of one cell's orbit; ``look`` as in ``render``, less the ends of a scale."""
     from atlas.render import orbit as picture
 
-    return picture.figure(orbit)
+    page = _orbit_page(look)
+    drawn: Figure = picture.figure(orbit, page)
+    page.fit(drawn)
+    return drawn
 
 
-def render_orbit(orbit: "CellOrbit", path: str | Path, drawn: "Figure | None" = None) -> Path:
+def render_orbit(orbit: "CellOrbit", path: str | Path, drawn: "Figure | None" = None, **look: "Unpack[Look]") -> Path:
     """Draw one cell's orbit to a file and return its path; suffixes, metadata and errors as in ``render``.
 
     ``drawn`` is the orbit's figure where there is one already.
@@ -180,7 +228,16 @@ def render_orbit(orbit: "CellOrbit", path: str | Path, drawn: "Figure | None" = 
     target, suffix = _target(path)
     from atlas.render import orbit as picture
 
-    return _write(drawn or picture.figure(orbit), target, suffix, picture.provenance(orbit))
+    page = _orbit_page(look)
+    return _write(drawn or orbit_figure(orbit, **look), target, suffix, picture.provenance(orbit), page)
+
+
+def _orbit_page(look: "Look") -> "Page":
+    from atlas.render.page import page as page_of
+
+    if look.get("vmin") is not None or look.get("vmax") is not None:
+        raise InputError("a portrait has no scale that vmin and vmax could end")
+    return page_of(**look)
 
 
 def portrait(
@@ -189,20 +246,24 @@ def portrait(
     system: str = "two-mass",
     settings: Settings | None = None,
     path: str | Path | None = None,
+    **look: "Unpack[Look]",
 ) -> "Figure":
-    """The portrait of one cell as a matplotlib Figure; written to ``path`` too (.png, .svg or .pdf) if given.
+    """The portrait of one cell as a matplotlib Figure, which a notebook shows; written to ``path`` too (.png, .svg or
+    .pdf) if given.
 
     Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
     exponents as they converge, with their exact values where the motion is periodic. ``given`` are the parameters
-    that differ from the defaults, initial state included: with several attractors it decides which is shown.
+    that differ from the defaults, initial state included: with several attractors it decides which is shown. ``look``
+    is size, type and resolution, as in ``render``.
     Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
     """
     if path is not None:
         check_path(path)
+    _orbit_page(look)  # refuses what is wrong before the cell is solved
     orbit = cell_orbit(given or {}, system, settings)
-    drawn = orbit_figure(orbit)
+    drawn = orbit_figure(orbit, **look)
     if path is not None:
-        render_orbit(orbit, path, drawn)
+        render_orbit(orbit, path, drawn, **look)
     return drawn
 
 
@@ -220,11 +281,12 @@ def _target(path: str | Path) -> tuple[Path, str]:
     return target, suffix
 
 
-def _write(drawn: "Figure", target: Path, suffix: str, provenance: "Provenance") -> Path:
+def _write(drawn: "Figure", target: Path, suffix: str, provenance: "Provenance", page: "Page") -> Path:
     from atlas.render.style import save
 
     try:
-        save(drawn, target, suffix, provenance)
+        with page.context():
+            save(drawn, target, suffix, provenance)
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target

@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -13,23 +12,6 @@ from numpy.typing import NDArray
 from atlas.render import exponent, maps, overlays, period, style
 from workers.results import CHAOTIC, LARGEST
 
-CLASSES: tuple[period.Class, ...] = (
-    (1, 1, "#90d0ff"),
-    (2, 2, "#638fc3"),
-    (3, 3, "#8058e9"),
-    (4, 4, "#01247c"),
-    (5, 5, "#32464f"),
-    (6, 6, "#3f00ca"),
-    (7, 8, "#00c28b"),
-    (9, 16, "#514e81"),
-    (17, None, "#3a0747"),
-)
-"""First and last period of each class and its colour: cool ones, since warm ones are the chaos.
-
-Doubled periods darken: 1, 2, 4 blue; 3, 6 violet. Chosen, with the colours of the regimes and of the chaos, for the
-greatest least difference between any two, also as seen without red or without green receptors.
-"""
-
 COLORMAP = LinearSegmentedColormap.from_list("chaos", exponent.CHAOTIC_COLORS, N=512)
 
 
@@ -37,23 +19,23 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The combined map as a figure; InputError where the atlas lacks periods or exponents."""
     plane = overlays.read(ds, ["period", LARGEST.name], "combined", options)
     largest = np.where(plane.regime == CHAOTIC, plane[LARGEST.name], np.nan)
-    norm = Normalize(0.0, exponent.scale_ends(largest)[1])
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    norm = Normalize(*options.page.ends(0.0, exponent.scale_ends(largest)[1]))
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, plane["period"], largest, norm)
-        maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
+        maps.draw(ax, plane, rgba, options)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         bar = drawn.colorbar(
             ScalarMappable(norm, COLORMAP),
             ax=ax,
-            extend=style.beyond(largest, 0.0, float(norm.vmax or 1.0)),
+            extend=style.beyond(largest, float(norm.vmin or 0.0), float(norm.vmax or 1.0)),
             aspect=28,
             pad=0.02,
             extendfrac=0.03,
         )
         bar.set_label(r"chaotic: $\lambda_1$ [per forcing period]")
         bar.outline.set_linewidth(0.6)
-        maps.legend_below(drawn, entries)
+        options.page.legend(drawn, entries)
     return drawn
 
 
@@ -61,7 +43,7 @@ def paint(
     regime: NDArray[np.int8], periods: NDArray[np.int32], largest: NDArray[np.float64], norm: Normalize
 ) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the classes present."""
-    rgba, legend = period.paint(regime, periods, CLASSES)
+    rgba, legend = period.paint(regime, periods)
     measured = (regime == CHAOTIC) & ~np.isnan(largest)
     rgba[measured] = COLORMAP(norm(largest[measured]), bytes=True)
     # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.

@@ -23,4 +23,4 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     plane = overlays.read(ds, ["periods_used"], "cost", options)
     solved = ~np.isin(plane.regime, (PENDING, INVALID, FAILED))
     used = np.where(solved, plane["periods_used"].astype(float), np.nan)
-    return scalar.figure(ds, plane, used, SCALE, options.overlays, zero=("#dddddd", "none needed"))
+    return scalar.figure(ds, plane, used, SCALE, options, zero=("#dddddd", "none needed"))

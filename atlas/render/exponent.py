@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -13,7 +12,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from atlas.errors import InputError
 from atlas.render import axes, maps, overlays, style
+from atlas.render.page import Page
 from workers.results import LARGEST, NO_IMPACT
 
 _STABLE = ("#06103a", "#123a7c", "#2c6fb3", "#6aa7d6", "#b3d4ec", "#eff6fc")
@@ -38,15 +39,15 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The chaos map as a figure, with its overlays; InputError where the atlas holds no exponents."""
     plane = overlays.read(ds, [LARGEST.name], "exponent", options)
     largest = np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
-    norm = TwoSlopeNorm(0.0, *scale_ends(largest))
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    norm = _norm(largest, options.page)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, largest, norm)
-        maps.draw(ax, plane, rgba)
+        maps.draw(ax, plane, rgba, options)
         entries: list[Artist] = [*legend, *_mark_no_impact(ax, plane, norm)]
-        entries += overlays.draw(ax, ds, plane, options.overlays)
+        entries += overlays.draw(ax, ds, plane, options)
         _colour_bar(drawn, ax, norm, largest)
-        maps.legend_below(drawn, entries)
+        options.page.legend(drawn, entries)
     return drawn
 
 
@@ -59,6 +60,13 @@ def scale_ends(largest: NDArray[np.float64]) -> tuple[float, float]:
     below, above = -finite[finite < 0], finite[finite > 0]
     low, high = _reach(below), _reach(above)
     return -(low or high or 1.0), high or low or 1.0
+
+
+def _norm(largest: NDArray[np.float64], page: Page) -> TwoSlopeNorm:
+    low, high = page.ends(*scale_ends(largest))
+    if not low < 0.0 < high:
+        raise InputError(f"the scale of exponents has zero in its middle: found {low:g} to {high:g}")
+    return TwoSlopeNorm(0.0, low, high)
 
 
 def paint(

@@ -1,10 +1,10 @@
 """The impact map: periodic motions by period and impacts at either stop, n-p-q, as this field names them."""
 
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,26 +17,29 @@ from workers.results import PERIODIC
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
 
-HUES = (
-    ("#4477aa", "#73b9ff"),
-    ("#d9830a", "#433b2f"),
-    ("#8d3bf3", "#4f297f"),
-    ("#ffca97", "#9b8066"),
-    ("#ff25d2", "#51314b"),
-    ("#87cde4", "#186177"),
-    ("#dbbc50", "#625a3c"),
-)
-"""Colours of the motions with p >= q, most frequent first, and of their mirror images with p < q.
+HUES = {
+    (1, 1, 1): ("#4477aa", "#73b9ff"),
+    (1, 2, 2): ("#d9830a", "#433b2f"),
+    (2, 4, 2): ("#8d3bf3", "#4f297f"),
+    (2, 2, 2): ("#ffca97", "#9b8066"),
+    (1, 2, 1): ("#ff25d2", "#51314b"),
+    (2, 3, 2): ("#87cde4", "#186177"),
+    (1, 3, 3): ("#dbbc50", "#625a3c"),
+}
+"""Colours of the motions n-p-q with p >= q that are the most frequent, and of their mirror images with p < q.
 
 Mirror images are one motion seen from the other side, and which of the two is reached hangs on the start: they share
 a hue. Chosen, with the colours of the regimes, for the greatest least difference between any two, also as seen without
 red or without green receptors.
 """
+UNLISTED = ("#d7ab9f", "#1d0335", "#0100f9", "#ffff8e")
+"""Colours of all other motions, which share them by a hash of their name: a motion has one colour in every picture."""
 STICKS, STICKS_HATCH = "#d5ece6", "----"
 """Colour and texture of periodic motions that rest on a stop: their impacts are infinitely many."""
-OTHER = "#b9ad98"
 
 _LABEL_SIZE = 7.5
+_NAMED = 3
+"""Motions that the legend names at most for a colour that several share."""
 
 
 class ImpactPattern(NamedTuple):
@@ -59,33 +62,28 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The impact map as a figure; InputError where the atlas holds no impact counts."""
     plane = overlays.read(ds, VARIABLES, "impacts", options)
     counts = tuple(plane[name] for name in VARIABLES)
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend, colors = paint(plane.regime, *counts)
-        maps.draw(ax, plane, rgba)
+        maps.draw(ax, plane, rgba, options)
         rests = (plane.regime == PERIODIC) & (counts[1] < 0)
         axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
-        maps.legend_beside(drawn, entries, title="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
+        options.page.legend(drawn, entries, beside="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        options.page.fit(drawn)
         drawn.draw_without_rendering()  # from here on the plot has its size
-        _name_regions(ax, plane, counts, colors)
+        _name_regions(ax, plane, counts, colors, _LABEL_SIZE * options.page.scale)
     return drawn
 
 
-def palette(shares: dict[ImpactPattern, int]) -> dict[ImpactPattern, str]:
-    """A colour for every motion, given its number of cells: hues by area, mirror images one hue, the rest OTHER."""
-    groups: dict[ImpactPattern, int] = {}
-    for motion, cells in shares.items():
-        if motion.p >= 0:
-            group = ImpactPattern(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
-            groups[group] = groups.get(group, 0) + cells
-    by_area = sorted(groups, key=lambda group: (-groups[group], group))
-    hue = dict(zip(by_area, HUES, strict=False))
-    colors = {}
-    for motion in shares:
-        group = ImpactPattern(motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
-        colors[motion] = STICKS if motion.p < 0 else hue[group][motion.p < motion.q] if group in hue else OTHER
-    return colors
+def color_of(motion: ImpactPattern) -> str:
+    """The colour of a motion, the same in every picture; mirror images have one hue."""
+    if motion.p < 0:
+        return STICKS
+    group = (motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+    if group in HUES:
+        return HUES[group][motion.p < motion.q]
+    return UNLISTED[crc32(repr(group).encode()) % len(UNLISTED)]
 
 
 def paint(
@@ -99,29 +97,38 @@ def paint(
     triples = np.stack([np.where(rests, 0, period), np.where(rests, -1, upper), np.where(rests, -1, lower)], axis=-1)
     kinds, which, cells = np.unique(triples[counted], axis=0, return_inverse=True, return_counts=True)
     motions = [ImpactPattern(*map(int, kind)) for kind in kinds]
-    colors = palette(dict(zip(motions, cells.tolist(), strict=True)))
+    colors = {motion: color_of(motion) for motion in motions}
     if motions:
         rgba[counted] = np.array([style.rgb(colors[motion]) for motion in motions], np.uint8)[which.ravel()]
-    named = sorted(m for m in motions if colors[m] not in (OTHER, STICKS))
-    legend = [style.swatch(colors[motion], motion.label) for motion in named]
+    by_area = [motions[i] for i in np.argsort(-cells, kind="stable")]
+    shared = {color: [motion.label for motion in by_area if colors[motion] == color] for color in UNLISTED}
+    legend = [
+        style.swatch(colors[motion], motion.label) for motion in motions if colors[motion] not in (*UNLISTED, STICKS)
+    ]
+    for color, names in shared.items():
+        if names:
+            more = ", …" if len(names) > _NAMED else ""
+            legend.append(style.swatch(color, ", ".join(names[:_NAMED]) + more))
     if STICKS in colors.values():
         legend.append(style.swatch(STICKS, "periodic, sticks", STICKS_HATCH))
-    if OTHER in colors.values():
-        legend.append(style.swatch(OTHER, "other periodic"))
     return rgba, legend + maps.paint_regimes(rgba, regime, ~counted), colors
 
 
 def _name_regions(
-    ax: Axes, plane: maps.Plane, counts: tuple[NDArray[np.int32], ...], colors: dict[ImpactPattern, str]
+    ax: Axes,
+    plane: maps.Plane,
+    counts: tuple[NDArray[np.int32], ...],
+    colors: dict[ImpactPattern, str],
+    type_size: float,
 ) -> None:
     """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
     if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
         return  # cells differ in size, and distances in cells mean nothing
-    extent = ax.get_window_extent()
-    width, height = (float(size) / ax.figure.dpi * 72.0 for size in (extent.width, extent.height))
+    extent, drawn_dpi = ax.get_window_extent(), ax.figure.dpi
+    width, height = (float(size) / drawn_dpi * 72.0 for size in (extent.width, extent.height))
     step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
     for motion, color in colors.items():
-        half = 0.29 * _LABEL_SIZE * len(motion.label), 0.62 * _LABEL_SIZE
+        half = 0.29 * type_size * len(motion.label), 0.62 * type_size
         least = 4.0 * half[0] * half[1] / (step[0] * step[1])  # cells that the name takes
         cells = plane.regime == PERIODIC
         for count, wanted in zip(counts, motion, strict=True):
@@ -141,7 +148,7 @@ def _name_regions(
                     plane.y.values[box[0].start + row],
                     motion.label,
                     color=style.ink_on(color),
-                    fontsize=_LABEL_SIZE,
+                    fontsize=type_size,
                     rotation=angle,
                     ha="center",
                     va="center_baseline",

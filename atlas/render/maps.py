@@ -1,12 +1,11 @@
 """What all pictures of a plane share: its cells read in drawing order, the frame around them, the legends."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -16,16 +15,15 @@ from scipy import ndimage
 from atlas.errors import InputError
 from atlas.query.resample import view
 from atlas.render import axes, style
+from atlas.render.fit import TITLE
+from atlas.render.page import STANDARD, Page
+from atlas.render.style import DPI
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
 
-HEIGHT = 4.7
-"""Height of a map in inches."""
-
 PIXELS = (1500, 1100)
-"""Least size, (x, y), of a map's plot area in a file, in pixels: cells not smaller than these are all drawn."""
-
-SIZE = np.array([5.6, 3.75]) * 72.0
-"""Nominal width and height of a map's plot area in points, for what must be known before the figure is laid out."""
+"""Least size, (x, y), of a map's plot area in a file of the standard page, in pixels: cells not smaller than these are
+all drawn.
+"""
 
 _VISIBLE = 2.0
 """Points below which a cell on its own is lost to the eye."""
@@ -38,13 +36,35 @@ class Options:
     """What a map is drawn with besides the colours of its cells.
 
     overlays   names of lines over it
-    pixels     size, (x, y), of the plot area that its cells are to fill: finer ones are read from an overview
+    page       what it is drawn on
+    asked      size, (x, y), in pixels of the plot area that its cells are to fill, where it is not the page's
     """
 
     overlays: tuple[str, ...] = ()
-    pixels: tuple[int, int] = PIXELS
+    page: Page = STANDARD
+    asked: tuple[int, int] | None = None
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Nominal width and height of the plot area in points."""
+        return self.page.plot_size(height(self.page))
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Size, (x, y), of the plot area that the cells fill: finer ones are read from an overview."""
+        if self.asked:
+            return self.asked
+        dots = self.page.dpi / DPI
+        width, tall = (mine / standard for mine, standard in zip(self.size, _STANDARD_SIZE, strict=True))
+        return max(1, round(PIXELS[0] * width * dots)), max(1, round(PIXELS[1] * tall * dots))
 
 
+def height(page: Page) -> float:
+    """Height of a map in inches where none is asked for."""
+    return 1.2 + 0.5 * page.width
+
+
+_STANDARD_SIZE = STANDARD.plot_size(height(STANDARD))
 PLAIN = Options()
 
 
@@ -79,11 +99,11 @@ def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
     return (regime >= NO_IMPACT) & (regime <= CHAOTIC)
 
 
-def frame(ds: xr.Dataset) -> tuple[Figure, Axes]:
-    """A figure with one plot area under the title line of the fixed parameters."""
-    figure = style.new_figure(HEIGHT)
-    ax = figure.add_subplot()
-    ax.set_title(style.title_line(ds), loc="left")
+def frame(ds: xr.Dataset, page: Page) -> tuple[Figure, Axes]:
+    """A figure with one plot area, or the axes that are given, under the title line of the fixed parameters."""
+    figure, (ax,) = page.panels(height(page), 1)
+    if page.title:
+        ax.set_title(style.title_line(ds), loc="left", gid=TITLE)
     # Cells without a value are transparent: what shows through them is this texture, which no value has.
     ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
     return figure, ax
@@ -106,7 +126,7 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
     return entries
 
 
-def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> None:
     """Draw the cells in these colours (y, x, 4), with textures over those that show their regime's colour.
 
     Such cells without a result that would be too small to be seen get a mark of a visible size.
@@ -119,11 +139,11 @@ def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8]) -> None:
     for code in (QUASIPERIODIC, INVALID, FAILED):
         axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
     for code in (UNDETERMINED, INVALID, FAILED):
-        _mark_small(ax, plane, shown[code], code)
+        _mark_small(ax, plane, shown[code], code, options.size)
 
 
-def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int) -> None:
-    width, height = SIZE / np.array(plane.regime.shape[::-1])
+def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> None:
+    width, height = np.array(size) / np.array(plane.regime.shape[::-1])
     if max(width, height) >= _VISIBLE:
         return
     regions, _ = ndimage.label(cells)
@@ -137,22 +157,3 @@ def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int) -> 
         y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
         look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
         ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
-
-
-def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
-    """A legend under the plot, in as many rows as its entries need; none without entries."""
-    if not entries:
-        return
-    # What is read counts: mathtext spells a symbol in several characters.
-    longest = max(len(str(entry.get_label()).replace("\\", "").replace("$", "")) for entry in entries)
-    columns = max(1, min(len(entries), int(style.WIDTH / (0.45 + 0.056 * longest))))
-    rows = -(-len(entries) // columns)
-    # Filled column by column, rows of equal length look best.
-    figure.legend(handles=list(entries), loc="outside lower center", ncols=-(-len(entries) // rows), columnspacing=1.4)
-
-
-def legend_beside(figure: Figure, entries: Sequence[Artist], title: str | None = None) -> None:
-    """A legend in a column to the right of the plot."""
-    if entries:
-        handles = list(entries)
-        figure.legend(handles=handles, loc="outside right upper", labelspacing=0.45, title=title, alignment="left")

@@ -1,50 +1,96 @@
 """The portrait of a cell: its motion in time, in its phase planes and at the section, and its exponents converging."""
 
+import math
+
+import matplotlib as mpl
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from atlas.cell.orbit import CellOrbit, describe
+from atlas.cell.orbit import SAMPLES, CellOrbit, describe, modulation
 from atlas.render import style
+from atlas.render.fit import TITLE
+from atlas.render.page import STANDARD, Page
 from atlas.render.spectrum import color
-from workers.results import REGIME, SPECTRUM
+from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
-_HEIGHT = 7.6
 _SHOWN = 6
 """Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+_LEAST_CHATTER = 4
+"""Flights, each shorter than the one before, that make a chatter."""
 _LINE, _UPPER, _LOWER, _STOP = "#3a6ea5", "#cc3311", "#e08a00", "#6f6f6f"
 
 
-def figure(orbit: CellOrbit) -> Figure:
+def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page."""
     n = len(orbit.system.states) // 2
     masses = range(min(n, 2))
-    with rc_context(style.STYLE | {"axes.labelsize": 10.0, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5}):
-        drawn = style.new_figure(_HEIGHT if n > 1 else _HEIGHT - 1.2)
-        drawn.set_layout_engine("constrained", hspace=0.06, wspace=0.06)
-        title = style.parameter_title(orbit.system, orbit.parameters)
-        drawn.suptitle(f"{title}\n{describe(orbit)}", fontsize=10.0, ha="left", x=0.012, linespacing=1.4)
-        grid = drawn.add_gridspec(len(masses) + 2, 6, height_ratios=[*(0.72 for _ in masses), 1.25, 1.25])
+    with page.context():
+        drawn = page.figure(_height(page, n, _chatter(orbit) is not None))
+        drawn.set_layout_engine("constrained", hspace=0.06 if page.wide else 0.02, wspace=0.06 if page.wide else 0.02)
+        if page.title:
+            title = f"{style.parameter_title(orbit.system, orbit.parameters)}\n{describe(orbit)}"
+            size = mpl.rcParams["font.size"]
+            drawn.suptitle(title, fontsize=size, ha="left", x=0.012, linespacing=1.4).set_gid(TITLE)
+        chatter = _chatter(orbit)
+        if page.wide:
+            grid = drawn.add_gridspec(len(masses) + 2, 6, height_ratios=[*(0.72 for _ in masses), 1.25, 1.25])
+            histories = [grid[i, :4] if chatter else grid[i, :] for i in masses]
+            enlarged, rest = grid[: len(masses), 4:], len(masses)
+        else:
+            heights = [*(0.72 for _ in masses), *([0.72] * bool(chatter)), *([1.0] * (2 + (n > 1))), 0.55]
+            grid = drawn.add_gridspec(len(heights), 2, height_ratios=heights)
+            histories = [grid[i, :] for i in masses]
+            enlarged, rest = grid[len(masses), :], len(masses) + bool(chatter)
         above: Axes | None = None
         for i in masses:
-            ax = above = drawn.add_subplot(grid[i, :], sharex=above)
+            ax = above = drawn.add_subplot(histories[i], sharex=above)
             _history(ax, orbit, i)
             ax.tick_params(labelbottom=i == masses[-1])
-        row = len(masses)
-        width = 6 // (len(masses) + (n > 1))
-        for i in masses:
-            _phase_plane(drawn.add_subplot(grid[row, i * width : (i + 1) * width]), orbit, i, n + i)
-        if n > 1:
-            _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, 0, 1)
-        _section(drawn.add_subplot(grid[row + 1, :2]), orbit, 0, n)
-        exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.0])
-        _convergence(drawn.add_subplot(exponents[0]), orbit)
-        _write_values(drawn.add_subplot(exponents[1]), orbit)
-        drawn.legend(handles=_legend(orbit), loc="outside lower center", ncols=4, handlelength=1.4)
+        if chatter:
+            _zoom(drawn.add_subplot(enlarged), orbit, chatter)
+        (_planes_in_a_row if page.wide else _planes_in_pairs)(drawn, grid, rest, orbit)
+        page.legend(drawn, _legend(orbit), handlelength=1.4)
     return drawn
+
+
+def _height(page: Page, n: int, chatter: bool) -> float:
+    """Height of a portrait of n masses in inches where none is asked for: a page, of narrow ones a column."""
+    if page.wide:
+        return (7.6 if n > 1 else 6.4) * page.width / 7.0
+    return (2.6 if n > 1 else 2.0) * page.width + 1.2 * chatter
+
+
+def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
+    """Phase planes side by side; below them the section beside the exponents."""
+    n = len(orbit.system.states) // 2
+    width = 6 // (min(n, 2) + (n > 1))
+    for i in range(min(n, 2)):
+        _phase_plane(drawn.add_subplot(grid[row, i * width : (i + 1) * width]), orbit, i, n + i)
+    if n > 1:
+        _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, 0, 1)
+    _section(drawn.add_subplot(grid[row + 1, :2]), orbit, 0, n)
+    exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.15])
+    _convergence(drawn.add_subplot(exponents[0]), orbit)
+    _write_values(drawn.add_subplot(exponents[1]), orbit, 1)
+
+
+def _planes_in_pairs(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
+    """The same on a narrow page: two in a row, the numbers under the exponents."""
+    n = len(orbit.system.states) // 2
+    places = [grid[row, 0], grid[row, 1], *([grid[row + 1, 0], grid[row + 1, 1]] if n > 1 else [])]
+    for i in range(min(n, 2)):
+        _phase_plane(drawn.add_subplot(places[i]), orbit, i, n + i)
+    if n > 1:
+        _phase_plane(drawn.add_subplot(places[2]), orbit, 0, 1)
+    _section(drawn.add_subplot(places[-1]), orbit, 0, n)
+    row += 1 + (n > 1)
+    _convergence(drawn.add_subplot(grid[row, :]), orbit)
+    _write_values(drawn.add_subplot(grid[row + 1, :]), orbit, 2)
 
 
 def provenance(orbit: CellOrbit) -> style.Provenance:
@@ -71,7 +117,7 @@ def _stops_of(orbit: CellOrbit, i: int) -> tuple[float, ...]:
 
 
 def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:
-    shown = min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
+    shown = _window(orbit)
     times, states = _repeated(orbit, shown)
     ax.plot(times / orbit.period, states[:, i], color=_LINE, linewidth=0.9)
     for stop in _stops_of(orbit, i):
@@ -86,6 +132,46 @@ def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:
     ax.set_ylabel(_label(orbit, i))
     if i == min(len(orbit.system.states) // 2, 2) - 1:
         ax.set_xlabel("time $t/T$ [forcing periods]")
+
+
+def _window(orbit: CellOrbit) -> int:
+    """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
+    if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
+        return min(_span(orbit), max(_SHOWN, math.ceil(1.5 * modulation(orbit.section))))
+    return min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
+
+
+def _chatter(orbit: CellOrbit) -> slice | None:
+    """The first impacts on one stop in ever shorter intervals, from one on whose flights are still drawn; or None."""
+    times, sides = orbit.impacts[:, 0], orbit.impacts[:, 1]
+    flights = np.diff(times)
+    shorter = (sides[2:] == sides[1:-1]) & (sides[1:-1] == sides[:-2]) & (flights[1:] < flights[:-1])
+    ends = np.flatnonzero(np.diff(np.pad(shorter, 1).astype(np.int8)))
+    for first, last in zip(ends[::2], ends[1::2], strict=True):
+        drawn = np.flatnonzero(flights[first : last + 1] > 5.0 * orbit.period / SAMPLES)
+        if last - first >= _LEAST_CHATTER and drawn.size:
+            return slice(int(first + max(0, drawn[-1] - 1)), int(last + 2))
+    return None
+
+
+def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
+    """The distance from the stop through a chatter: flights that become ever shorter and lower."""
+    times = orbit.impacts[chatter, 0]
+    side = orbit.impacts[chatter.start, 1]
+    room = 0.25 * float(np.ptp(times))
+    inside = (orbit.times >= times[0] - 0.3 * room) & (orbit.times <= times[-1] + room)
+    gap = orbit.states[:, : len(orbit.system.states) // 2] @ np.array(orbit.system.build(orbit.parameters).gap_row)
+    away = np.abs(gap - orbit.stops[int(side > 0)])
+    between = (orbit.times >= times[0]) & (orbit.times <= times[-1])
+    ax.plot(orbit.times[inside] / orbit.period, away[inside], color=_LINE, linewidth=0.9)
+    ax.plot(times / orbit.period, 0.0 * times, "o", color=_UPPER if side > 0 else _LOWER, markersize=2.6, mew=0)
+    ax.set_xlim((times[0] - 0.3 * room) / orbit.period, (times[-1] + room) / orbit.period)
+    ax.set_ylim(-0.06 * away[between].max(), 1.25 * away[between].max())
+    ax.xaxis.set_major_locator(MaxNLocator(3))
+    ax.yaxis.set_major_locator(MaxNLocator(4))
+    ax.set_xlabel("time $t/T$")
+    ax.set_ylabel("from the stop")
+    ax.set_title("chatter, enlarged", loc="left")
 
 
 def _phase_plane(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
@@ -103,7 +189,9 @@ def _phase_plane(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
 
 def _section(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
     x, y = orbit.section[:, i], orbit.section[:, k]
-    few = x.size <= 64
+    # Of thousands of states many may be one point, where a cell was undetermined and closes after all.
+    extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
+    few = np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64
     ink = style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
@@ -119,11 +207,13 @@ def _section(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
 
 def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     periods = np.arange(1, len(orbit.running) + 1)
-    spectrum = np.asarray(orbit.cell[SPECTRUM.name])
     ax.axhline(0.0, color="black", linewidth=0.6)
     values = np.sort(orbit.running, axis=1)[:, ::-1]
-    for i in reversed(range(values.shape[1])):
-        ax.plot(periods, np.where(np.isfinite(values[:, i]), values[:, i], np.nan), color=color(i), linewidth=1.1)
+    spectrum = _written(orbit)
+    for i in sorted(range(values.shape[1]), key=lambda i: i % 2):
+        # Equal ones come in pairs: one of them is dashed, and lies on the other.
+        shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
+        ax.plot(periods, shown, color=color(i), linewidth=1.1, linestyle=dashes)
     for i, value in enumerate(spectrum):
         if np.isfinite(value):
             ax.axhline(value, color=color(i), linewidth=0.8, linestyle=(0, (2, 2)) if orbit.exact else (0, (1, 3)))
@@ -135,19 +225,50 @@ def _convergence(ax: Axes, orbit: CellOrbit) -> None:
     ax.set_ylabel(r"$\lambda_i$ [per forcing period]")
 
 
-def _write_values(ax: Axes, orbit: CellOrbit) -> None:
+def _written(orbit: CellOrbit) -> NDArray[np.float64]:
+    """The exponents that are written in numbers: the cell's, or, where its class is not known, those of the path that
+    is drawn. What such a cell holds are averages over motions that it has left.
+    """
+    if int(orbit.cell[REGIME.name]) == UNDETERMINED:
+        return np.sort(orbit.running[-1])[::-1]
+    return np.asarray(orbit.cell[SPECTRUM.name])
+
+
+def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     """The exponents in numbers, as many digits as are known, in a plot area of their own."""
     ax.set_axis_off()
-    spectrum, error = np.asarray(orbit.cell[SPECTRUM.name]), float(orbit.cell["error"])
+    error = float(orbit.cell["error"])
+    unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED
     digits = 6 if orbit.exact else 3
-    lines = [("exact:" if orbit.exact else "averaged:", "black")]
-    for i, value in enumerate(spectrum):
-        text = r"-\infty" if np.isneginf(value) else "unknown" if np.isnan(value) else f"{value:.{digits}f}"
+    many = f"averaged over\n{len(orbit.running)} periods:" if columns == 1 else f"averaged over {len(orbit.running)}:"
+    lines = [("exact:" if orbit.exact else many if unknown else "averaged:", "black")]
+    for i, value in enumerate(_written(orbit)):
+        text = (
+            r"-\infty"
+            if np.isneginf(value)
+            else "unknown"
+            if np.isnan(value)
+            else f"{round(value, digits) + 0.0:.{digits}f}"
+        )
         lines.append((rf"$\lambda_{{{i + 1}}} = {text}$", color(i)))
-    if not orbit.exact and np.isfinite(error):
+    if not orbit.exact and not unknown and np.isfinite(error):
         lines.append((rf"($\lambda_1 \pm {style.number(float(f'{error:.1g}'))}$)", "black"))
+    size = mpl.rcParams["legend.fontsize"]
+    rows = -(-len(lines) // columns)
+    used = [0.0] * columns
     for k, (text, ink) in enumerate(lines):
-        ax.text(0.0, 0.97 - 0.115 * k, text, transform=ax.transAxes, color=ink, fontsize=9.0, va="top", clip_on=False)
+        column = k // rows
+        step = 0.115 if columns == 1 else 1.0 / rows
+        ax.text(
+            column / columns,
+            0.97 - step * used[column],
+            text,
+            transform=ax.transAxes,
+            color=ink,
+            fontsize=size,
+            va="top",
+        )
+        used[column] += 1 + text.count("\n")
 
 
 def _range(values: NDArray[np.float64], spectrum: NDArray[np.float64]) -> tuple[float, float]:

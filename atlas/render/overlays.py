@@ -1,11 +1,13 @@
 """Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
@@ -13,6 +15,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from atlas.errors import InputError
 from atlas.render import axes, maps, style
@@ -20,15 +23,30 @@ from workers.model.system import System
 from workers.results import LARGEST, PENDING
 
 LEAST_REGION = 2e-4
-"""Share of the plane below which a connected region is not outlined: dust would turn into a black cloud."""
+"""Share of the plane below which a connected region is a small one."""
+_SEEN = 5.0
+"""Width of a cell in points from which its outline leaves its colour to be seen, however many there are."""
+_CLOUD, _DENSE = 12.0, 0.2
+"""Small regions are a cloud, which outlines would turn black, where they are more than this share of the area so many
+points around.
+"""
 
-POINTS = 400
+POINTS = 1000
 """Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
 POINTS_OF_PAIRS = 60
 """The same where every pair of points has to be computed, at most."""
 
+FINER = 4
+"""Times as many along both axes where the line runs."""
+_REACH = 3.0
+"""Logarithm of the ratio up to which a crest between points may still cross zero."""
+
+_CROWDED = 5.0
+"""Distance in points below which two grazing lines are drawn solid: dashes side by side look like a bar code."""
 _LEAST_LINE = 40.0
 """Length in points below which a piece of an isoline is left out."""
+_SHADOW = "#3c4650"
+"""What an isoline, white to be told from a boundary, stands out against on pale cells."""
 _LABEL_ROOM = 30.0
 """Points between labels of isolines."""
 
@@ -39,12 +57,12 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str, options: maps.Opti
     return maps.read(ds, (*variables, *extra), kind, options.pixels)
 
 
-def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, chosen: Sequence[str]) -> list[Artist]:
+def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     """Draw overlays over a map and return their legend entries."""
     entries: list[Artist] = []
     for name, lines in DRAW.items():
-        if name in chosen:
-            entries += lines(ax, ds, plane)
+        if name in options.overlays:
+            entries += lines(ax, ds, plane, options)
     return entries
 
 
@@ -81,26 +99,64 @@ def grazing_grid(
         row = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys[:1]))
         column = grazing_ratio(system, fixed, (x.name, xs[:1]), (y.name, ys))
         return xs, ys, row + column - row[0, 0]
-    points = min(points, POINTS_OF_PAIRS)
-    xs, ys = _points(system, x, points), _points(system, y, points)
-    return xs, ys, grazing_ratio(system, fixed, (x.name, xs), (y.name, ys))
+    few_points = min(points, POINTS_OF_PAIRS)
+    xs, ys = _points(system, x, few_points), _points(system, y, few_points)
+    coarse = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys))
+    if points < 2 * POINTS_OF_PAIRS:
+        return xs, ys, coarse
+    # A resonance can be narrower than these points are apart: where one may cross zero there are FINER of them.
+    fine_xs, fine_ys = _between(xs), _between(ys)
+    fine = np.stack([np.interp(fine_ys, ys, column) for column in coarse.T], axis=1)
+    fine = np.stack([np.interp(fine_xs, xs, row) for row in fine])
+    for row, column in np.argwhere(np.repeat(np.repeat(_near_zero(coarse), FINER, 0), FINER, 1)):
+        fine[row, column] = grazing_ratio(
+            system, fixed, (x.name, fine_xs[column : column + 1]), (y.name, fine_ys[row : row + 1])
+        )[0, 0]
+    return fine_xs, fine_ys, fine
 
 
-def large_regions(regime: NDArray[np.int8], share: float = LEAST_REGION) -> NDArray[np.int16]:
-    """Every cell's regime where its connected region has at least this share of the plane; else the nearest such."""
-    least = max(2, int(share * regime.size))
+def _between(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points with FINER - 1 more between any two."""
+    at = np.arange(FINER * (points.size - 1) + 1) / FINER
+    return np.interp(at, np.arange(points.size), points)
+
+
+def _near_zero(ratio: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """The meshes (one less each way) of a grid that the zero crosses, or may cross unseen at a crest or a trough."""
+    crosses = np.zeros(ratio.shape, dtype=bool)
+    for axis in (0, 1):
+        here, after = (np.moveaxis(ratio, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
+        changes = np.moveaxis(crosses, axis, 0)
+        changes[:-1] |= here * after <= 0.0
+        low, middle, high = np.moveaxis(ratio, axis, 0)[:-2], here[1:], after[1:]
+        crest = (middle >= low) & (middle >= high) & (middle < 0.0) & (middle > -_REACH)
+        trough = (middle <= low) & (middle <= high) & (middle > 0.0) & (middle < _REACH)
+        changes[1:-1] |= crest | trough
+    return np.asarray(ndimage.binary_dilation(crosses, np.ones((3, 3)))[:-1, :-1])
+
+
+def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArray[np.int16], bool]:
+    """Every cell's regime as boundaries show it on a map of a size (width, height) in points, and whether they leave
+    something out: clouds of small regions, which take on the regime that is nearest. Isolated cells stay.
+    """
+    if min(points / cells for cells, points in zip(regime.shape, size[::-1], strict=True)) >= _SEEN:
+        return regime.astype(np.int16), False
+    least = max(2, int(LEAST_REGION * regime.size))
     small = np.zeros(regime.shape, dtype=bool)
     for code in np.unique(regime):
         regions, _ = ndimage.label(regime == code)
-        sizes = np.bincount(regions.ravel())
-        small |= (sizes < least)[regions] & (regions > 0)
-    if small.all():
-        return np.full(regime.shape, PENDING, dtype=np.int16)
-    nearest = ndimage.distance_transform_edt(small, return_distances=False, return_indices=True)
-    return regime[tuple(nearest)].astype(np.int16)
+        small |= (np.bincount(regions.ravel()) < least)[regions] & (regions > 0)
+    near = [max(3, round(_CLOUD * cells / points)) for cells, points in zip(regime.shape, size[::-1], strict=True)]
+    cloud = small & (ndimage.uniform_filter(small.astype(float), near) > _DENSE)
+    if not cloud.any():
+        return regime.astype(np.int16), False
+    if cloud.all():
+        return np.full(regime.shape, PENDING, dtype=np.int16), True
+    nearest = ndimage.distance_transform_edt(cloud, return_distances=False, return_indices=True)
+    return regime[tuple(nearest)].astype(np.int16), True
 
 
-def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
+def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     system = style.system_of(ds)
     if system is None:
         raise InputError("overlay 'grazing': the atlas does not name a system that is known here")
@@ -109,21 +165,62 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
     label = r"grazing, $|Y| = b$"
     if np.any(ratio < 0.0) and np.any(ratio > 0.0):
-        lines = ax.contour(xs, ys, ratio, levels=[0.0], colors="black", linewidths=1.3, linestyles=[dashes], zorder=3)
-        lines.set_path_effects([*halo])
+        contours = ax.contour(xs, ys, ratio, levels=[0.0], linewidths=0.0)
+        pieces = [piece for path in contours.get_paths() for piece in _pieces(path)]
+        contours.remove()
+        alone, crowded = _told_apart(ax, pieces, options.size)
+        for lines, ends, width, look in (
+            (pieces, "white", 2.8, "solid"),
+            (crowded, "black", 0.8, "solid"),
+            (alone, "black", 1.3, dashes),
+        ):
+            collection = LineCollection(lines, colors=ends, linewidths=width, linestyles=[look], zorder=3)
+            ax.add_collection(collection, autolim=False)
     else:
         label += ": not in this window"
     return [Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, path_effects=halo, label=label)]
 
 
-def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
-    regions = large_regions(plane.regime)
+def _pieces(path: Path) -> list[NDArray[np.float64]]:
+    """The connected lines of a path."""
+    vertices = np.asarray(path.vertices)
+    if not len(vertices):
+        return []
+    codes = np.full(len(vertices), Path.LINETO) if path.codes is None else path.codes
+    return [each for each in np.split(vertices, np.flatnonzero(codes == Path.MOVETO)[1:]) if len(each) > 1]
+
+
+def _told_apart(
+    ax: Axes, pieces: list[NDArray[np.float64]], size: tuple[float, float]
+) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+    """Lines cut into the parts that run alone, and those with another line, or another part of themselves, beside."""
+    if not pieces:
+        return [], []
+    places = [_in_points(ax, piece, size) for piece in pieces]
+    along = [np.append(0.0, np.cumsum(np.hypot(*np.diff(place, axis=0).T))) for place in places]
+    everywhere = np.concatenate(places)
+    line, length = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces]), np.concatenate(along)
+    near = np.zeros(len(everywhere), dtype=bool)
+    one, two = KDTree(everywhere).query_pairs(_CROWDED, output_type="ndarray").T
+    beside_another = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * _CROWDED)
+    near[one[beside_another]] = near[two[beside_another]] = True
+    parts: tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]] = ([], [])
+    for piece, beside in zip(pieces, np.split(near, np.cumsum([len(each) for each in pieces])[:-1]), strict=True):
+        cuts = np.flatnonzero(np.diff(beside)) + 1
+        for first, last in pairwise([0, *cuts, len(piece)]):
+            parts[int(beside[first])].append(piece[first : last + 1])
+    return parts
+
+
+def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
+    regions, left_out = outlined(plane.regime, options.size)
     for code in np.unique(regions):
-        axes.outline(ax, plane.x, plane.y, regions == code, "#101418", 0.5)
-    return [Line2D([], [], color="#101418", linewidth=0.9, label="regime boundary")]
+        axes.outline(ax, plane.x, plane.y, regions == code, "#101418", 0.6)
+    label = "regime boundary" + (",\nclouds of cells left out" if left_out else "")
+    return [Line2D([], [], color="#101418", linewidth=0.9, label=label)]
 
 
-def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
+def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     known = maps.determined(plane.regime) & np.isfinite(plane[LARGEST.name])
     if min(known.shape) < 2:
         return []
@@ -137,38 +234,34 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane) -> list[Artist]:
         levels = ticks[(ticks > shown.min()) & (ticks < shown.max())] if shown.count() else ticks[:0]
         if not levels.size:
             continue
-        lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="black", linewidths=0.5)
-        lines.set(alpha=0.8, zorder=2.5)
-        lines.set_paths([_long_pieces(ax, path) for path in lines.get_paths()])
-        names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0, inline=False)
-        _thin_out(ax, names)
-    return [Line2D([], [], color="black", alpha=0.8, linewidth=0.6, label=r"$\lambda_1$ constant")]
+        lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="white", linewidths=0.7)
+        lines.set(zorder=2.5, path_effects=[withStroke(linewidth=1.5, foreground=_SHADOW)])
+        lines.set_paths([_long_pieces(ax, path, options.size) for path in lines.get_paths()])
+        names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0 * options.page.scale, inline=False, colors="black")
+        _thin_out(ax, names, options.size)
+    shadow = [withStroke(linewidth=2.0, foreground=_SHADOW)]
+    return [Line2D([], [], color="white", linewidth=1.0, path_effects=shadow, label=r"$\lambda_1$ constant")]
 
 
 def _signed(sign: float) -> Callable[[float], str]:
     return lambda level: f"{sign * level:g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _long_pieces(ax: Axes, path: Path) -> Path:
+def _long_pieces(ax: Axes, path: Path, size: tuple[float, float]) -> Path:
     """The pieces of a line that are long enough to be followed by eye."""
     # Not path.to_polygons, which leaves out points that stand out by less than a ninth of a unit, of data here.
-    vertices = np.asarray(path.vertices)
-    codes = np.full(len(vertices), Path.LINETO) if path.codes is None else path.codes
-    pieces = np.split(vertices, np.flatnonzero(codes == Path.MOVETO)[1:])
     long = [
-        each
-        for each in pieces
-        if len(each) > 1 and np.hypot(*np.diff(_in_points(ax, each), axis=0).T).sum() >= _LEAST_LINE
+        each for each in _pieces(path) if np.hypot(*np.diff(_in_points(ax, each, size), axis=0).T).sum() >= _LEAST_LINE
     ]
     return Path.make_compound_path(*map(Path, long)) if long else Path(np.empty((0, 2)))
 
 
-def _thin_out(ax: Axes, names: Iterable[Text]) -> None:
+def _thin_out(ax: Axes, names: Iterable[Text], size: tuple[float, float]) -> None:
     """Take away labels that would stand in another's way or over the frame; give the others a halo."""
     kept: list[NDArray[np.float64]] = []
-    width, height = _in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]))[0]
+    width, height = _in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]), size)[0]
     for name in names:
-        at = _in_points(ax, np.array([name.get_position()]))[0]
+        at = _in_points(ax, np.array([name.get_position()]), size)[0]
         framed = (
             _LABEL_ROOM / 2 < at[0] < width - _LABEL_ROOM / 2 and _LABEL_ROOM / 2 < at[1] < height - _LABEL_ROOM / 2
         )
@@ -182,14 +275,14 @@ def _thin_out(ax: Axes, names: Iterable[Text]) -> None:
             name.remove()
 
 
-def _in_points(ax: Axes, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Data coordinates in points from the lower left corner of the plot, by a map's nominal size: as a layout that
+def _in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
+    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
     is not made yet will have them, nearly.
     """
-    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * maps.SIZE)
+    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
-DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane], list[Artist]]] = {
+DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane, maps.Options], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
     "isolines": _isolines,

@@ -1,11 +1,9 @@
 """The isoperiodic map: the forcing periods of each cell's orbit, and the regime where it never closes."""
 
-from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -19,44 +17,40 @@ Class: TypeAlias = tuple[int, int | None, str]
 
 CLASSES: tuple[Class, ...] = (
     (1, 1, style.COLORS[PERIODIC]),
-    (2, 2, "#45deff"),
-    (3, 3, "#eb8b00"),
-    (4, 4, "#5b9cff"),
-    (5, 5, "#553008"),
-    (6, 6, "#eed55e"),
-    (7, 7, "#94c08b"),
-    (8, 8, "#0e216d"),
-    (9, 16, "#781142"),
-    (17, 64, "#da8cb6"),
-    (65, None, "#8634bc"),
+    (2, 2, "#1330f7"),
+    (3, 3, "#be8eff"),
+    (4, 4, "#190432"),
+    (5, 5, "#79b896"),
+    (6, 6, "#7ea2ad"),
+    (7, 8, "#393980"),
+    (9, 16, "#f7c1ff"),
+    (17, None, "#005852"),
 )
-"""The classes of periods.
+"""First and last period of each class and its colour, the same in every picture: cool ones, since warm ones are chaos.
 
-A period and its doubles share a hue (1, 2, 4, 8 blue; 3, 6 amber). Chosen together with the colours of the regimes
-for the greatest least difference between any two, also as seen without red or without green receptors.
+Chosen, with the colours of the regimes and of the chaos, for the greatest least difference between any two, also as
+seen without red or without green receptors; those of long periods lie farthest from those of 4 and 5.
 """
 
 
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The isoperiodic map as a figure; InputError where the atlas holds no periods."""
     plane = overlays.read(ds, ["period"], "period", options)
-    with rc_context(style.STYLE):
-        drawn, ax = maps.frame(ds)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, plane["period"])
-        maps.draw(ax, plane, rgba)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options.overlays)]
-        maps.legend_beside(drawn, entries)
+        maps.draw(ax, plane, rgba, options)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
+        options.page.legend(drawn, entries, beside="")
     return drawn
 
 
-def paint(
-    regime: NDArray[np.int8], period: NDArray[np.int32], classes: Sequence[Class] = CLASSES
-) -> tuple[NDArray[np.uint8], list[Patch]]:
+def paint(regime: NDArray[np.int8], period: NDArray[np.int32]) -> tuple[NDArray[np.uint8], list[Patch]]:
     """The colour of every cell, (y, x, 4) in bytes, and legend entries for the classes present."""
     rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
     counted = (regime == PERIODIC) & (period >= 1)
     legend = []
-    for first, last, color in classes:
+    for first, last, color in CLASSES:
         cells = counted & (period >= first) & (period <= (last or np.iinfo(np.int32).max))
         if cells.any():
             rgba[cells] = style.rgb(color)

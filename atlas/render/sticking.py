@@ -17,4 +17,4 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The sticking map as a figure; InputError where the atlas does not hold it. Cells that never rest are pale."""
     plane = overlays.read(ds, ["stuck_fraction"], "sticking", options)
     share = np.where(maps.determined(plane.regime), plane["stuck_fraction"], np.nan)
-    return scalar.figure(ds, plane, share, SCALE, options.overlays, zero=("#f3f1ea", "never at rest"))
+    return scalar.figure(ds, plane, share, SCALE, options, zero=("#f3f1ea", "never at rest"))

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -19,34 +18,39 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names
 from workers.model.system import SYSTEMS, Parameter, System
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
+from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
 
-WIDTH = 7.0
-"""Width of a figure in inches: two columns of a journal."""
+DPI = 300.0
+"""Dots per inch of a file where none are asked for."""
 
-STYLE: Any = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 10.0,
-    "axes.titlesize": 10.0,
-    "axes.labelsize": 11.0,
-    "axes.linewidth": 0.7,
-    "xtick.labelsize": 9.5,
-    "ytick.labelsize": 9.5,
-    "xtick.direction": "out",
-    "ytick.direction": "out",
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "legend.fontsize": 9.0,
-    "legend.title_fontsize": 9.0,
-    "legend.frameon": False,
-    "legend.handlelength": 1.3,
-    "legend.handleheight": 0.95,
-    "hatch.linewidth": 0.5,
-    "savefig.dpi": 300,
-    "pdf.fonttype": 42,
-    "svg.hashsalt": "impact-atlas",
-}
+
+def house(scale: float) -> dict[str, Any]:
+    """Matplotlib's settings of a page whose type is so many times as large as the standard page's."""
+    return {
+        "font.family": "STIXGeneral",
+        "mathtext.fontset": "stix",
+        "font.size": 10.0 * scale,
+        "axes.titlesize": 10.0 * scale,
+        "axes.labelsize": 11.0 * scale,
+        "axes.linewidth": 0.7,
+        "xtick.labelsize": 9.5 * scale,
+        "ytick.labelsize": 9.5 * scale,
+        "xtick.direction": "out",
+        "ytick.direction": "out",
+        "xtick.major.width": 0.7,
+        "ytick.major.width": 0.7,
+        "legend.fontsize": 9.0 * scale,
+        "legend.title_fontsize": 9.0 * scale,
+        "legend.frameon": False,
+        "legend.handlelength": 1.3,
+        "legend.handleheight": 0.95,
+        "hatch.linewidth": 0.5,
+        "savefig.dpi": DPI,
+        "savefig.bbox": None,  # the page has the size that was asked for
+        "pdf.fonttype": 42,
+        "svg.hashsalt": "impact-atlas",
+    }
+
 
 TEXTURE = "#8c8c8c"
 """The grey of textures."""
@@ -54,8 +58,8 @@ TEXTURE = "#8c8c8c"
 COLORS = {regime.code: regime.color for regime in REGIMES}
 """The colour of each regime code, as in the data's flag_colors."""
 
-INK = {**COLORS, NO_IMPACT: "#8c8c8c"}
-"""The same for points and lines on white, where the light grey of an area would not be seen."""
+INK = {**COLORS, NO_IMPACT: "#8c8c8c", UNDETERMINED: "#7db800"}
+"""The same for points and lines on white, where the pale colours of areas would not be seen."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
 """The texture of regimes that colour alone does not show: white is no value, impact-free cells have exponents, grey
@@ -63,9 +67,6 @@ and black may be the ends of a scale, and green is seen as a shade of chaos with
 
 HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
 """The ink of those textures; what is not named is drawn in an ink that suits its cells."""
-
-_LINE = 110
-"""Characters that fit in one line of the title."""
 
 
 def name_of(code: int) -> str:
@@ -95,13 +96,6 @@ def ink_on(color: ColorType) -> str:
     """Dark or light, whichever is seen on a colour."""
     red, green, blue = to_rgb(color)
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
-
-
-def new_figure(height: float) -> Figure:
-    """An empty figure of the standard width that leaves room for what stands outside its axes."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def parameter_of(ds: xr.Dataset, name: str) -> Parameter | None:
@@ -145,36 +139,25 @@ def unit_text(unit: str) -> str:
 def title_line(ds: xr.Dataset) -> str:
     """The fixed parameters that matter, as ``$R = 0.8$,  $\\zeta = 0.05$``: all but an initial state of zero.
 
-    They stand in the system's own order; a second line begins where the first would not fit.
+    They stand in the system's own order.
     """
     system = SYSTEMS.get(_system_name(ds))
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
     fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
     states = system.states if system else ()
     values = {name: float(ds[name]) for name in fixed}
-    return parameter_lines([(symbol(ds, name), value) for name, value in values.items() if value or name not in states])
+    return parameter_line([(symbol(ds, name), value) for name, value in values.items() if value or name not in states])
 
 
 def parameter_title(system: System, values: Mapping[str, float]) -> str:
     """The same for one cell of a system."""
     shown = [p for p in system.parameters if values[p.name] or p.name not in system.states]
-    return parameter_lines([(p.symbol, values[p.name]) for p in shown])
+    return parameter_line([(p.symbol, values[p.name]) for p in shown])
 
 
-def parameter_lines(items: Sequence[tuple[str, float]]) -> str:
-    """Symbols with their values, in as many lines as they need."""
-    lines: list[list[str]] = [[]]
-    used = 0
-    for sign, value in items:
-        # What is read counts, not how mathtext spells it: a symbol takes about two characters.
-        text = number(value)
-        width = len(text.replace("\\", "")) + 7
-        if used + width > _LINE:
-            lines.append([])
-            used = 0
-        lines[-1].append(f"${sign} = {text}$")
-        used += width
-    return "\n".join(",  ".join(line) for line in lines)
+def parameter_line(items: Sequence[tuple[str, float]]) -> str:
+    """Symbols with their values; where the line is too long for its page it will be broken between them."""
+    return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
 
 
 def number(value: float) -> str:
@@ -208,7 +191,7 @@ def provenance_of(*atlases: xr.Dataset) -> Provenance:
 
 
 def save(figure: Figure, path: Path, suffix: str, provenance: Provenance) -> None:
-    """Write a figure, with the digest of its spec and the software in the file's metadata and no time of day."""
+    """Write a figure, with the digest of its spec and the software in its metadata and no time of day."""
     software = f"impact-atlas {own_version()}, matplotlib {mpl.__version__}"
     source = f"computed by {provenance.software}"
     # Each format has its own words for the same four; a date would make equal pictures unequal files.
@@ -234,8 +217,7 @@ def save(figure: Figure, path: Path, suffix: str, provenance: Provenance) -> Non
             "CreationDate": None,
         },
     }
-    with mpl.rc_context(STYLE):
-        figure.savefig(path, format=suffix, metadata=words[suffix])
+    figure.savefig(path, format=suffix, metadata=words[suffix])
 
 
 def _system_name(ds: xr.Dataset) -> str:

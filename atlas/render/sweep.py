@@ -5,7 +5,6 @@ from typing import TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,18 +13,20 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.render import axes, style
+from atlas.render.fit import TITLE
+from atlas.render.page import STANDARD, Page
 from workers.results import ERROR, LARGEST, PENDING, REGIME, REGIMES, SECTION
 
-Panel: TypeAlias = Callable[[Axes, xr.Dataset, axes.DrawnAxis], None]
+Panel: TypeAlias = Callable[[Axes, xr.Dataset, axes.DrawnAxis, Page], None]
 """Draws one panel of a sweep from what was read of it."""
 
 LARGEST_LABEL = "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
 
-HEIGHT = {1: 3.0, 2: 5.2}
-"""Height in inches of a figure with one panel, or two."""
+_HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
+"""Height in inches of a figure with one panel, or two, less a share of its width; that share."""
 
 
-def figure(ds: xr.Dataset) -> Figure:
+def figure(ds: xr.Dataset, page: Page = STANDARD) -> Figure:
     """The sweep as a figure, each panel only if the atlas holds its variable; InputError if it holds neither."""
     panels: dict[str, Panel] = {SECTION.name: draw_section, LARGEST.name: _draw_largest}
     panels = {name: panel for name, panel in panels.items() if name in ds and ds[name].size}
@@ -33,8 +34,8 @@ def figure(ds: xr.Dataset) -> Figure:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
     # The error bars come with the exponents; an atlas of another origin may lack them.
     read, x = line(ds, [*panels, *([ERROR.name] if ERROR.name in ds else [])])
-    with rc_context(style.STYLE):
-        return stack(ds, read, x, panels, regime_legend(read[REGIME.name].values))
+    with page.context():
+        return stack(ds, read, x, panels, regime_legend(read[REGIME.name].values), page)
 
 
 def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.DrawnAxis]:
@@ -47,21 +48,29 @@ def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.Dra
 
 
 def stack(
-    ds: xr.Dataset, read: xr.Dataset, x: axes.DrawnAxis, panels: Mapping[str, Panel], legend: Sequence[Artist]
+    ds: xr.Dataset,
+    read: xr.Dataset,
+    x: axes.DrawnAxis,
+    panels: Mapping[str, Panel],
+    legend: Sequence[Artist],
+    page: Page,
 ) -> Figure:
     """Panels over one shared axis, under the title line of the fixed parameters."""
-    drawn = style.new_figure(HEIGHT[len(panels)])
-    plots = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for ax, panel in zip(plots, panels.values(), strict=True):
-        panel(ax, read, x)
+    least, share = _HEIGHT[len(panels)]
+    drawn, plots = page.panels(least + share * page.width, len(panels))
+    for ax, (name, panel) in zip(plots, panels.items(), strict=True):
+        panel(ax, read, x, page)
+        if name != SECTION.name:
+            ax.set_ylim(page.vmin, page.vmax)
         axes.scale_x(ax, x, label=ax is plots[-1])
     drawn.align_ylabels(plots)
-    plots[0].set_title(style.title_line(ds), loc="left")
-    drawn.legend(handles=list(legend), loc="outside lower center", ncols=max(1, len(legend)), handlelength=0.8)
+    if page.title:
+        plots[0].set_title(style.title_line(ds), loc="left", gid=TITLE)
+    page.legend(drawn, legend, handlelength=0.8)
     return drawn
 
 
-def draw_section(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
+def draw_section(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
     """The bifurcation diagram: section values of the first state in the colours of their regimes."""
     regime = ds[REGIME.name].values
     # The dimensions are cell, sample, component; only the first component is read.
@@ -69,11 +78,11 @@ def draw_section(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
     at = np.broadcast_to(x.values[:, None], section.shape)
     for code in np.unique(regime[regime != PENDING]):
         shown = np.isfinite(section) & (regime == code)[:, None]
-        _points(ax, at[shown], section[shown], x, int(code))
+        _points(ax, at[shown], section[shown], int(code), point_size(x, 1.1, page))
     ax.set_ylabel(state_label(ds))
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
     regime = ds[REGIME.name].values
     largest = np.where(np.isfinite(ds[LARGEST.name].values), ds[LARGEST.name].values, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -83,19 +92,16 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis) -> None:
     ax.plot(x.values, largest, color="#a6a6a6", linewidth=0.5, zorder=2)
     for code in np.unique(regime[regime != PENDING]):
         shown = (regime == code) & np.isfinite(largest)
-        _points(ax, x.values[shown], largest[shown], x, int(code), least=1.8)
+        _points(ax, x.values[shown], largest[shown], int(code), point_size(x, 1.8, page))
     ax.set_ylabel(LARGEST_LABEL)
 
 
-def point_size(x: axes.DrawnAxis, least: float) -> float:
-    """The diameter of a point in points: as wide as a cell, within what is seen and what separates neighbours."""
-    return float(np.clip(0.8 * style.WIDTH * 72.0 / x.values.size, least, 4.0))
+def point_size(x: axes.DrawnAxis, least: float, page: Page) -> float:
+    """The diameter of a point in points: wider than a cell, but within what is seen and what tells points apart."""
+    return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
 
 
-def _points(
-    ax: Axes, at: NDArray[np.float64], values: NDArray[np.float64], x: axes.DrawnAxis, code: int, least: float = 1.1
-) -> None:
-    size = point_size(x, least)
+def _points(ax: Axes, at: NDArray[np.float64], values: NDArray[np.float64], code: int, size: float) -> None:
     ax.plot(at, values, ".", color=style.INK[code], markersize=size, markeredgewidth=0, zorder=3, rasterized=True)
 
 

@@ -1,0 +1,78 @@
+"""Texts made to fit: labels and titles that are longer than their figure are broken into lines."""
+
+import re
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+TITLE = "title"
+"""The mark, as a group's name, of texts whose parts may move to the next line."""
+
+
+def fit(drawn: Figure) -> None:
+    """Break labels and titles that are longer than the figure into lines."""
+    for _ in range(3):  # a label in two lines leaves less room for others
+        drawn.draw_without_rendering()
+        titles: Any = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() == TITLE)
+        if not any([_fit_title(drawn, each) for each in titles] + [_fit_labels(drawn)]):
+            return
+
+
+def _fit_title(drawn: Figure, text: Text) -> bool:
+    """Put as many parts of a title, which commas separate, into each line as fit."""
+    before = text.get_text()
+    room = drawn.bbox.x1 - text.get_window_extent().x0 - 3.0
+    lines = []
+    for line in before.replace(",\n", ",  ").split("\n"):  # what an earlier turn broke may fit now
+        kept, *rest = re.split(r"(?<=,)( +)", line)
+        for space, part in zip(rest[::2], rest[1::2], strict=True):
+            text.set_text(f"{kept}{space}{part}")
+            if text.get_window_extent().width <= room:
+                kept = text.get_text()
+            else:
+                lines.append(kept)
+                kept = part
+        lines.append(kept)
+    text.set_text("\n".join(lines))
+    return text.get_text() != before
+
+
+def _fit_labels(drawn: Figure) -> bool:
+    """Break labels that leave the figure, and those of plots one above the other that run into each other."""
+    uprights = [ax.yaxis.label.get_window_extent() for ax in drawn.axes if ax.get_ylabel()]
+    changed = False
+    for ax in drawn.axes:
+        across, up = (text.get_window_extent() for text in (ax.xaxis.label, ax.yaxis.label))
+        others = [each for each in uprights if each.bounds != up.bounds]
+        too_long = {
+            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width,
+            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or up.padded(2.0).count_overlaps(others) > 0,
+        }
+        for text in [each for each, long in too_long.items() if long and each.get_text()]:
+            before = text.get_text()
+            text.set_text(_broken(before))
+            changed |= text.get_text() != before
+    return changed
+
+
+def _broken(label: str) -> str:
+    """A label with its longest line in two, at the space nearest to its middle that is in no formula or bracket."""
+    lines = label.split("\n")
+    longest = max(range(len(lines)), key=lambda i: len(_read(lines[i])))
+    line = lines[longest]
+    spaces = [
+        at
+        for at, letter in enumerate(line)
+        if letter == " " and line[:at].count("$") % 2 == 0 and line[:at].count("[") == line[:at].count("]")
+    ]
+    if not spaces:
+        return label
+    at = min(spaces, key=lambda i: abs(len(_read(line[:i])) - len(_read(line)) / 2))
+    lines[longest : longest + 1] = [line[:at], line[at + 1 :]]
+    return "\n".join(lines)
+
+
+def _read(text: str) -> str:
+    """A text nearly as it is read: a symbol of mathtext as one letter."""
+    return re.sub(r"\\[a-z]+", "x", text).translate(str.maketrans("", "", "${}_^"))

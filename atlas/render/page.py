@@ -1,0 +1,266 @@
+"""The page that a picture is drawn on: its size, type and resolution, its scale's ends, or axes that are given."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, TypedDict
+
+import matplotlib as mpl
+from matplotlib import style as mpl_style
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
+
+from atlas.errors import InputError
+from atlas.render.fit import fit
+from atlas.render.measures import length, number, positive
+from atlas.render.style import DPI, house
+
+WIDTH = 7.0
+"""Width of a figure in inches where none is asked for: two columns of a journal."""
+
+_FONT = 10.0
+"""Points of the type at the standard width, to which all sizes of type here are relative."""
+_NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
+"""Width in inches of one column of a journal, and the points of type there."""
+_SHOWN_DPI = 144.0
+"""Dots per inch in a notebook, which shows 72 of them an inch of the page where screens have no finer ones."""
+_BESIDE = 5.0
+"""Least width in inches of a page that has room for a legend beside its plot."""
+
+
+class Look(TypedDict, total=False):
+    """How a picture looks, for every function that draws one.
+
+    width      of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"
+    height     the same
+    font_size  points of the type
+    dpi        dots per inch
+    vmin       lower end of the scale of numbers, or of the axis of exponents in a sweep
+    vmax       its upper end
+    title      whether the fixed parameters stand above
+    style      a matplotlib style: a file, or the name of one of matplotlib's own
+    """
+
+    width: float | str | None
+    height: float | str | None
+    font_size: float | None
+    dpi: float | None
+    vmin: float | None
+    vmax: float | None
+    title: bool
+    style: str | Path | None
+
+
+class Picture(Figure):
+    """A figure that a notebook shows by itself, with neither pyplot nor a magic line."""
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        width, height = self.get_size_inches()
+        data = BytesIO()
+        self.savefig(data, format="png", dpi=_SHOWN_DPI)
+        # At half of its pixels, so that it is sharp on fine screens.
+        return data.getvalue(), {"width": round(width * _SHOWN_DPI / 2), "height": round(height * _SHOWN_DPI / 2)}
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure."""
+
+    width: float = WIDTH
+    height: float | None = None
+    font: float = _FONT
+    dpi: float = DPI
+    vmin: float | None = None
+    vmax: float | None = None
+    title: bool = True
+    rc: Mapping[str, Any] = field(default_factory=dict)
+    given: tuple[Axes, ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """The size of the type relative to that of the standard page."""
+        return self.font / _FONT
+
+    @property
+    def wide(self) -> bool:
+        """Whether a legend fits beside the plot."""
+        return self.width >= _BESIDE * self.scale
+
+    def context(self) -> AbstractContextManager[None]:
+        """Matplotlib's settings for drawing on this page; the former ones return with its end."""
+        settings: Any = house(self.scale)
+        if self.given:  # who gives axes has chosen their type already
+            settings = {name: settings[name] for name in _OURS}
+        else:
+            settings["savefig.dpi"] = self.dpi
+        settings.update(self.rc)
+        return mpl.rc_context(settings)
+
+    def figure(self, height: float) -> Figure:
+        """An empty figure that leaves room for what stands outside its axes; ``height`` unless another is asked for."""
+        drawn = Picture(
+            figsize=(self.width, self.height or height), layout="constrained", facecolor="white", dpi=self._screen_dpi
+        )
+        FigureCanvasAgg(drawn)
+        return drawn
+
+    @property
+    def _screen_dpi(self) -> float | None:
+        return self.dpi if self.dpi != DPI else None
+
+    def plot_size(self, height: float) -> tuple[float, float]:
+        """Nominal width and height of the plot in points, for what must be known before the figure is laid out."""
+        if self.given:
+            extent = self.given[0].get_window_extent()
+            dots = _root(self.given[0]).dpi
+            return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
+        return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
+
+    def ends(self, low: float, high: float) -> tuple[float, float]:
+        """The ends of a scale: those asked for, else these; InputError unless they rise."""
+        low = low if self.vmin is None else self.vmin
+        high = high if self.vmax is None else self.vmax
+        if not low < high:
+            raise InputError(f"the scale must rise: found {low:g} to {high:g}; give vmin, vmax or both")
+        return low, high
+
+    def panels(self, height: float, count: int) -> tuple[Figure, list[Axes]]:
+        """A figure with so many plots over one shared axis, or the given axes; InputError if those are not as many."""
+        if not self.given:
+            drawn = self.figure(height)
+            return drawn, list(drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        if len(self.given) != count:
+            raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
+        return _root(self.given[0]), list(self.given)
+
+    def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
+        """A legend under the plots in as many columns as fit, or, where ``beside`` is a title (or ""), to the right.
+
+        A page too narrow for a legend beside has it below. None without entries.
+        """
+        if not entries:
+            return
+        handles = list(entries)
+        aside = beside is not None and (self.wide or bool(self.given))
+        title = {"title": beside, "alignment": "left"} if beside else {}
+        if aside:
+            look = {"labelspacing": 0.45, **title, **look}
+            if self.given:
+                self.given[0].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1.0), **look)
+            else:
+                drawn.legend(handles=handles, loc="outside right upper", **look)
+            return
+        if title:
+            title["title"] = str(beside).replace("\n", " ")
+        for columns in range(len(handles), 0, -1):
+            rows = -(-len(handles) // columns)
+            if columns > 1 and -(-len(handles) // rows) != columns:
+                continue  # filled column by column, rows of equal length look best
+            if self.given:
+                under = self.given[-1]
+                drop = ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(under).dpi_scale_trans)
+                place = under.transAxes + drop
+                made = under.legend(
+                    handles=handles, loc="upper left", bbox_to_anchor=(0, 0), bbox_transform=place, ncols=columns,
+                    borderaxespad=0.0, **title, **look,
+                )  # fmt: skip
+                room = under.get_window_extent().width
+            else:
+                made = drawn.legend(
+                    handles=handles,
+                    loc="outside lower center",
+                    ncols=columns,
+                    **{"columnspacing": 1.4, **title, **look},
+                )
+                room = drawn.bbox.width
+            if columns == 1 or made.get_window_extent().width <= room - 4.0:
+                if not self.given and self.height is None and rows > 2:
+                    # What a long legend takes is added to the page, not taken from the plot.
+                    more = made.get_window_extent().height / drawn.dpi * (rows - 2) / rows
+                    drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + more)
+                return
+            made.remove()
+
+    def fit(self, drawn: Figure) -> None:
+        """Break labels and titles that are longer than the page into lines, but not in given axes."""
+        if not self.given:
+            with self.context():
+                fit(drawn)
+
+
+STANDARD = Page()
+
+
+def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
+    """The page that these describe, see ``Look``; ``ax``: axes to draw into, one or, for a sweep, one for each plot.
+
+    Raises InputError for a length, a size or a resolution that is none, and for a style that cannot be read.
+    """
+    unknown = set(look) - set(Look.__annotations__)
+    if unknown:
+        raise InputError(f"unknown option {sorted(unknown)[0]!r}; possible: {', '.join([*Look.__annotations__, 'ax'])}")
+    given = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
+    if any(not isinstance(each, Axes) for each in given):
+        raise InputError("ax: must be matplotlib axes, one or, for a sweep, one for each of its plots")
+    for name in ("width", "height"):
+        if given and look.get(name) is not None:
+            raise InputError(f"{name}: the given axes have a size already")
+    rc = _style(look.get("style"))
+    figsize = rc.pop("figure.figsize", (None, None))
+    width = length("width", look.get("width")) or figsize[0] or WIDTH
+    asked = positive("font_size", look.get("font_size"))
+    if asked:
+        rc = {name: value for name, value in rc.items() if name not in _SIZES}
+    font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
+    dpi = positive("dpi", look.get("dpi")) or rc.pop("savefig.dpi", DPI)
+    if given and asked:
+        rc |= {name: value for name, value in house(font / _FONT).items() if name in _SIZES}
+    return Page(
+        width=width,
+        height=length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
+        font=float(font),
+        dpi=dpi if isinstance(dpi, float) else DPI,
+        vmin=number("vmin", look.get("vmin")),
+        vmax=number("vmax", look.get("vmax")),
+        title=look.get("title", True),
+        rc=rc,
+        given=given,
+    )
+
+
+def _usual_font(width: float) -> float:
+    share = (width - _NARROW) / (WIDTH - _NARROW)
+    return _NARROW_FONT + (_FONT - _NARROW_FONT) * min(1.0, max(0.0, share))
+
+
+_OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
+"""Of those settings, the ones that pictures in given axes have too."""
+_SIZES = tuple(name for name in house(1.0) if name.endswith("size"))
+
+
+def _style(chosen: str | Path | None) -> dict[str, Any]:
+    """The settings of a style, without those that are about windows and not about looks."""
+    if chosen is None:
+        return {}
+    if str(chosen) in mpl_style.library:
+        found = mpl_style.library[str(chosen)]
+    else:
+        try:
+            found = mpl.rc_params_from_file(chosen, use_default_template=False)
+        except (OSError, UnicodeDecodeError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"style {chosen}: neither a style of matplotlib's nor a file to read: {why}") from None
+    layout = ("figure.autolayout", "figure.constrained_layout.use", "savefig.bbox", "savefig.format", "backend")
+    return {name: found[name] for name in found if name not in layout and not name.startswith("figure.subplot")}
+
+
+def _root(ax: Axes) -> Figure:
+    found = ax.get_figure(root=True)
+    if found is None:
+        raise InputError("ax: these axes belong to no figure any more")
+    return found

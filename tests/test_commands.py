@@ -1,0 +1,121 @@
+"""The claim that every command and every script of README.md and docs/ does what it is shown to do, as it stands.
+
+All blocks of a page run in order in one folder, but those after a comment ``<!-- not run by tests: why -->``. What they
+start from lies there: small specs under the names of the pages' own, and a store of one of them.
+"""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from tests.faults import ATLAS
+from tests.test_docs import PAGES, ROOT, script_calls
+
+pytestmark = pytest.mark.slow
+
+PLANE = """
+system = "two-mass"
+[axes.omega]
+start = 2.0
+stop = 4.0
+num = 9
+[axes.b]
+start = 0.1
+stop = 0.5
+num = 6
+[solve]
+tolerance = 0.05
+max_periods = 2000
+[store]
+tile = [3, 4]
+"""
+LINE = """
+system = "two-mass"
+[axes.omega]
+start = 2.0
+stop = 4.0
+num = 20
+{more}
+[solve]
+section_samples = 16
+max_periods = 2000
+"""
+FILES = {
+    # A file goes before the example of that name in the package.
+    "omega-b": PLANE,
+    "omega-b-fine": PLANE,
+    "plane.toml": PLANE,
+    "wider.toml": PLANE.replace("stop = 4.0\nnum = 9", "stop = 4.5\nnum = 11"),
+    "fig6": LINE.format(more=""),
+    "up.toml": LINE.format(more='continuation = "forward"'),
+    "down.toml": LINE.format(more='continuation = "backward"'),
+}
+SKIPPED = r"<!-- not run by tests: [^>]+ -->\n\n?"
+
+
+def runnable(page: Path) -> list[tuple[str, str]]:
+    """Language and text of the blocks of a page that can be run here, in order."""
+    text = re.sub(SKIPPED + r"```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(r"^```(sh|python)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the specs, a store, and the command ``atlas`` on the path."""
+    bin_folder = tmp_path / "bin"
+    bin_folder.mkdir()
+    (bin_folder / "atlas").write_text(f'#!/bin/sh\nexec {shlex.join(ATLAS)} "$@"\n')
+    (bin_folder / "atlas").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    work = tmp_path / "work"
+    work.mkdir()
+    for name, text in FILES.items():
+        (work / name).write_text(text)
+    run(["atlas", "run", "plane.toml", "-o", "plane.zarr"], work)
+    return work
+
+
+def run(command: list[str], work: Path) -> None:
+    ended = subprocess.run(command, cwd=work, capture_output=True, text=True, timeout=900)
+    assert ended.returncode == 0, f"{shlex.join(command)}\n{ended.stdout}{ended.stderr}"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if runnable(page)], ids=lambda page: page.name)
+def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, folder: Path) -> None:
+    for number, (language, text) in enumerate(runnable(page)):
+        if language == "sh":
+            run(["sh", "-eu", "-c", text], folder)
+        else:
+            (folder / f"block{number}.py").write_text(text)
+            run([sys.executable, "-W", "error", f"block{number}.py"], folder)
+    for name in pictures(page):
+        if (folder / name).exists():
+            with Image.open(folder / name) as image:
+                image.verify()
+
+
+def pictures(page: Path) -> list[str]:
+    return [Path(name).name for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text())]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if pictures(page)], ids=lambda page: page.name)
+def test_the_command_that_makes_a_picture_stands_beside_it(page: Path) -> None:
+    """An ``atlas`` command that writes it, or a call of a script that does."""
+    blocks = "".join(text for _, text in runnable(page))
+    written = {Path(word).name for call in script_calls(page) for word in call}
+    written |= set(re.findall(r"^atlas .* -o (\S+)", blocks, re.MULTILINE))
+    assert set(pictures(page)) <= written
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_only_installations_clusters_and_clouds_are_not_run(page: Path) -> None:
+    reasons = set(re.findall(r"<!-- not run by tests: ([^>]+) -->", page.read_text()))
+    assert reasons <= {"installs", "needs a cluster", "needs a cloud"}

@@ -1,0 +1,181 @@
+"""Claims about the page of a picture: its size in a file, its type and scale, axes of one's own; nothing is clipped."""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from PIL import Image
+
+import atlas
+from atlas import render
+from atlas.cli.main import main
+from atlas.errors import InputError
+from tests.pictures import line, orbit, plane
+from tests.synthetic import complete
+
+
+def draw(kind: str, **look: Any) -> Figure:
+    if kind == "portrait":
+        return render.orbit_figure(orbit(), **look)
+    if kind == "hysteresis":
+        return render.figure(line("forward", 5), against=line("backward", 3), **look)
+    if kind in render.MAPS:
+        return render.figure(plane(), kind, overlays=render.OVERLAYS, **look)
+    return render.figure(line(), kind, **look)
+
+
+class _Notes(RendererAgg):
+    """Draws, and notes every text that it draws: an axis has more labels than it shows."""
+
+    def draw_text(self, *args: Any, mtext: Text | None = None, **kwargs: Any) -> None:
+        self.__dict__.setdefault("drawn", []).append(mtext)
+        super().draw_text(*args, mtext=mtext, **kwargs)
+
+
+def texts(figure: Figure) -> list[Text]:
+    """Every text that is drawn."""
+    notes = _Notes(*figure.bbox.size, figure.dpi)
+    figure.draw(notes)
+    return [each for each in notes.__dict__["drawn"] if each is not None]
+
+
+@pytest.mark.parametrize("width", ["85mm", "180mm"])
+@pytest.mark.parametrize("kind", [*render.KINDS, "portrait"])
+def test_no_text_is_clipped_and_none_overlaps_another(kind: str, width: str) -> None:
+    figure = draw(kind, width=width)
+    boxes = [(each.get_text(), each.get_window_extent()) for each in texts(figure)]
+    page = figure.bbox
+    clipped = [
+        t for t, b in boxes if b.x0 < page.x0 - 1 or b.x1 > page.x1 + 1 or b.y0 < page.y0 - 1 or b.y1 > page.y1 + 1
+    ]
+    assert not clipped
+    over = [(s, t) for (s, a), (t, b) in itertools.combinations(boxes, 2) if a.padded(-1.5).overlaps(b.padded(-1.5))]
+    assert not over
+
+
+@pytest.mark.parametrize(("width", "inches"), [("85mm", 85 / 25.4), ("8.5 cm", 85 / 25.4), ("3in", 3.0), (4, 4.0)])
+def test_a_file_has_the_width_that_was_asked_for(tmp_path: Path, width: str | float, inches: float) -> None:
+    with Image.open(render.render(plane(), tmp_path / "map.png", width=width, height="60mm", dpi=200)) as image:
+        assert image.size == (pytest.approx(inches * 200, abs=1), pytest.approx(60 / 25.4 * 200, abs=1))
+        assert image.info["dpi"] == pytest.approx((200, 200), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("look", "says"),
+    [
+        ({"width": "85"}, r"width: found '85', must be a length such as 85mm, 8.5cm or 3.35in"),
+        ({"width": "85px"}, "must be a length such as"),
+        ({"height": "5km"}, "height: found '5km'"),
+        ({"width": "2mm"}, r"must be 0.8 to 60 inches"),
+        ({"dpi": -1}, "dpi: found -1, must be positive"),
+        ({"font_size": float("nan")}, "font_size: found nan, must be a number"),
+        ({"vmin": 2.0, "vmax": 1.0}, "the scale must rise: found 2 to 1"),
+        ({"vmin": 0.5, "vmax": 1.0}, "zero in its middle"),
+        ({"style": "no-such-style"}, "style no-such-style: neither a style of matplotlib's nor a file to read"),
+        ({"colour": 1}, "unknown option 'colour'; possible: width, height"),
+    ],
+)
+def test_what_makes_no_page_is_refused_in_one_line(look: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        render.figure(plane(), **look)
+
+
+@pytest.mark.parametrize("kind", ["period", "impacts", "symmetry"])
+def test_ends_of_a_scale_are_refused_where_there_is_none(kind: str) -> None:
+    with pytest.raises(InputError, match=f"kind '{kind}' draws classes"):
+        render.figure(plane(), kind, vmax=1.0)
+
+
+@pytest.mark.parametrize("kind", ["exponent", "combined", "cost", "sticking"])
+def test_two_planes_can_be_drawn_on_one_scale(kind: str) -> None:
+    low = {"exponent": -2.0, "combined": 0.0, "cost": 1.0, "sticking": 0.0}[kind]
+    bars = [render.figure(part, kind, vmin=low, vmax=3e4).axes[1] for part in (plane(), plane().isel(b=slice(1, 6)))]
+    assert [bar.get_ylim() for bar in bars] == [pytest.approx((low, 3e4))] * 2
+
+
+def test_sweeps_take_the_ends_of_the_axis_of_exponents() -> None:
+    top, bottom = render.figure(line(), vmin=-1.0, vmax=0.5).axes
+    assert bottom.get_ylim() == (-1.0, 0.5)
+    assert top.get_ylim() != (-1.0, 0.5)
+
+
+def test_the_title_can_be_left_out() -> None:
+    assert render.figure(plane(), title=False).axes[0].get_title(loc="left") == ""
+    assert render.orbit_figure(orbit(), title=False).get_suptitle() == ""
+
+
+def test_all_type_follows_the_size_that_was_asked_for() -> None:
+    small, large = (render.figure(plane(), font_size=size).axes[0].xaxis.label.get_fontsize() for size in (6.0, 12.0))
+    assert large == pytest.approx(2 * small)
+
+
+def test_a_style_file_decides_what_the_options_do_not(tmp_path: Path) -> None:
+    (tmp_path / "my.mplstyle").write_text(
+        "font.family: DejaVu Sans\nfont.size: 6\nsavefig.bbox: tight\nsavefig.dpi: 100\n"
+    )
+    label = render.figure(plane(), style=tmp_path / "my.mplstyle").axes[0].xaxis.label
+    assert (label.get_fontfamily(), label.get_fontsize()) == (["DejaVu Sans"], pytest.approx(6.6))
+    with Image.open(render.render(plane(), tmp_path / "map.png", width=4, style=tmp_path / "my.mplstyle")) as image:
+        assert image.width == 400
+
+
+def test_a_map_is_drawn_into_axes_of_ones_own() -> None:
+    figure, axes = plt.subplots(1, 2, layout="constrained")
+    assert render.figure(plane(), "combined", ax=axes[1], overlays="grazing") is axes[1]
+    assert axes[1].images and not axes[0].images
+    assert axes[1].get_legend() is not None
+    figure.draw_without_rendering()
+    plt.close(figure)
+
+
+def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
+    figure, axes = plt.subplots(2, 1)
+    assert list(render.figure(line(), ax=axes)) == list(axes)
+    assert all(ax.lines for ax in axes)
+    with pytest.raises(InputError, match="this picture has 2 plots, found 1 axes in ax"):
+        render.figure(line(), ax=axes[0])
+    with pytest.raises(InputError, match="width: the given axes have a size already"):
+        render.figure(line(), ax=axes, width=3)
+    plt.close(figure)
+
+
+def test_one_overlay_may_be_given_as_a_text() -> None:
+    one, several = (
+        render.figure(plane(), overlays=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])
+    )
+    assert one.get_text() == several.get_text() == r"grazing, $|Y| = b$"
+
+
+def test_a_portrait_to_another_format_is_refused_before_the_cell_is_even_looked_for(tmp_path: Path) -> None:
+    ds = atlas.open(complete(tmp_path / "plane.zarr").path)
+    with pytest.raises(InputError, match=r"found '.gif'"):
+        ds.atlas.portrait(omega=99.0, b=0.2, path=tmp_path / "c.gif")
+    ended = CliRunner().invoke(main, ["portrait", "-o", str(tmp_path / "c.gif")])
+    assert ended.exit_code == 2
+    assert "solving" not in ended.output
+
+
+def test_the_command_takes_size_type_and_scale(tmp_path: Path) -> None:
+    store, out = complete(tmp_path / "plane.zarr").path, tmp_path / "map.png"
+    look = ["--width", "85mm", "--height", "3in", "--dpi", "150", "--font-size", "7", "--vmin=-2", "--vmax=1"]
+    look += ["--no-title", "--style", "classic"]
+    ended = CliRunner().invoke(main, ["render", str(store), "-o", str(out), *look])
+    assert ended.exit_code == 0, ended.output
+    with Image.open(out) as image:
+        assert image.size == (int(85 / 25.4 * 150), 450)
+    refused = CliRunner().invoke(main, ["render", str(store), "-o", str(tmp_path / "no.png"), "--width", "85"])
+    assert refused.exit_code == 2
+    assert not (tmp_path / "no.png").exists()
+
+
+def test_a_period_has_one_colour_in_every_map() -> None:
+    maps = [np.asarray(render.figure(plane(), kind).axes[0].images[0].get_array()) for kind in ("period", "combined")]
+    periodic = plane()["regime"].values == 1
+    assert (maps[0][periodic] == maps[1][periodic]).all()
