@@ -12,10 +12,13 @@ import multiprocessing
 import os
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial, update_wrapper
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit
+from numba import config, njit, types
+from numba.extending import typeof_impl
 
 __all__ = ["CACHE", "inlined", "kernel", "piece"]
 
@@ -57,10 +60,35 @@ CACHE = _prepare_cache()
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 
-kernel = njit(cache=CACHE is not None, **_HOW)
+
+class Kernel:
+    """A function that Python calls as a kernel of its own, and other kernels as a part of them.
+
+    A part has neither an entry for Python, which unpacks records of arrays and takes as long to compile as what the
+    function does, nor a file in the cache.
+    """
+
+    def __init__(self, function: Callable[..., Any], **how: Any) -> None:
+        self.py_func = function
+        self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
+        self.part = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_HOW, **how)(function)
+        update_wrapper(self, function)
+
+    def __call__(self, *given: Any) -> Any:
+        """What the function makes of the arguments, compiled."""
+        return self.alone(*given)
+
+
+@typeof_impl.register(Kernel)
+def _(kernel: Kernel, context: Any) -> types.Dispatcher:
+    """What a kernel is in another one."""
+    return types.Dispatcher(kernel.part)
+
+
+kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""
 
-inlined = njit(forceinline=True, **_HOW)
+inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
 
 piece = njit(inline="always", **_HOW)
