@@ -95,7 +95,7 @@ class Cells:
 
     def restart(self, cells: Rows) -> None:
         """Count and average from here on."""
-        restart_counts(self.oscillators, self.batch.motions, cells)
+        restart_counts(self.oscillators.gap.lam, self.batch.motions, cells)
         self.batch.levels[cells], self.batch.weighted[cells] = 0.0, 0.0
 
     def kept(self) -> NDArray[np.int64]:
@@ -205,8 +205,8 @@ class Cells:
         motions = self.batch.motions
         averaged = self.averaging[cells] & (self.batch.levels[cells, 0, COUNT] > 0.0)
         with_growth = cells[averaged] if self.vectors else cells[:0]
+        reset_frames(self.oscillators.gap.lam, motions, with_growth)
         if len(with_growth):
-            reset_frames(self.oscillators, motions, with_growth)
             mean, error, count = self.growth(with_growth)
             spectrum = -np.sort(-motions.growth[with_growth] / count[:, None], axis=1)
             average = spectrum if self.settings.exponents == "spectrum" else mean

@@ -138,9 +138,11 @@ def _look(cells: Cells, through: Rows, stretch: Rows, weighted: Array) -> Rows:
     now = weighted[averaging]
     spread = np.abs(now - previous)
     flat = ~precise & (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
+    oscillators, batch = cells.oscillators, cells.batch
     flat[flat] = far_from_closing(
-        cells.oscillators, cells.batch.motions, cells.batch.sections, cells.kept(), averaging[flat], TORUS_RETURN
-    )
+        oscillators.gap.lam, oscillators.forced, batch.motions.h, batch.sections, cells.kept(), averaging[flat],
+        TORUS_RETURN,
+    )  # fmt: skip
     cells.put_quasiperiodic(averaging[flat], now[flat], spread[flat])
     done = np.zeros(len(cells.used), dtype=np.bool_)
     done[averaging[precise | flat]] = True

@@ -1,6 +1,7 @@
 """The kernels' compilation: once on a machine, by whichever process is first."""
 
 import fcntl
+import gc
 import json
 import sys
 from contextlib import suppress
@@ -46,24 +47,19 @@ def warm_up_in_child(system: str, settings: Settings) -> bool:
 
 def main() -> None:
     """warm_up for what is given as JSON."""
+    gc.disable()  # what a compiler builds lives until it ends, and looking through it again and again takes time
     given = json.loads(sys.argv[1])
     warm_up(given["system"], Settings(**given["settings"]))
 
 
 def warm_up(system: str, settings: Settings) -> None:
-    """Compile the kernels, or load them, by solving the system's default cell.
+    """Compile the kernels, or load them, by one period of the system's default cell: every kernel is called for it.
 
-    Adaptive and on a fixed schedule, one alone and many in a batch: they do not take the same kernels.
+    What a kernel is compiled for does not depend on the settings: they make arrays longer or empty.
     """
-    from workers.model.system import find_system
     from workers.tile import solve_cells
 
-    first = find_system(system).parameters[0]
-    many = {first.name: np.full(SIDE_BY_SIDE, first.default)}
-    brief: Settings = replace(settings, max_periods=1000, transient_periods=0, periods=1)
-    for method in ("adaptive", "fixed"):
-        for cells in ({}, many):
-            solve_cells(system, cells, replace(brief, method=method))
+    solve_cells(system, {}, replace(settings, method="adaptive", max_periods=1))
 
 
 def _marker(exponents: str) -> Path | None:

@@ -132,7 +132,10 @@ def motion_with(
 @register_jitable
 def axes(n: int) -> NDArray[np.float64]:
     """The 2n tangent vectors (2n, n, 2) along the block axes."""
-    return np.eye(2 * n).reshape(2 * n, n, 2)
+    frame = np.zeros((2 * n, n, 2))
+    for j in range(n):
+        frame[2 * j, j, 0] = frame[2 * j + 1, j, 1] = 1.0
+    return frame
 
 
 def motions_at(
@@ -250,11 +253,16 @@ def fly_far(osc, motion, s):
 @kernel
 def reset_frame(osc, motion):
     """Make the frame orthonormal and count its growth."""
-    n = motion.V.shape[1]
-    if motion.growth.shape[0] > 0:
-        rank = 2 * n - int(motion.tally[LOST])
-        orthonormalise(osc.gap.lam, motion.V, motion.growth, motion.triangle, rank)
-    motion.tally[SPREAD] = 0.0
+    reset_frame_of(osc.gap.lam, motion)
+
+
+@kernel
+def reset_frame_of(lam, motion):
+    """reset_frame for blocks of stiffness lam (n,)."""
+    V, growth, tally = motion.V, motion.growth, motion.tally
+    if growth.shape[0] > 0:
+        orthonormalise(lam, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
+    tally[SPREAD] = 0.0
 
 
 @inlined
