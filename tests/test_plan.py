@@ -93,7 +93,7 @@ def compiled():
         (name, str(signature))
         for module in modules
         for name, kernel in vars(module).items()
-        for signature in getattr(kernel, "signatures", ())
+        for signature in getattr(getattr(kernel, "alone", kernel), "signatures", ())
     }
 
 spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.cells import REASON_OF
-from workers.kernel.cells import scale_of
+from workers.kernel.cells import physical_states, reset_frames, start_motions
 from workers.kernel.stroboscopic import (
     BEYOND,
     RECORDED,
@@ -15,10 +15,9 @@ from workers.kernel.stroboscopic import (
     STATUS,
     WORK,
     WORK_OF_A_TRIAL,
-    blocks_to_physical,
-    motion_from,
-    reset_frame,
+    motions_at,
 )
+from workers.model.oscillator import each, many_of
 from workers.model.system import find_system
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, InvalidError
 from workers.settings import Settings, check_whole
@@ -66,10 +65,13 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     osc = record.build(values)
     start = np.array([values[name] for name in record.states])
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
-    motion = motion_from(osc, start, vectors, RECORD)
+    oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
+    motions = motions_at(np.zeros((1, *osc.kick.shape)), vectors=vectors, record=RECORD)
+    scale = start_motions(oscillators, motions, start[None], cell)
+    motion = each(motions, lambda field: field[0])
     if motion.contact[0] == BEYOND:
         raise InvalidError(BEYOND_STOP)
-    if not np.isfinite(scale_of(osc, motion.h)):
+    if not np.isfinite(scale).all():
         raise InvalidError(ENERGY_OUT_OF_DOUBLES)
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
@@ -77,11 +79,11 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         run_periods(osc, motion, 1)
         if motion.tally[STATUS] != RUNNING:
             raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")
-        reset_frame(osc, motion)
+        reset_frames(oscillators.gap.lam, motions, cell)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period
         motion.tally[RECORDED] = 0.0
-        states.append(blocks_to_physical(osc, motion))
+        states.append(physical_states(oscillators, motions, cell)[0])
         impacts.append(found)
         exponents.append(motion.growth / (k + 1))
     return Trace(

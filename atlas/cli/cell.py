@@ -35,7 +35,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     checked_parameters(checked_system(system), pairs)
     if not as_json:
-        say(f"{warming(settings.exponents)}, solving")
+        say(f"{warming()}, solving")
     found = solve_point(system, pairs, settings)
     if as_json:
         click.echo(to_json(found))
@@ -52,7 +52,7 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **solve: Any) -> No
     """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     checked_parameters(checked_system(system), pairs)
-    say(f"{warming(settings.exponents)}, solving, drawing")
+    say(f"{warming()}, solving, drawing")
     with input_errors():
         draw_portrait(pairs, system=system, settings=settings, path=out)
     click.echo(str(out))

@@ -20,7 +20,7 @@ from typing import Any
 from numba import config, njit, types
 from numba.extending import typeof_impl
 
-__all__ = ["CACHE", "inlined", "kernel", "piece"]
+__all__ = ["CACHE", "inlined", "kernel", "kernel_and_part", "piece"]
 
 
 def _source_hash() -> str:
@@ -65,13 +65,14 @@ class Kernel:
     """A function that Python calls as a kernel of its own, and other kernels as a part of them.
 
     A part has neither an entry for Python, which unpacks records of arrays and takes as long to compile as what the
-    function does, nor a file in the cache.
+    function does, nor a file in the cache. ``both``: compiled once for either, where a run needs it either way.
     """
 
-    def __init__(self, function: Callable[..., Any], **how: Any) -> None:
+    def __init__(self, function: Callable[..., Any], *, both: bool = False, **how: Any) -> None:
         self.py_func = function
         self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
-        self.part = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_HOW, **how)(function)
+        part = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_HOW, **how)(function)
+        self.part = self.alone if both else part
         update_wrapper(self, function)
 
     def __call__(self, *given: Any) -> Any:
@@ -87,6 +88,9 @@ def _(kernel: Kernel, context: Any) -> types.Dispatcher:
 
 kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""
+
+kernel_and_part: Callable[[Callable[..., Any]], Any] = partial(Kernel, both=True)
+"""Decorator of kernels that are parts of others and are called from Python too, other than by tests."""
 
 inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.jit import kernel
+from workers.kernel.jit import kernel, piece
 
 EPS = float(np.finfo(np.float64).eps)
 
@@ -160,7 +160,7 @@ def spectral_radius(matrix):
     return highest(moduli(matrix), 0, len(matrix))
 
 
-@kernel
+@piece
 def highest(values, start, end):
     """The largest of values[start:end], NaN if one of them is NaN."""
     top = values[start]
@@ -170,7 +170,7 @@ def highest(values, start, end):
     return top
 
 
-@kernel
+@piece
 def sort_down(values):
     """Sort from the largest to the smallest, in place."""
     for i in range(1, len(values)):

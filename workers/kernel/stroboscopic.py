@@ -34,7 +34,7 @@ from workers.kernel.impact import (
     stop_position,
     to_held,
 )
-from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.jit import inlined, kernel, kernel_and_part, piece
 from workers.model.oscillator import COLUMN, Held, Oscillator, Signal
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
@@ -171,7 +171,7 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     return motion_at(h, start_at(osc, np.asarray(state, dtype=np.float64), h), vectors, record)
 
 
-@kernel
+@kernel_and_part
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
     sin, cos = math.sin(osc.tau), math.cos(osc.tau)
@@ -196,7 +196,7 @@ def start_at(osc, state, h):
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
 
 
-@kernel
+@kernel_and_part
 def blocks_to_physical(osc, motion):
     """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there.
 
@@ -354,7 +354,7 @@ def leave_stop(osc, motion, phase, contact, remaining):
     return s, tally[STATUS] == RUNNING and released == 1
 
 
-@kernel
+@kernel_and_part
 def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 
