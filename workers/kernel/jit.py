@@ -60,6 +60,8 @@ CACHE = _prepare_cache()
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 
+_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
 
 class Kernel:
     """A function that Python calls as a kernel of its own, and other kernels as a part of them.
@@ -71,8 +73,7 @@ class Kernel:
     def __init__(self, function: Callable[..., Any], *, both: bool = False, **how: Any) -> None:
         self.py_func = function
         self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
-        part = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_HOW, **how)(function)
-        self.part = self.alone if both else part
+        self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **how)(function)
         update_wrapper(self, function)
 
     def __call__(self, *given: Any) -> Any:
