@@ -14,13 +14,13 @@ from workers.kernel.stroboscopic import (
     RUNNING,
     STATUS,
     WORK,
-    WORK_OF_A_TRIAL,
     motions_at,
 )
 from workers.model.oscillator import each, many_of
 from workers.model.system import find_system
-from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, InvalidError
+from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
 from workers.settings import Settings, check_whole
+from workers.solve import work_allowed
 from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
@@ -50,8 +50,8 @@ class Trace(NamedTuple):
 def trace(system: str, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
     """The history of one cell from its initial state over so many forcing periods, 0 to a million, nothing dropped.
 
-    Raises KeyError for unknown names and ValueError, in one line, for another number of periods and for parameters
-    without a motion.
+    Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
+    without a motion and where it costs more evaluations than solving a cell over so many periods may.
     """
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
@@ -73,12 +73,14 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         raise InvalidError(BEYOND_STOP)
     if not np.isfinite(scale).all():
         raise InvalidError(ENERGY_OUT_OF_DOUBLES)
+    motion.tally[WORK] = work_allowed(periods)
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
-        motion.tally[WORK] = WORK_OF_A_TRIAL
         run_periods(osc, motion, 1)
-        if motion.tally[STATUS] != RUNNING:
-            raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")
+        status = int(motion.tally[STATUS])
+        if status != RUNNING or motion.tally[WORK] < 0.0:
+            reason = WORK_SPENT if status == RUNNING else REASON_OF[status]
+            raise ValueError(f"period {k}: {REASONS[reason].text}")
         reset_frames(oscillators.gap.lam, motions, cell)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period

@@ -42,6 +42,11 @@ TORUS_RETURN = 1e-5
 """Return within max_period, relative to the motion's scale, up to which a motion may be an orbit closing slowly."""
 
 
+def work_allowed(periods: int) -> int:
+    """Evaluations that a cell may cost over so many periods."""
+    return max(WORK_PER_PERIOD * periods, LEAST_WORK)
+
+
 def solve(
     oscillators: Oscillator,
     reasons: NDArray[np.int8],
@@ -65,7 +70,7 @@ def solve(
     invalid = np.flatnonzero(reasons != NO_REASON)
     cells.put(invalid, regime=INVALID, reason=reasons[invalid])
     periods = settings.max_periods if settings.method == "adaptive" else settings.transient_periods + settings.periods
-    motions.tally[:, WORK] = max(WORK_PER_PERIOD * periods, LEAST_WORK)
+    motions.tally[:, WORK] = work_allowed(periods)
     schedule = _fixed if settings.method == "fixed" else _adaptive
     with np.errstate(all="ignore"):
         schedule(cells, np.flatnonzero(reasons == NO_REASON))
