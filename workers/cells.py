@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
 from workers.kernel.averages import COUNT
 from workers.kernel.cells import mean_growth, physical_states, reset_frames, restart_counts
-from workers.kernel.stroboscopic import (
+from workers.kernel.motion import (
     LOWER,
     MARCH_GAVE_UP,
     MIN_SPEED,

@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 
 from workers.cells import REASON_OF
 from workers.kernel.cells import physical_states, reset_frames, start_motions
-from workers.kernel.stroboscopic import (
-    BEYOND,
-    RECORDED,
-    RUNNING,
-    STATUS,
-    WORK,
-    motions_at,
-)
+from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, motions_at
 from workers.model.oscillator import each, many_of
 from workers.model.system import find_system
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workers.cells import Cells, Rows, clearly_positive
 from workers.kernel.cells import impact_free, start_motions
-from workers.kernel.stroboscopic import BEYOND, WORK
+from workers.kernel.motion import BEYOND, WORK
 from workers.model.oscillator import Oscillator
 from workers.orbit.newton import far_from_closing
 from workers.results import BEYOND_STOP, CHAOTIC, ENERGY_OUT_OF_DOUBLES, INVALID, NO_REASON, UNDETERMINED

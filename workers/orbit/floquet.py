@@ -7,7 +7,8 @@ import numpy as np
 from workers.kernel.frame import inner
 from workers.kernel.jit import kernel, piece
 from workers.kernel.linalg import highest, moduli
-from workers.kernel.stroboscopic import LOST, RUNNING, STATUS, axes, reset_frame
+from workers.kernel.motion import LOST, RUNNING, STATUS, axes
+from workers.kernel.stroboscopic import reset_frame
 from workers.orbit.map import iterate
 
 SETTLED = 1e-13

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import kernel, piece
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
-from workers.kernel.stroboscopic import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
+from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
 

@@ -11,7 +11,8 @@ from workers.kernel.batch.search import padded
 from workers.kernel.flight import TINY
 from workers.kernel.frame import graded_flow, orthonormalise, orthonormalise_pass
 from workers.kernel.jit import inlined, kernel
-from workers.kernel.stroboscopic import LOST, MAX_SPREAD, impact_spread, needs_reset
+from workers.kernel.motion import LOST
+from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
 
 Array = NDArray[np.float64]
 

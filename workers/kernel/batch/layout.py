@@ -74,7 +74,7 @@ class LaneFields(NamedTuple):
     period_cost: int  # evaluations of this period, each flight counted as one at least
     recorded: int
     cell: int  # the row of the batch that the lane works on
-    frame_spread: int  # see stroboscopic.SPREAD
+    frame_spread: int  # see motion.SPREAD
     log_length: int  # of the first tangent vector, at the last section
     # the search for the next step
     side: int  # the stop looked at, +-1
