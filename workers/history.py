@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from workers.cells import REASON_OF
 from workers.kernel.cells import physical_states, reset_frames, start_motions
 from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, motions_at
+from workers.kernel.stroboscopic import OVERDRAFT
 from workers.model.oscillator import each, many_of
 from workers.model.system import find_system
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
@@ -44,7 +45,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     """The history of one cell from its initial state over so many forcing periods, 0 to a million, nothing dropped.
 
     Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
-    without a motion and where it costs more evaluations than solving a cell over so many periods may.
+    without a motion and where it costs more evaluations than a cell may at most that is solved over so many.
     """
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
@@ -66,7 +67,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         raise InvalidError(BEYOND_STOP)
     if not np.isfinite(scale).all():
         raise InvalidError(ENERGY_OUT_OF_DOUBLES)
-    motion.tally[WORK] = work_allowed(periods)
+    motion.tally[WORK] = work_allowed(periods) + OVERDRAFT
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
         run_periods(osc, motion, 1)
