@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from scripts.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
 from scripts.heyoka_reference import INSTALLED, Taylor
 from workers import Settings, solve_tile
-from workers.kernel.stroboscopic import EVALUATIONS, motion_from
+from workers.kernel.motion import EVALUATIONS
+from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import COLUMN
 from workers.model.system import find_system
 from workers.stretch import run_periods

@@ -11,21 +11,8 @@ from scripts.stress_cells import POSITION, Findings, Params, draw, frequencies
 from tests.oracle import dense_violation, simulate
 from tests.oracle.model import model
 from tests.oracle.simulate import first_hit
-from workers.kernel.stroboscopic import (
-    BEYOND,
-    LOWER,
-    RECORDED,
-    RUNNING,
-    STATUS,
-    STUCK,
-    UPPER,
-    Motion,
-    advance,
-    blocks_to_physical,
-    motion_at,
-    motion_from,
-    propagate,
-)
+from workers.kernel.motion import BEYOND, LOWER, RECORDED, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
+from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from, propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.orbit.map import map_with_jacobian

@@ -13,7 +13,8 @@ from workers.kernel.averages import (
     no_averages,
     standard_error,
 )
-from workers.kernel.stroboscopic import SPREAD, motion_from, reset_frame
+from workers.kernel.motion import SPREAD
+from workers.kernel.stroboscopic import motion_from, reset_frame
 from workers.stretch import run_periods
 
 

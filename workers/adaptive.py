@@ -20,7 +20,7 @@ import numpy as np
 
 from workers.cells import RETURNS, Array, Cells, Rows, clearly_positive
 from workers.kernel.cells import impact_free
-from workers.kernel.stroboscopic import LOWER, UPPER
+from workers.kernel.motion import LOWER, UPPER
 from workers.model.oscillator import COLUMN
 from workers.orbit.newton import far_from_closing
 from workers.outcome import (
@@ -305,8 +305,9 @@ class _Course:
         spread = np.abs(now - previous)
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
         flat[flat] = far_from_closing(
-            cells.oscillators, cells.batch.motions, cells.batch.sections, rows[flat], RETURNS, TORUS_RETURN
-        )
+            cells.oscillators.gap.lam, cells.oscillators.forced, cells.batch.motions.h, cells.batch.sections,
+            rows[flat], RETURNS, TORUS_RETURN,
+        )  # fmt: skip
         put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
         rows = rows[~flat]
         mean, error, count = cells.growth(rows)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.cells import mean_growth, reset_frames, restart_counts
-from workers.kernel.stroboscopic import MIN_SPEED, TALLIES, motions_at
+from workers.kernel.motion import MIN_SPEED, TALLIES, motions_at
 from workers.model.oscillator import COLUMN, Oscillator, each
 from workers.orbit.newton import no_orbits, settle_each
 from workers.settings import Settings
@@ -88,7 +88,7 @@ class Cells:
 
     def restart(self, cells: Rows) -> None:
         """Count and average from here on."""
-        restart_counts(self.oscillators, self.batch.motions, cells)
+        restart_counts(self.oscillators.gap.lam, self.batch.motions, cells)
         self.batch.levels[cells], self.batch.weighted[cells] = 0.0, 0.0
 
     # Orbits
@@ -163,7 +163,7 @@ class Cells:
 
     def close(self, cells: Rows) -> None:
         """Keep the average under way as the earlier one, in its place."""
-        reset_frames(self.oscillators, self.batch.motions, cells)
+        reset_frames(self.oscillators.gap.lam, self.batch.motions, cells)
         e, motions = self.earlier, self.batch.motions
         e.mean[cells], e.error[cells], e.periods[cells] = self.growth(cells)
         e.growth[cells], e.tally[cells] = motions.growth[cells], motions.tally[cells]

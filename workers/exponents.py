@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.stroboscopic import LOST, LOWER, STUCK, UPPER
+from workers.kernel.motion import LOST, LOWER, STUCK, UPPER
 from workers.model.oscillator import COLUMN, Oscillator
 
 Array = NDArray[np.float64]

@@ -6,22 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.cells import scale_of
-from workers.kernel.stroboscopic import (
-    BEYOND,
-    RECORDED,
-    RUNNING,
-    STATUS,
-    WORK,
-    WORK_OF_A_TRIAL,
-    blocks_to_physical,
-    motion_from,
-    reset_frame,
-)
+from workers.kernel.cells import physical_states, reset_frames, start_motions
+from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, motions_at
+from workers.kernel.stroboscopic import OVERDRAFT
+from workers.model.oscillator import each, many_of
 from workers.model.system import find_system
 from workers.outcome import REASON_OF
-from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, InvalidError
+from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
 from workers.settings import Settings, check_whole
+from workers.solve import work_allowed
 from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
@@ -51,8 +44,8 @@ class Trace(NamedTuple):
 def trace(system: str, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
     """The history of one cell from its initial state over so many forcing periods, 0 to a million, nothing dropped.
 
-    Raises KeyError for unknown names and ValueError, in one line, for another number of periods and for parameters
-    without a motion.
+    Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
+    without a motion and where it costs more evaluations than a cell may at most that is solved over so many.
     """
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
@@ -66,22 +59,27 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
     osc = record.build(values)
     start = np.array([values[name] for name in record.states])
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
-    motion = motion_from(osc, start, vectors, RECORD)
+    oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
+    motions = motions_at(np.zeros((1, *osc.kick.shape)), vectors=vectors, record=RECORD)
+    scale = start_motions(oscillators, motions, start[None], cell)
+    motion = each(motions, lambda field: field[0])
     if motion.contact[0] == BEYOND:
         raise InvalidError(BEYOND_STOP)
-    if not np.isfinite(scale_of(osc, motion.h)):
+    if not np.isfinite(scale).all():
         raise InvalidError(ENERGY_OUT_OF_DOUBLES)
+    motion.tally[WORK] = work_allowed(periods) + OVERDRAFT
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
-        motion.tally[WORK] = WORK_OF_A_TRIAL
         run_periods(osc, motion, 1)
-        if motion.tally[STATUS] != RUNNING:
-            raise ValueError(f"period {k}: {REASONS[REASON_OF[int(motion.tally[STATUS])]].text}")
-        reset_frame(osc, motion)
+        status = int(motion.tally[STATUS])
+        if status != RUNNING or motion.tally[WORK] < 0.0:
+            reason = WORK_SPENT if status == RUNNING else REASON_OF[status]
+            raise ValueError(f"period {k}: {REASONS[reason].text}")
+        reset_frames(oscillators.gap.lam, motions, cell)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period
         motion.tally[RECORDED] = 0.0
-        states.append(blocks_to_physical(osc, motion))
+        states.append(physical_states(oscillators, motions, cell)[0])
         impacts.append(found)
         exponents.append(motion.growth / (k + 1))
     return Trace(

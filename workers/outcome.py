@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from workers.cells import Array, Cells, Mask, Rows, clearly_positive, taken
 from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
 from workers.kernel.cells import physical_states, reset_frames
-from workers.kernel.stroboscopic import (
+from workers.kernel.motion import (
     LOWER,
     MARCH_GAVE_UP,
     MIN_SPEED,
@@ -130,7 +130,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
         return
     motions = cells.batch.motions
     if cells.vectors:
-        reset_frames(cells.oscillators, motions, rows[cells.averaging[rows]])
+        reset_frames(cells.oscillators.gap.lam, motions, rows[cells.averaging[rows]])
     average = cells.whole_average(rows)
     counted = average.periods > 0.0
     if cells.vectors:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from workers.adaptive import solve_adaptively
 from workers.cells import RETURNS, Cells, Rows, clearly_positive
 from workers.kernel.cells import impact_free, start_motions
-from workers.kernel.stroboscopic import BEYOND, WORK
+from workers.kernel.motion import BEYOND, WORK
 from workers.model.oscillator import Oscillator
 from workers.outcome import put, put_averaged, put_chaotic, put_impact_free, put_periodic, put_stopped
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, INVALID, NO_REASON, UNDETERMINED
@@ -23,6 +23,11 @@ Array = NDArray[np.float64]
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell: so many for each period of its budget, but not less than the second number.
 Ordinary cells take 5 to 40 a period; R near 1 can take 10^5, and a cell must not cost minutes."""
+
+
+def work_allowed(periods: int) -> int:
+    """Evaluations that a cell may cost over so many periods."""
+    return max(WORK_PER_PERIOD * periods, LEAST_WORK)
 
 
 def solve(
@@ -47,7 +52,7 @@ def solve(
     invalid = np.flatnonzero(reasons != NO_REASON)
     put(cells, invalid, regime=INVALID, reason=reasons[invalid])
     budget = (settings.max_periods, settings.survival) if adaptive else (settings.transient_periods, settings.periods)
-    motions.tally[:, WORK] = max(WORK_PER_PERIOD * sum(budget), LEAST_WORK)
+    motions.tally[:, WORK] = work_allowed(sum(budget))
     schedule = solve_adaptively if adaptive else _solve_fixed
     with np.errstate(all="ignore"):
         schedule(cells, np.flatnonzero(reasons == NO_REASON))

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from workers.kernel.averages import LEVELS, Averages, no_averages
 from workers.kernel.batch.layout import COLUMN, LANES
 from workers.kernel.batch.run import Batch, constants, run_batch
-from workers.kernel.stroboscopic import RUNNING, STATUS, WORK, Motion
+from workers.kernel.motion import RUNNING, STATUS, WORK, Motion
 from workers.model.oscillator import Oscillator, each, many_of
 
 Array = NDArray[np.float64]

@@ -37,7 +37,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     checked_parameters(checked_system(system), pairs)
     if not as_json:
-        say(f"{warming(settings.exponents)}, solving")
+        say(f"{warming()}, solving")
     found = solve_point(pairs, system=system, settings=settings)
     if as_json:
         click.echo(to_json(found))
@@ -57,7 +57,7 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> 
     look = {name: options.pop(name) for name in LOOK if name in options}
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(options)
     checked_parameters(checked_system(system), pairs)
-    say(f"{warming(settings.exponents)}, solving, drawing")
+    say(f"{warming()}, solving, drawing")
     with input_errors():
         draw_portrait(pairs, system=system, settings=settings, path=out, **look)
     click.echo(str(out))

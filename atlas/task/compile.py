@@ -1,34 +1,34 @@
 """The kernels' compilation: once on a machine, by whichever process is first."""
 
 import fcntl
+import gc
 import json
 import sys
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import numpy as np
-
 from atlas.task.child import python
 from workers.settings import Settings
 
-SIDE_BY_SIDE = 8
-"""Cells that are enough to be solved by the kernels for many."""
+YOUNG_OBJECTS = 50_000
+"""So many new objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
+them as often as is usual takes time."""
 
 
-def warming(exponents: str) -> str:
+def warming() -> str:
     """What compile_once is about to do, for the user who waits for it."""
-    marker = _marker(exponents)
+    marker = _marker()
     return "loading the kernels" if marker and marker.exists() else "compiling the kernels (kept for the next run)"
 
 
 def compile_once(system: str, settings: Settings) -> None:
-    """See to it that all kernels that such cells may need are in the cache on disk, which other processes read.
+    """See to it that all kernels are in the cache on disk, which other processes read.
 
     Processes of one machine, or with one cache folder, wait for the first of them. It leaves that to a child, since
     compiling takes twice the memory that solving does. Nothing is done without a folder.
     """
-    marker = _marker(settings.exponents)
+    marker = _marker()
     if marker is None or marker.exists():
         return
     with marker.with_name("compiling.lock").open("w") as lock:
@@ -46,30 +46,25 @@ def warm_up_in_child(system: str, settings: Settings) -> bool:
 
 def main() -> None:
     """warm_up for what is given as JSON."""
+    gc.set_threshold(YOUNG_OBJECTS)
     given = json.loads(sys.argv[1])
     warm_up(given["system"], Settings(**given["settings"]))
 
 
 def warm_up(system: str, settings: Settings) -> None:
-    """Compile the kernels, or load them, by solving the system's default cell.
+    """Compile the kernels, or load them, by one period of the system's default cell: every kernel is called for it.
 
-    Adaptive and on a fixed schedule, one alone and many in a batch: they do not take the same kernels.
+    What a kernel is compiled for does not depend on the settings: they make arrays longer or empty.
     """
-    from workers.model.system import find_system
     from workers.tile import solve_cells
 
-    first = find_system(system).parameters[0]
-    many = {first.name: np.full(SIDE_BY_SIDE, first.default)}
-    brief: Settings = replace(settings, max_periods=1000, transient_periods=0, periods=1)
-    for method in ("adaptive", "fixed"):
-        for cells in ({}, many):
-            solve_cells(system, cells, replace(brief, method=method))
+    solve_cells(system, {}, replace(settings, method="adaptive", max_periods=1))
 
 
-def _marker(exponents: str) -> Path | None:
+def _marker() -> Path | None:
     """The file that says that all has been compiled, for this kind of processor; None without a folder for it."""
     import llvmlite.binding
 
     from workers.kernel.jit import CACHE
 
-    return CACHE and CACHE / f"compiled-{exponents}-{llvmlite.binding.get_host_cpu_name()}"
+    return CACHE and CACHE / f"compiled-{llvmlite.binding.get_host_cpu_name()}"

@@ -10,18 +10,8 @@ import numpy as np
 from workers.kernel.averages import COUNT, MEAN, standard_error
 from workers.kernel.flight import derivative_bounds
 from workers.kernel.jit import kernel
-from workers.kernel.stroboscopic import (
-    FREE,
-    LOST,
-    MIN_SPEED,
-    STATUS,
-    WORK,
-    blocks_to_physical,
-    motion_of,
-    oscillator_of,
-    reset_frame,
-    start_at,
-)
+from workers.kernel.motion import FREE, LOST, MIN_SPEED, STATUS, TALLIES, WORK, motion_of, oscillator_of, signal_of
+from workers.kernel.stroboscopic import blocks_to_physical, reset_frame_of, start_at
 
 
 @kernel
@@ -36,7 +26,12 @@ def energy_norm(lam, h):
 @kernel
 def scale_of(osc, h):
     """Energy norm that deviations of a motion at block state h (n, 2) are measured against: its own and that of Y."""
-    lam, response = osc.gap.lam, osc.forced
+    return scale_at(osc.gap.lam, osc.forced, h)
+
+
+@kernel
+def scale_at(lam, response, h):
+    """scale_of of blocks of stiffness lam (n,) with this forced response (n, 2, 2)."""
     size = np.empty(h.shape)
     for j in range(len(lam)):
         for k in range(2):
@@ -61,14 +56,14 @@ def impact_free(oscillators, motions, cells):
     found = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        osc = oscillator_of(oscillators, r)
-        reach = derivative_bounds(osc.gap, motions.h[r])[0] * (1.0 + 1e-12)
-        found[e] = motions.contact[r, 0] == FREE and reach < osc.b_upper and reach < osc.b_lower
+        reach = derivative_bounds(signal_of(oscillators.gap, r), motions.h[r])[0] * (1.0 + 1e-12)
+        inside = reach < oscillators.b_upper[r] and reach < oscillators.b_lower[r]
+        found[e] = motions.contact[r, 0] == FREE and inside
     return found
 
 
 @kernel
-def restart_counts(oscillators, motions, cells):
+def restart_counts(lam, motions, cells):
     """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
     for r in cells:
         motion = motion_of(motions, r)
@@ -78,17 +73,19 @@ def restart_counts(oscillators, motions, cells):
                 for j in range(V.shape[1]):
                     V[i, j, 0], V[i, j, 1] = 1.0 if i == 2 * j else 0.0, 1.0 if i == 2 * j + 1 else 0.0
         work, status = tally[WORK], tally[STATUS]
-        tally[:] = 0.0
+        for k in range(TALLIES):
+            tally[k] = 0.0
         tally[WORK], tally[STATUS], tally[MIN_SPEED] = work, status, np.inf
-        reset_frame(oscillator_of(oscillators, r), motion)
-        motion.growth[:] = 0.0
+        reset_frame_of(lam[r], motion)
+        for k in range(motion.growth.shape[0]):
+            motion.growth[k] = 0.0
 
 
 @kernel
-def reset_frames(oscillators, motions, cells):
+def reset_frames(lam, motions, cells):
     """Make the frames orthonormal and count their growth."""
     for r in cells:
-        reset_frame(oscillator_of(oscillators, r), motion_of(motions, r))
+        reset_frame_of(lam[r], motion_of(motions, r))
 
 
 @kernel
@@ -97,7 +94,9 @@ def physical_states(oscillators, motions, cells):
     states = np.empty((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        states[e] = blocks_to_physical(oscillator_of(oscillators, r), motion_of(motions, r))
+        state = blocks_to_physical(oscillator_of(oscillators, r), motion_of(motions, r))
+        for k in range(len(state)):
+            states[e, k] = state[k]
     return states
 
 

@@ -106,7 +106,9 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
             decay[2 * j] = decay[2 * j + 1] = eta * s
             back[2 * j, 0] = back[2 * j + 1, 1] = 1.0
     used = np.zeros(2 * n, dtype=np.bool_)
-    V[:] = 0.0
+    for i in range(m):
+        for j in range(n):
+            V[i, j, 0] = V[i, j, 1] = 0.0
     for k in range(min(rank, m)):
         pivot, best = -1, -np.inf
         for i in range(2 * n):

@@ -190,7 +190,8 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     tangent_to_held(osc, V, U)
     upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
     offset = release.offset * stop_position(osc, side)
-    s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, 0, 0, H, scratch)
+    none = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, none, none, H, scratch)
     if growth.shape[0] > 0:
         flow(release, s, u)
         graded_flow(release.block, s, U, growth, triangle, 2 * n)

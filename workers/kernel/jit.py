@@ -12,12 +12,15 @@ import multiprocessing
 import os
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial, update_wrapper
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit
+from numba import config, njit, types
+from numba.extending import typeof_impl
 
-__all__ = ["CACHE", "inlined", "kernel", "piece"]
+__all__ = ["CACHE", "inlined", "kernel", "kernel_and_part", "piece"]
 
 
 def _source_hash() -> str:
@@ -57,10 +60,40 @@ CACHE = _prepare_cache()
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 
-kernel = njit(cache=CACHE is not None, **_HOW)
+_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+class Kernel:
+    """A function that Python calls as a kernel of its own, and other kernels as a part of them.
+
+    A part has neither an entry for Python, which unpacks records of arrays and takes as long to compile as what the
+    function does, nor a file in the cache. ``both``: compiled once for either, where a run needs it either way.
+    """
+
+    def __init__(self, function: Callable[..., Any], *, both: bool = False, **how: Any) -> None:
+        self.py_func = function
+        self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
+        self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **how)(function)
+        update_wrapper(self, function)
+
+    def __call__(self, *given: Any) -> Any:
+        """What the function makes of the arguments, compiled."""
+        return self.alone(*given)
+
+
+@typeof_impl.register(Kernel)
+def _(kernel: Kernel, context: Any) -> types.Dispatcher:
+    """What a kernel is in another one."""
+    return types.Dispatcher(kernel.part)
+
+
+kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""
 
-inlined = njit(forceinline=True, **_HOW)
+kernel_and_part: Callable[[Callable[..., Any]], Any] = partial(Kernel, both=True)
+"""Decorator of kernels that are parts of others and are called from Python too, other than by tests."""
+
+inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
 
 piece = njit(inline="always", **_HOW)

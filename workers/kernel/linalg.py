@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.jit import kernel
+from workers.kernel.jit import kernel, piece
 
 EPS = float(np.finfo(np.float64).eps)
 
@@ -120,16 +120,21 @@ def rotate_once(H, start, end, shift):
 def moduli(matrix):
     """|eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite."""
     size = len(matrix)
-    failed = np.full(size, np.inf)
-    A = matrix.copy()
+    failed, found = np.empty(size), np.empty(size)
+    A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
+    for i in range(size):
+        failed[i] = np.inf
+        for k in range(size):
+            A[i, k] = matrix[i, k]
     for i in range(size):
         for k in range(size):
             if not math.isfinite(A[i, k]):
                 return failed
     balance(A)
     to_hessenberg(A)
-    H = A.astype(np.complex128)
-    found = np.empty(size)
+    for i in range(size):
+        for k in range(size):
+            H[i, k] = A[i, k]
     end, sweeps = size, 0
     while end > 0:
         start = end - 1
@@ -152,4 +157,25 @@ def moduli(matrix):
 @kernel
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
-    return np.max(moduli(matrix))
+    return highest(moduli(matrix), 0, len(matrix))
+
+
+@piece
+def highest(values, start, end):
+    """The largest of values[start:end], NaN if one of them is NaN."""
+    top = values[start]
+    for i in range(start + 1, end):
+        if values[i] > top or math.isnan(values[i]):
+            top = values[i]
+    return top
+
+
+@piece
+def sort_down(values):
+    """Sort from the largest to the smallest, in place."""
+    for i in range(1, len(values)):
+        value, k = values[i], i
+        while k > 0 and values[k - 1] < value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value

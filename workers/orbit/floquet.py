@@ -6,8 +6,9 @@ import numpy as np
 
 from workers.kernel.frame import inner
 from workers.kernel.jit import kernel, piece
-from workers.kernel.linalg import moduli
-from workers.kernel.stroboscopic import LOST, RUNNING, STATUS, axes, reset_frame
+from workers.kernel.linalg import highest, moduli
+from workers.kernel.motion import LOST, RUNNING, STATUS, axes
+from workers.kernel.stroboscopic import reset_frame
 from workers.orbit.map import iterate
 
 SETTLED = 1e-13
@@ -18,9 +19,8 @@ NARROW = 2.0
 
 
 @kernel
-def overlaps(lam, before, after):
-    """The energy products of the vectors of two frames (m, n, 2): an orthogonal matrix where both span one space."""
-    m = before.shape[0]
+def overlaps(lam, before, after, m):
+    """The energy products of the first m vectors of two frames: an orthogonal matrix where they span one space."""
     products = np.empty((m, m))
     for i in range(m):
         for k in range(m):
@@ -50,9 +50,31 @@ def spread_of(logs, ends):
     """The largest difference of logarithms within one block."""
     spread, start = 0.0, 0
     for end in ends:
-        spread = max(spread, np.max(logs[start:end]) - np.min(logs[start:end]))
+        top, bottom = logs[start], logs[start]
+        for i in range(start, end):
+            top, bottom = max(top, logs[i]), min(bottom, logs[i])
+        spread = max(spread, top - bottom)
         start = end
     return spread
+
+
+@kernel
+def nothing_left(size):
+    """Logarithms (size,) of multipliers that are all zero."""
+    logs = np.empty(size)
+    for i in range(size):
+        logs[i] = -np.inf
+    return logs
+
+
+@kernel
+def leading(V, rank):
+    """A copy of the first vectors of a frame (m, n, 2)."""
+    frame = np.empty((rank, V.shape[1], 2))
+    for i in range(rank):
+        for j in range(V.shape[1]):
+            frame[i, j, 0], frame[i, j, 1] = V[i, j, 0], V[i, j, 1]
+    return frame
 
 
 @kernel
@@ -61,10 +83,10 @@ def block_logs(rotation, growth, triangle, ends, size):
 
     Scaled so that nothing overflows. Up to ``size`` they are -infinity: directions that are lost.
     """
-    logs = np.full(size, -np.inf)
+    logs = nothing_left(size)
     largest, start = 0.0, 0
     for end in ends:
-        top = np.max(growth[start:end])
+        top = highest(growth, start, end)
         product = np.zeros((end - start, end - start))
         for i in range(start, end):
             for k in range(start, end):
@@ -87,18 +109,18 @@ def floquet(osc, point, steps, half, most):
     """
     size = point.h.size
     frame = axes(point.h.shape[0])
-    logs = np.full(size, -np.inf)
+    logs = nothing_left(size)
     rounding = np.inf
     turns = 0
     for turn in range(1, most + 1):
         m = frame.shape[0]
-        motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
+        motion = iterate(osc, point.h, point.contact, leading(frame, m), np.zeros(m), np.eye(m), steps, half)
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(osc, motion)
         rank = size - int(motion.tally[LOST])
-        rotation = overlaps(osc.gap.lam, frame[:rank], motion.V[:rank])
-        frame = motion.V[:rank].copy()
+        rotation = overlaps(osc.gap.lam, frame, motion.V, rank)
+        frame = leading(motion.V, rank)
         if turn == 1:
             continue
         ends = block_ends(rotation)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.jit import kernel, piece
-from workers.kernel.stroboscopic import RUNNING, STATUS, axes, motion_with, step
+from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
+from workers.kernel.stroboscopic import step
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.cells import scale_of
+from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import kernel, piece
-from workers.kernel.linalg import solution, spectral_radius
-from workers.kernel.stroboscopic import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
-from workers.orbit.floquet import floquet
+from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
+from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
+from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
 
 Array = NDArray[np.float64]
@@ -144,7 +144,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     turns_left = budget // steps - RESERVED_TURNS
     point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
     spent = tried * steps
-    orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
+    orbit = PeriodicOrbit(point.h, contact, steps, half, nothing_left(h.size), point.residual, 0.0)
     if point.residual == np.inf:
         return NOTHING, orbit, spent
     radius = spectral_radius(point.jacobian)
@@ -156,7 +156,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         return NOTHING, orbit, spent
     logs, rounding, turns = floquet(osc, point, steps, half, min(CYCLES, turns_left - tried))
     spent += turns * steps
-    largest = np.max(logs)
+    largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
     distance = separation(lam, h, point.h)
@@ -197,7 +197,7 @@ def recurrence(lam, sections, scale, longest):
 
 
 @kernel
-def far_from_closing(oscillators, motions, sections, cells, returns, limit):
+def far_from_closing(lam, response, h, sections, cells, returns, limit):
     """Of which of these cells none of the ``returns`` sections before the last lies within ``limit`` of it.
 
     Relative to the motion's scale. The number of returns is fixed, since on a torus more of them come nearer.
@@ -208,8 +208,8 @@ def far_from_closing(oscillators, motions, sections, cells, returns, limit):
         r = cells[e]
         nearest = np.inf
         for k in range(last - returns, last):
-            nearest = min(nearest, separation(oscillators.gap.lam[r], sections[r, last], sections[r, k]))
-        found[e] = nearest > limit * scale_of(oscillator_of(oscillators, r), motions.h[r])
+            nearest = min(nearest, separation(lam[r], sections[r, last], sections[r, k]))
+        found[e] = nearest > limit * scale_at(lam[r], response[r], h[r])
     return found
 
 
@@ -227,7 +227,7 @@ def settle(osc, motion, sections, longest, budget):
     h, contact = motion.h, motion.contact[0]
     scale = scale_of(osc, h)
     symmetric_gap = osc.b_upper == osc.b_lower
-    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), np.inf, 0.0)
+    none = PeriodicOrbit(h, contact, 1, False, nothing_left(h.size), np.inf, 0.0)
     spent, nearest = 0, NOTHING
     for p in recurrence(osc.gap.lam, sections, scale, longest):
         for half in (True, False):
@@ -294,6 +294,12 @@ def settle_each(oscillators, motions, sections, kept, longest, budgets, cells, o
         turn = iterate_alone(osc, orbit.h, orbit.contact, period, np.bool_(False))  # no literal, as in run_batch
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = orbit.contact, period, orbit.error
         orbits.symmetric[r] = orbit.half and orbit.steps % 2 == 1
-        orbits.h[r], orbits.tally[r] = orbit.h, turn.tally
-        orbits.exponents[r] = -np.sort(-orbit.exponents)
+        for j in range(orbit.h.shape[0]):
+            for k in range(2):
+                orbits.h[r, j, k] = orbit.h[j, k]
+        for k in range(TALLIES):
+            orbits.tally[r, k] = turn.tally[k]
+        sort_down(orbit.exponents)
+        for k in range(len(orbit.exponents)):
+            orbits.exponents[r, k] = orbit.exponents[k]
     return settled

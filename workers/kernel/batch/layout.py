@@ -75,7 +75,7 @@ class LaneFields(NamedTuple):
     cell: int  # the row of the batch that the lane works on
     # the tangent frame
     rank: int  # how many directions exist
-    frame_spread: int  # see stroboscopic.SPREAD
+    frame_spread: int  # see motion.SPREAD
     log_length: int  # of the first tangent vector, at the last section
     period_growth: int  # by how much that is less than now
     due: int  # 1 where the frame is to be made orthonormal, else 0

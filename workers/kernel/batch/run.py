@@ -27,7 +27,7 @@ from workers.kernel.batch.search import list_lanes, padded
 from workers.kernel.flight import forced
 from workers.kernel.frame import log_length
 from workers.kernel.jit import inlined, kernel
-from workers.kernel.stroboscopic import (
+from workers.kernel.motion import (
     EVALUATIONS,
     FREE,
     LOST,
@@ -40,12 +40,10 @@ from workers.kernel.stroboscopic import (
     UPPER,
     WORK,
     Motion,
-    advance,
-    loss_spread,
     motion_of,
     oscillator_of,
-    spread_rate,
 )
+from workers.kernel.stroboscopic import advance, loss_spread, spread_rate
 from workers.model.oscillator import Oscillator
 
 Array = NDArray[np.float64]

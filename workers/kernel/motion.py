@@ -1,0 +1,124 @@
+"""A motion as the kernels see it: its record, what is counted on its way, and the rows of arrays of many."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from workers.kernel.jit import inlined, kernel
+from workers.model.oscillator import Held, Oscillator, Signal
+
+FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
+"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
+
+UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(11)
+"""What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, evaluations still
+allowed, directions lost, spread of the frame since it was last orthonormal, impacts recorded, status."""
+
+RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE = range(4)
+"""Status: fine, or why a cell cannot go on."""
+
+WORK_OF_A_TRIAL = 1_000_000
+"""Evaluations allowed to a motion that tries something out: a turn of an orbit, a Newton step."""
+
+
+class Motion(NamedTuple):
+    """One cell on its way, everything that ``advance`` changes; of many cells each field has one more axis in front.
+
+    h        (n, 2)     block coordinates, forced response taken off
+    contact  (1,)       FREE, or +-HELD, +-AT_REST with the side's sign
+    V        (m, n, 2)  tangent vectors, m = 0 for none
+    growth   (m,)       log of the growth taken out of each so far
+    triangle (m, m)     what orthonormalisation took out, see there; (0, 0) if not wanted
+    tally    (TALLIES,) counts, see UPPER...
+    impacts  (K, 3)     the first K impacts: time after the section, side, speed before it; K = 0 for none
+    scratch  (n, 2)
+    """
+
+    h: NDArray[np.float64]
+    contact: NDArray[np.int64]
+    V: NDArray[np.float64]
+    growth: NDArray[np.float64]
+    triangle: NDArray[np.float64]
+    tally: NDArray[np.float64]
+    impacts: NDArray[np.float64]
+    scratch: NDArray[np.float64]
+
+
+@inlined
+def signal_of(signals, r):
+    """Signal r of many."""
+    s = signals
+    return Signal(
+        s.eta[r], s.lam[r], s.block[r], s.row[r], s.row1[r], s.row2[r],
+        s.sin_part[r], s.cos_part[r], s.amplitude[r], s.omega[r], s.offset[r],
+    )  # fmt: skip
+
+
+@kernel
+def oscillator_of(oscillators, r):
+    """Oscillator r of many."""
+    o, held = oscillators, oscillators.held
+    return Oscillator(
+        signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.to_physical[r], o.to_blocks[r],
+        o.gap_row[r], o.b_upper[r], o.b_lower[r], o.R[r], o.period[r], o.tau[r], o.trace[r],
+        Held(held.down[r], held.static[r], held.forced[r], signal_of(held.release, r)),
+    )  # fmt: skip
+
+
+@kernel
+def motion_of(motions, r):
+    """Motion r of many."""
+    m = motions
+    return Motion(m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.scratch[r])
+
+
+@register_jitable
+def motion_with(
+    h: NDArray[np.float64],
+    contact: int,
+    V: NDArray[np.float64],
+    growth: NDArray[np.float64],
+    triangle: NDArray[np.float64],
+    record: int = 0,
+) -> Motion:
+    """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
+    tally = np.zeros(TALLIES)
+    tally[MIN_SPEED] = np.inf
+    tally[WORK] = WORK_OF_A_TRIAL
+    contacts = np.full(1, contact)
+    return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), np.zeros(h.shape))
+
+
+@register_jitable
+def axes(n: int) -> NDArray[np.float64]:
+    """The 2n tangent vectors (2n, n, 2) along the block axes."""
+    frame = np.zeros((2 * n, n, 2))
+    for j in range(n):
+        frame[2 * j, j, 0] = frame[2 * j + 1, j, 1] = 1.0
+    return frame
+
+
+def motions_at(
+    h: NDArray[np.float64], contact: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
+) -> Motion:
+    """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
+    N, n = h.shape[:2]
+    tally = np.zeros((N, TALLIES))
+    tally[:, MIN_SPEED], tally[:, WORK] = np.inf, WORK_OF_A_TRIAL
+    return Motion(
+        h=h.copy(),
+        contact=np.zeros((N, 1), dtype=np.int64) if contact is None else contact.copy(),
+        V=np.tile(np.eye(2 * n)[:vectors].reshape(1, vectors, n, 2), (N, 1, 1, 1)),
+        growth=np.zeros((N, vectors)),
+        triangle=np.zeros((N, 0, 0)),
+        tally=tally,
+        impacts=np.zeros((N, record, 3)),
+        scratch=np.zeros(h.shape),
+    )
+
+
+def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
+    return Motion(*(field[0] for field in motions_at(h[None], np.array([[contact]]), vectors, record)))
