@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cells import REASON_OF
 from workers.kernel.cells import scale_of
 from workers.kernel.stroboscopic import (
     BEYOND,
@@ -20,6 +19,7 @@ from workers.kernel.stroboscopic import (
     reset_frame,
 )
 from workers.model.system import find_system
+from workers.outcome import REASON_OF
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, InvalidError
 from workers.settings import Settings, check_whole
 from workers.stretch import run_periods
