@@ -85,6 +85,18 @@ def set_attribute(path: Path, name: str, value: object) -> None:
     (path / "zarr.json").write_text(json.dumps(root))
 
 
+def forget_aperiodic(path: Path) -> None:
+    """Make the overviews those of a version whose table of regimes ended with ``failed``."""
+    top = zarr.open_group(path / "overviews", mode="r+", use_consolidated=False)
+    for _, level in top.groups():
+        for name in ("regime_share", "class"):
+            array: Any = level[name]
+            kept, attributes = array[...][..., :8], dict(array.attrs)
+            dims = array.metadata.dimension_names
+            level.create_array(name, data=kept, dimension_names=dims, attributes=attributes, overwrite=True)
+    top.attrs.put({name: value for name, value in top.attrs.items() if name != "classes"})
+
+
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:
     """The cells below each coarse cell, one small array each."""
     n = 2**level
