@@ -12,6 +12,7 @@ import atlas
 from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
 from atlas.store import store
+from atlas.store.build import codecs
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -91,9 +92,18 @@ def forget_aperiodic(path: Path) -> None:
     for _, level in top.groups():
         for name in ("regime_share", "class"):
             array: Any = level[name]
-            kept, attributes = array[...][..., :8], dict(array.attrs)
-            dims = array.metadata.dimension_names
-            level.create_array(name, data=kept, dimension_names=dims, attributes=attributes, overwrite=True)
+            values = array[...]
+            kept = level.create_array(
+                name,
+                shape=(*array.shape[:-1], 8),
+                chunks=(*array.chunks[:-1], 8),
+                dtype=array.dtype,
+                dimension_names=array.metadata.dimension_names,
+                attributes=dict(array.attrs),
+                compressors=codecs(),
+                overwrite=True,
+            )
+            kept[...] = values[..., :8]
     top.attrs.put({name: value for name, value in top.attrs.items() if name != "classes"})
 
 

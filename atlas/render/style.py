@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names
 from workers.model.system import SYSTEMS, Parameter, System
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
+from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
 
 WIDTH = 7.0
 """Width of a figure in inches: two columns of a journal."""
@@ -54,8 +54,8 @@ TEXTURE = "#8c8c8c"
 COLORS = {regime.code: regime.color for regime in REGIMES}
 """The colour of each regime code, as in the data's flag_colors."""
 
-INK = {**COLORS, NO_IMPACT: "#8c8c8c"}
-"""The same for points and lines on white, where the light grey of an area would not be seen."""
+INK = {**COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
+"""The same for points and lines on white, where the light colours of areas would not be seen."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
 """The texture of regimes that colour alone does not show: white is no value, impact-free cells have exponents, grey
