@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from atlas.render import axes, style, sweep
-from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, REGIME, SECTION
+from atlas.render import axes, maps, style, sweep
+from workers.results import ERROR, LARGEST, REGIME, SECTION
 
 COLORS = ("#0a6ebd", "#e8701a")
 _SHADE = "#ece9f3"
@@ -54,7 +54,7 @@ def differ(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.bool_]:
     differ by more than four of their errors. Cells whose motion is not known in both count as equal.
     """
     one, two = first[REGIME.name].values, second[REGIME.name].values
-    known = (one >= NO_IMPACT) & (one <= CHAOTIC) & (two >= NO_IMPACT) & (two <= CHAOTIC)
+    known = maps.determined(one) & maps.determined(two)
     unlike = one != two
     for name in _COUNTS:
         if name in first:

@@ -16,7 +16,18 @@ from scipy import ndimage
 from atlas.errors import InputError
 from atlas.query.resample import view
 from atlas.render import axes, style
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    FAILED,
+    INVALID,
+    NO_IMPACT,
+    PENDING,
+    QUASIPERIODIC,
+    REGIME,
+    REGIMES,
+    UNDETERMINED,
+)
 
 HEIGHT = 4.7
 """Height of a map in inches."""
@@ -76,7 +87,7 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str, pixels: tuple[int,
 
 def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
     """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
-    return (regime >= NO_IMPACT) & (regime <= CHAOTIC)
+    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
 
 
 def frame(ds: xr.Dataset) -> tuple[Figure, Axes]:
