@@ -26,7 +26,7 @@ class Summary:
 
     tiles, tiles_done              in all (of those to be solved again, where some are); done now
     tiles_solved, cells_solved     by this run
-    counts, reasons                cells solved by regime; those without a result by the reason in words
+    counts, reasons                cells solved by regime; those without a certain result by the reason
     seconds                        from the first tile to the last
     solve_seconds, write_seconds   the workers' own inside the solver and inside the store, summed
     processor_seconds              of the workers' processors inside the solver, summed: other programs do not count

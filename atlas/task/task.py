@@ -57,7 +57,7 @@ class Job:
 class Receipt:
     """What a finished tile reports.
 
-    cells, counts, reasons          solved, in all and of each regime; those without a result by the reason in words
+    cells, counts, reasons          solved, in all and of each regime; those without a certain result by the reason
     taken                           cells copied from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
