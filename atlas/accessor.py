@@ -65,7 +65,7 @@ class AtlasAccessor:
         return query.fractions(self._ds, window)
 
     def reasons(self, window: Window | None = None) -> dict[str, int]:
-        """How many cells have no result, by the reason in words. See ``queries.reasons``."""
+        """How many cells have no result, or an uncertain one, by the reason in words. See ``queries.reasons``."""
         return query.reasons(self._ds, window)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ import atlas
 from atlas.overview.upkeep import Overviews
 from atlas.query.resample import view
 from atlas.store import store
+from atlas.store.build import codecs
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -83,6 +84,27 @@ def set_attribute(path: Path, name: str, value: object) -> None:
     root = json.loads((path / "zarr.json").read_text())
     root["attributes"][name] = value
     (path / "zarr.json").write_text(json.dumps(root))
+
+
+def forget_aperiodic(path: Path) -> None:
+    """Make the overviews those of a version whose table of regimes ended with ``failed``."""
+    top = zarr.open_group(path / "overviews", mode="r+", use_consolidated=False)
+    for _, level in top.groups():
+        for name in ("regime_share", "class"):
+            array: Any = level[name]
+            values = array[...]
+            kept = level.create_array(
+                name,
+                shape=(*array.shape[:-1], 8),
+                chunks=(*array.chunks[:-1], 8),
+                dtype=array.dtype,
+                dimension_names=array.metadata.dimension_names,
+                attributes=dict(array.attrs),
+                compressors=codecs(),
+                overwrite=True,
+            )
+            kept[...] = values[..., :8]
+    top.attrs.put({name: value for name, value in top.attrs.items() if name != "classes"})
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:

@@ -11,7 +11,7 @@ import pytest
 
 from atlas.cli.main import main
 from atlas.spec.spec import Spec
-from atlas.store.schema import BUDGET
+from atlas.store.schema import ALLOWANCES
 from workers import Settings
 from workers.results import REASONS, REGIMES, result_variables
 
@@ -113,7 +113,8 @@ def test_where_to_change_what_names_the_files_of_each_package_and_no_others() ->
 def test_every_variable_regime_and_reason_is_explained() -> None:
     explained = {name for page in ("data.md", "regimes.md") for name in spans(ROOT / "docs" / page)}
     settings = [Settings(exponents="spectrum", method="fixed", section_samples=1), Settings(exponents="none")]
-    variables = {variable.name for each in settings for variable in result_variables(each)} | {BUDGET.name}
+    variables = {variable.name for each in settings for variable in result_variables(each)}
+    variables |= {each.name for each in ALLOWANCES}
     assert (variables | {reason.name for reason in REASONS}) <= explained
     regimes = re.findall(r"^\| (-?\d+) \| (\w+) \|", (ROOT / "docs/regimes.md").read_text(), re.MULTILINE)
     assert [(int(code), name) for code, name in regimes] == [(regime.code, regime.name) for regime in REGIMES]

@@ -13,6 +13,7 @@ from atlas.query.export import export
 from atlas.query.window import within
 from atlas.store import store
 from tests.synthetic import fill, spec_of
+from workers.results import REGIMES
 
 WINDOW = {"omega": (1.5, 2.5), "b": (0.2, 0.3)}
 
@@ -74,7 +75,7 @@ def test_a_netcdf_file_holds_the_window_with_its_attributes(ds: xr.Dataset, tmp_
 
 def test_exporting_leaves_the_dataset_as_it_was(ds: xr.Dataset, tmp_path: Path) -> None:
     export(ds, tmp_path / "a.nc", WINDOW)
-    assert ds.regime.attrs["flag_values"] == list(range(-1, 7))
+    assert ds.regime.attrs["flag_values"] == [regime.code for regime in REGIMES]
     assert ds.encoding["source"]
 
 

@@ -3,7 +3,6 @@
 import csv
 import shutil
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +12,24 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas.check.reproduce import beyond_error
 from atlas.check.verify import verify
 from atlas.cli.main import main as cli
 from atlas.errors import InputError
-from atlas.store.machine import this_machine
-from atlas.store.store import done_tiles, machines, read_header
+from atlas.store.store import done_tiles, read_header
 from atlas.task.retry import checked_retry
 from tests.synthetic import set_attribute
 from workers import SOLVER_VERSION
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
 
 DATA = Path(__file__).parent / "data"
 MORE = 2000
 """The budget that undetermined cells of the sweep were given."""
+ERRORS = 5.0
+"""So many errors of both solutions may lie between the exponents that two solver versions give."""
+EQUAL, HITS = ["period", "symmetric", "sticks"], ["impacts_upper", "impacts_lower"]
+NUMBERS = ["largest", "spectrum", "impacts_per_period", "stuck_fraction", "min_impact_speed"]
+SETTLED = {"plane": {(4, 2): (CHAOTIC, PERIODIC)}, "sweep": {}}
+"""The cells that solver version 4 took for chaotic before they settled."""
 
 
 @pytest.fixture(scope="module")
@@ -63,28 +67,39 @@ def solve(name: str, store: Path, client: Client) -> None:
         atlas.run(spec, store, client, atlas.RunOptions(retry=checked_retry(spec, "undetermined", MORE)))
 
 
-def cells(ds: xr.Dataset, names: list[str]) -> Iterator[dict[str, np.ndarray]]:
-    arrays = {name: ds[name].values for name in names}
-    for cell in np.ndindex(ds.regime.shape):
-        yield {name: values[cell] for name, values in arrays.items()}
+def differences(old: dict[str, np.ndarray], new: dict[str, np.ndarray]) -> list[str]:
+    """In which results two solver versions differ by more than they may in one cell.
+
+    Its class and what counts impacts and periods are the same, the largest exponent within the errors, and the other
+    numbers of an orbit to its digits. It may be the mirror image of the other's orbit, and its state another section.
+    """
+    if new["regime"] != old["regime"]:
+        return ["regime"]
+    if new["regime"] not in (NO_IMPACT, PERIODIC):
+        away, room = abs(new["largest"] - old["largest"]), ERRORS * (new["error"] + old["error"])
+        return ["largest"] if new["regime"] <= CHAOTIC and not away <= room else []
+    found = [name for name in EQUAL if new[name] != old[name]]
+    if {int(new[name]) for name in HITS} != {int(old[name]) for name in HITS}:
+        found += HITS
+    numbers = [name for name in NUMBERS if name in old]
+    return found + [n for n in numbers if not np.allclose(new[n], old[n], rtol=1e-9, atol=1e-9, equal_nan=True)]
 
 
-def assert_same_numbers(found: Path, original: Path) -> None:
-    """To the bit on the kind of machine that wrote the original, elsewhere within the errors."""
+def assert_like(found: Path, original: Path, name: str) -> None:
+    """The numbers of today's solver are those of the older one, but for the cells that are listed."""
     old, new = atlas.open(original).load(), atlas.open(found).load()
     names = [str(name) for name in old.data_vars]
     assert set(names) <= set(new.data_vars)
-    if {machine.name for machine in machines(read_header(original))} == {this_machine().name}:
-        assert [name for name in names if old[name].values.tobytes() != new[name].values.tobytes()] == []
-    else:
-        pairs = zip(cells(old, names), cells(new, names), strict=True)
-        assert [message for one, other in pairs if (message := beyond_error(one, other))] == []
+    for cell in np.ndindex(old.regime.shape):
+        one, other = ({name: ds[name].values[cell] for name in names} for ds in (old, new))
+        listed = SETTLED[name].get(cell) == (one["regime"], other["regime"])
+        assert listed or differences(one, other) == [], f"cell {cell}"
 
 
 def test_plain_xarray_opens_it_without_a_warning(older: Path) -> None:
     ds = xr.open_zarr(older)  # warnings are errors here
     assert not (ds.regime.values == -1).any()
-    assert "reason" not in ds
+    assert not {"reason", "survived"} & set(ds.data_vars)
 
 
 def test_it_opens_as_an_atlas(older: Path, name: str) -> None:
@@ -139,7 +154,7 @@ def test_a_resume_is_refused_with_both_versions(older: Path, name: str, client: 
         atlas.run(spec_of(name), older, client=client)
 
 
-def test_half_done_and_of_this_solver_version_it_is_completed_to_the_same_numbers(
+def test_half_done_and_of_this_solver_version_it_is_completed_to_like_numbers(
     older: Path, originals: Path, name: str, client: Client
 ) -> None:
     set_attribute(older, "solver_version", SOLVER_VERSION)
@@ -152,13 +167,11 @@ def test_half_done_and_of_this_solver_version_it_is_completed_to_the_same_number
             shutil.rmtree(chunk) if chunk.is_dir() else chunk.unlink(missing_ok=True)
     assert len(done_tiles(header)) == header.tiling.count - len(lost)
     solve(name, older, client)
-    assert_same_numbers(older, originals / f"{name}.zarr")
+    assert_like(older, originals / f"{name}.zarr", name)
     assert not (older / "reason").exists()
-    assert verify(older).fine
+    assert verify(older, sample=0).fine  # half of its cells are another solver's
 
 
-def test_its_spec_solved_anew_gives_the_same_numbers(
-    originals: Path, name: str, tmp_path: Path, client: Client
-) -> None:
+def test_its_spec_solved_anew_gives_like_numbers(originals: Path, name: str, tmp_path: Path, client: Client) -> None:
     solve(name, tmp_path / "new.zarr", client)
-    assert_same_numbers(tmp_path / "new.zarr", originals / f"{name}.zarr")
+    assert_like(tmp_path / "new.zarr", originals / f"{name}.zarr", name)

@@ -14,8 +14,9 @@ import zarr
 from distributed import Client
 
 import atlas
+from atlas.check.overviews import check_overviews
 from atlas.errors import RunError
-from atlas.overview.coarsen import coarsen, from_cells
+from atlas.overview.coarsen import CODES, coarsen, from_cells
 from atlas.overview.pyramid import Pyramid, levels_of
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
@@ -33,6 +34,7 @@ from tests.synthetic import (
     complete,
     each_block,
     fill,
+    forget_aperiodic,
     indices,
     keep,
     mean,
@@ -41,7 +43,7 @@ from tests.synthetic import (
     results,
     spec_of,
 )
-from workers.results import CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+from workers.results import APERIODIC, CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +162,13 @@ def test_one_failed_cell_is_shown_at_every_level(header: store.Header, level: in
     assert np.argwhere(coarse.regime_shown.values == FAILED).tolist() == [[9 >> level, 18 >> level]]
 
 
+@pytest.mark.parametrize(("other", "said"), [(CHAOTIC, APERIODIC), (UNDETERMINED, UNDETERMINED), (FAILED, FAILED)])
+def test_a_tie_of_aperiodic_cells_goes_towards_doubt(other: int, said: int) -> None:
+    codes = np.array([[APERIODIC, other], [other, APERIODIC]], np.int8)
+    cells = coarsen(from_cells({"regime": codes}, ["regime_share", "cells"]), (np.ones(2), np.ones(2)))
+    assert cells["regime"].item() == said
+
+
 @pytest.mark.parametrize(("count", "shown"), [(1, UNDETERMINED), (0, PERIODIC)])
 def test_undetermined_cells_are_shown_from_a_sixteenth_of_the_area_on(count: int, shown: int) -> None:
     codes = np.full((4, 4), PERIODIC, np.int8)
@@ -232,9 +241,9 @@ def default_sizes(tmp_path: Path) -> store.Header:
 
 def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_sizes: store.Header) -> None:
     group = zarr.open_group(default_sizes.path / "overviews", mode="r+", use_consolidated=False)
-    assert dict(group.attrs) == {"side": 256, "least": 128, "version": 1}
+    assert dict(group.attrs) == {"side": 256, "least": 128, "classes": CODES.size, "version": 1}
     before = view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
-    group.attrs.put({"version": 1})
+    group.attrs.put({"version": 1, "classes": CODES.size})
     with counted() as reads:
         after = view(atlas.open(default_sizes.path), ["largest"], pixels=(150, 70))
     xr.testing.assert_identical(before, after)
@@ -248,7 +257,7 @@ def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None
     assert levels_of(whole).count == 3
 
 
-@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"version": 2}])
+@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"version": 2}])
 def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     whole: store.Header, attributes: dict[str, object]
 ) -> None:
@@ -258,8 +267,27 @@ def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     assert_view_is_true(whole)
 
 
+def test_overviews_from_before_there_was_a_regime_are_read_as_they_are(whole: store.Header) -> None:
+    with counted() as before:
+        fractions(atlas.open(whole.path))
+    forget_aperiodic(whole.path)
+    with counted() as after:
+        fractions(atlas.open(whole.path))
+    assert (after.level, after.chunks) == (before.level, before.chunks)
+    assert_view_is_true(whole)
+    report = check_overviews(whole, set(), lambda level: None)
+    assert (report.faults, report.chunks > 0) == ((), True)
+
+
+def test_overviews_from_before_there_was_a_regime_are_made_anew_by_a_run(whole: store.Header) -> None:
+    forget_aperiodic(whole.path)
+    assert keep(whole) == 14
+    assert xr.open_zarr(whole.path, group="overviews/1").sizes["class"] == CODES.size
+    assert_view_is_true(whole)
+
+
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
-@pytest.mark.parametrize("name", ["reason", "min_impact_speed"])
+@pytest.mark.parametrize("name", ["reason", "min_impact_speed", "survived"])
 def test_a_result_that_an_older_store_lacks_is_lacking_in_its_overviews(filled: store.Header, name: str) -> None:
     shutil.rmtree(filled.path / name)
     zarr.consolidate_metadata(filled.path)

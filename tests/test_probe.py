@@ -79,11 +79,11 @@ def test_the_probe_of_costly_cells_ends_with_its_first_step() -> None:
 
 
 def test_no_probed_cell_costs_more_than_the_probe_allows() -> None:
-    """Truth: a chaotic cell that never comes to its tolerance spends nine tenths of its budget."""
+    """Truth: a chaotic cell that never comes to its tolerance spends nine tenths of its budget, and survives."""
     settings = Settings(tolerance=1e-9, max_periods=10_000_000)
     solved = solve_tile("two-mass", naive.FIGURES[5], probing.brief(settings)[0])
     assert solved["regime"] == CHAOTIC
-    assert solved["periods_used"] <= probing.LONGEST
+    assert solved["periods_used"] <= probing.LONGEST + probing.LONGEST_WATCH
     spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
     assert probed(spec).periods_per_cell == pytest.approx(0.9 * settings.max_periods, rel=0.01)
 
@@ -94,8 +94,24 @@ def test_a_long_schedule_is_probed_on_a_short_one() -> None:
     assert found.periods_per_cell == pytest.approx(4_000_000, rel=0.01)
 
 
+@pytest.mark.parametrize("exponents", ["none", "largest"])
+def test_the_periods_for_which_chaos_would_be_watched_are_told_from_fewer(exponents: str) -> None:
+    """Truth: the cell solved with all of its survival. No stable orbit is known beside it: an eighth is required."""
+    settings = Settings(exponents=exponents, survival=10 * probing.LONGEST_WATCH)
+    spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
+    truth = solve_tile("two-mass", naive.FIGURES[5], settings)
+    assert truth["periods_used"] > settings.survival // 8
+    assert probed(spec).periods_per_cell == pytest.approx(truth["periods_used"], rel=0.1)
+
+
+def test_a_survival_as_short_as_that_of_the_probe_adds_nothing() -> None:
+    settings = Settings(survival=probing.LONGEST_WATCH)
+    spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
+    assert probed(spec).periods_per_cell == solve_tile("two-mass", naive.FIGURES[5], settings)["periods_used"]
+
+
 def test_a_cell_that_stays_undetermined_leaves_a_range_up_to_its_whole_budget() -> None:
-    """Without exponents nothing tells when chaos ends: the full budget is a hundred times what was spent."""
-    settings = Settings(exponents="none", max_periods=100 * probing.LONGEST)
+    """Without exponents and unwatched, chaos stays undetermined: the full budget is a hundred times what was spent."""
+    settings = Settings(exponents="none", max_periods=100 * probing.LONGEST, survival=0)
     found = probed(atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings))
     assert found.high / found.low == pytest.approx(100.0, rel=0.01)

@@ -2,14 +2,17 @@
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from distributed import Client
 
+import atlas
 from atlas.errors import InputError
 from atlas.query import queries as query
-from workers.results import CHAOTIC, NO_IMPACT, PENDING, PERIODIC
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PENDING, PERIODIC
 
 
 def plane(omega: list[float], b: list[float], regime: np.ndarray | None = None, **attrs: str) -> xr.Dataset:
@@ -164,3 +167,20 @@ class _Unreadable(xr.backends.BackendArray):
 
     def __getitem__(self, key: object) -> np.ndarray:
         raise AssertionError("was read")
+
+
+def test_aperiodic_cells_have_a_fraction_and_say_how_long_they_survived(tmp_path: Path, client: Client) -> None:
+    spec = atlas.Spec(
+        "two-mass",
+        axes={"omega": [1.4, 2.5, 3.0, 3.5], "b": [0.1, 0.2, 0.3]},
+        solve={"exponents": "none", "max_periods": 2000, "survival": 800},
+    )
+    atlas.run(spec, tmp_path / "out.zarr", client=client)
+    ds = atlas.open(tmp_path / "out.zarr")
+    aperiodic = np.argwhere(ds.regime.values == APERIODIC)
+    assert 0 < aperiodic.shape[0] < 12
+    assert 0.0 < ds.atlas.fractions()["aperiodic"] < 1.0
+    row, column = aperiodic[0]
+    found = ds.atlas.at(omega=float(ds.omega[column]), b=float(ds.b[row]))
+    assert (found["regime"], found["survived"] >= 800 // 8) == ("aperiodic", True)
+    assert np.isfinite(ds.atlas.where_regime("aperiodic").survived.values).sum() == aperiodic.shape[0]

@@ -26,11 +26,13 @@ from workers import solve, solve_tile
 from workers.model.oscillator import mass_spring
 from workers.results import (
     BEYOND_STOP,
+    CHAOTIC,
     COUPLED_DAMPING,
     FAILED,
     INVALID,
     LONG_PERIOD,
     NO_REASON,
+    NOT_STATIONARY,
     OUT_OF_RANGE,
     REASONS,
     RESONANCE,
@@ -73,7 +75,7 @@ def call(*args: object) -> Result:
 def test_codes_are_the_places_in_the_table_and_their_names_differ() -> None:
     assert [reason.code for reason in REASONS] == list(range(len(REASONS)))
     assert len({reason.name for reason in REASONS}) == len({reason.text for reason in REASONS}) == len(REASONS)
-    assert {reason.regime for reason in REASONS[1:]} == {FAILED, INVALID, UNDETERMINED}
+    assert {reason.regime for reason in REASONS[1:]} == {FAILED, INVALID, UNDETERMINED, CHAOTIC}
 
 
 @pytest.mark.parametrize(
@@ -145,6 +147,16 @@ def test_query_of_an_atlas_without_such_cells_reports_only_fractions(store: Path
 def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
     part = atlas.open(store).isel(omega=slice(1, 6), b=slice(1, 4))
     assert part.atlas.reasons() == query.reasons(part.load().copy()) == {BEYOND: 5}
+
+
+def test_query_counts_chaotic_cells_whose_averages_differ(store: Path) -> None:
+    group, cell = zarr.open_group(store, mode="r+"), (4, 0)
+    group["regime"][cell], group["reason"][cell] = CHAOTIC, NOT_STATIONARY
+    shutil.rmtree(store / "tally")
+    text = REASONS[NOT_STATIONARY].text
+    assert f"1 cell chaotic: {text}" in call("query", store).stdout.splitlines()
+    assert f"  1 cell chaotic: {text}" in call("status", store).stdout.splitlines()
+    assert query.at(atlas.open(store), {"omega": 2.0, "b": 0.5})["reason"] == text
 
 
 def test_a_cell_asked_for_reports_its_reason_in_words(store: Path) -> None:

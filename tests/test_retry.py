@@ -1,4 +1,4 @@
-"""Solving failed and undetermined cells of finished tiles again."""
+"""Solving cells of finished tiles again: failed ones, and others with a larger budget or a longer survival."""
 
 from pathlib import Path
 from typing import Any
@@ -11,16 +11,19 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
+from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
-from atlas.store.store import add_budget, done_tiles, read_header
+from atlas.store.store import add_allowances, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job
+from atlas.task.isolated import run_isolated
 from atlas.task.retry import Retry, checked_retry
 from atlas.task.task import Job
-from workers.results import FAILED, REGIME, UNDETERMINED, result_variables
+from workers.results import APERIODIC, CHAOTIC, FAILED, REGIME, UNDETERMINED, result_variables
 from workers.settings import MOST_PERIODS
 from workers.tile import solve_cells
 
@@ -32,7 +35,7 @@ def plane_of_few(max_periods: int = FEW) -> atlas.Spec:
     return atlas.Spec(
         "two-mass",
         axes={"omega": {"start": 2.0, "stop": 4.0, "num": 7}, "b": {"start": 0.1, "stop": 0.5, "num": 5}},
-        solve={"max_periods": max_periods, "tolerance": 0.1, "section_samples": 2},
+        solve={"max_periods": max_periods, "survival": 0, "tolerance": 0.1, "section_samples": 2},
         store={"tile": (2, 3)},
     )
 
@@ -179,7 +182,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
     chosen = before["regime"] == UNDETERMINED
     notes_of(store).put("started-" + "-".join(map(str, index)), b"1", expected=None)
     monkeypatch.setattr(attempt, "run_isolated", lambda job: "it died")
-    add_budget(header)
+    add_allowances(header, [BUDGET])
     receipt = run_job(Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE)))
     assert receipt.reasons == {"it died": int(chosen.sum())}
     after = read_tile(header, index)
@@ -195,9 +198,10 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
         ("undetermined", None, f"within the same budget; give --max-periods above {FEW}"),
         ("undetermined", FEW, f"max_periods: found {FEW}, must exceed the spec's {FEW}"),
         ("undetermined", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
-        ("chaotic", MORE, "unknown regime to retry 'chaotic'"),
+        ("periodic", MORE, "unknown regime to retry 'periodic'"),
+        ("chaotic", MORE, "chaotic cells come out the same within the same survival; give --survival above 0"),
         ("faild", None, "did you mean 'failed'?"),
-        (",", None, "retry: found none, must be one or more of undetermined, failed"),
+        (",", None, "retry: found none, must be one or more of chaotic, undetermined, failed, aperiodic"),
     ],
 )
 def test_a_retry_that_could_change_nothing_is_refused(names: str, max_periods: int | None, message: str) -> None:
@@ -227,7 +231,161 @@ def test_a_retry_without_a_store_is_refused_and_writes_nothing(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_budget_without_a_retry_is_refused(tmp_path: Path) -> None:
-    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", "--max-periods", 5)
+@pytest.mark.parametrize("option", ["--max-periods", "--survival"])
+def test_a_budget_or_a_survival_without_a_retry_is_refused(tmp_path: Path, option: str) -> None:
+    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", option, 5)
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
-    assert "--max-periods is for cells solved again" in shown.stderr
+    assert f"{option} is for cells solved again" in shown.stderr
+
+
+# Survival
+
+BRIEF, LONG = 0, 8000
+"""Periods for which chaos is watched: not at all, and long enough to cost some."""
+
+
+def chaotic_plane(survival: int = BRIEF, exponents: str = "largest", max_periods: int = 2000) -> atlas.Spec:
+    """A plane of 4 x 3 cells, chaotic ones among them; with a wider stop some are known to settle late."""
+    return atlas.Spec(
+        "two-mass",
+        axes={"omega": [1.4, 1.5, 1.6, 2.5], "b": [0.1, 0.26, 0.3]},
+        solve={"max_periods": max_periods, "survival": survival, "tolerance": 0.1, "exponents": exponents},
+        store={"tile": (2, 2)},
+    )
+
+
+@pytest.fixture
+def watched(tmp_path: Path, client: Client) -> Path:
+    atlas.run(chaotic_plane(), tmp_path / "chaos.zarr", client=client)
+    return tmp_path / "chaos.zarr"
+
+
+def retry_of(spec: atlas.Spec, names: str = "chaotic", **given: int) -> atlas.RunOptions:
+    return atlas.RunOptions(retry=checked_retry(spec, names, **given))
+
+
+def whole_block(spec: atlas.Spec) -> dict[str, np.ndarray]:
+    return solve_cells("two-mass", spec.cell_params(tuple(slice(0, n) for n in spec.shape)), spec.settings).arrays
+
+
+def test_chaotic_cells_come_out_as_in_an_atlas_with_that_survival(watched: Path, client: Client) -> None:
+    before, spec = whole(watched), chaotic_plane()
+    chaotic = before["regime"] == CHAOTIC
+    assert 0 < chaotic.sum() < 12
+    summary = atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG))
+    assert summary.cells_solved == chaotic.sum()
+    after, expected = whole(watched), whole_block(chaotic_plane(LONG))
+    for name, values in before.items():
+        assert same(after[name], values)[~chaotic].all(), name
+        assert same(after[name], expected[name])[chaotic].all(), name
+    np.testing.assert_array_equal(after["survival"], np.where(chaotic, LONG, BRIEF))
+    still = after["regime"] == CHAOTIC
+    assert (after["survived"][still] >= LONG // 8).all()
+    assert summary.changed == (chaotic & ~still).sum()
+    assert "of another regime than before" in str(summary)
+
+
+def test_a_retry_of_chaotic_cells_leaves_a_store_that_is_sound_to_the_bit(watched: Path, client: Client) -> None:
+    spec = chaotic_plane()
+    atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG))
+    report = verify(watched, sample=12)
+    assert (report.fine, report.cells_solved, report.comparison) == (True, 12, "bits")
+
+
+def test_a_survival_changed_by_hand_is_a_fault(watched: Path, client: Client) -> None:
+    spec = chaotic_plane()
+    atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG))
+    cell = tuple(np.argwhere(whole(watched)["regime"] == CHAOTIC)[0].tolist())
+    zarr.open_group(watched, mode="r+")["survival"][cell] = LONG + 1
+    (fault,) = verify(watched, sample=0).faults
+    assert fault.what.startswith("its chunks are not those that were written here together")
+
+
+def test_a_retry_of_chaotic_cells_done_twice_solves_nothing_the_second_time(watched: Path, client: Client) -> None:
+    spec = chaotic_plane()
+    atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG))
+    assert (whole(watched)["regime"] == CHAOTIC).any()
+    assert atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG)).cells_solved == 0
+    again = atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG + 1))
+    assert again.cells_solved == (whole(watched)["regime"] == CHAOTIC).sum()
+
+
+def test_a_retry_of_chaotic_cells_that_was_stopped_goes_on_with_the_tiles_left(watched: Path, client: Client) -> None:
+    spec, header = chaotic_plane(), read_header(watched)
+    retry = checked_retry(spec, "chaotic", survival=LONG)
+    add_allowances(header, retry.raises)
+    tiles = {index: int((read_tile(header, index)["regime"] == CHAOTIC).sum()) for index in done_tiles(header)}
+    first = next(index for index, count in sorted(tiles.items()) if count)
+    run_job(Job(first, str(watched), header.run_id, header.solver_version, retry))
+    summary = atlas.run(spec, watched, client=client, options=atlas.RunOptions(retry=retry))
+    assert summary.cells_solved == sum(tiles.values()) - tiles[first]
+
+
+def test_undetermined_and_chaotic_cells_are_solved_again_together(tmp_path: Path, client: Client) -> None:
+    """A budget of 500 leaves cells undetermined that one of 2000 decides; either kind gets both."""
+    spec, store = chaotic_plane(max_periods=500), tmp_path / "out.zarr"
+    atlas.run(spec, store, client=client)
+    chosen = np.isin(whole(store)["regime"], (CHAOTIC, UNDETERMINED))
+    options = retry_of(spec, "chaotic,undetermined", max_periods=2000, survival=LONG)
+    assert atlas.run(spec, store, client=client, options=options).cells_solved == chosen.sum() > 0
+    after, expected = whole(store), whole_block(chaotic_plane(LONG))
+    assert same(after["regime"], expected["regime"])[chosen].all()
+    assert same(after["largest"], expected["largest"])[chosen].all()
+    assert verify(store, sample=12).fine
+
+
+def test_aperiodic_cells_can_be_watched_for_longer(tmp_path: Path, client: Client) -> None:
+    spec, store = chaotic_plane(survival=400, exponents="none"), tmp_path / "out.zarr"
+    atlas.run(spec, store, client=client)
+    aperiodic = whole(store)["regime"] == APERIODIC
+    assert aperiodic.any()
+    assert atlas.run(spec, store, client=client, options=retry_of(spec, "aperiodic", survival=LONG)).cells_solved
+    after, expected = whole(store), whole_block(chaotic_plane(LONG, exponents="none"))
+    assert all(same(after[name], expected[name])[aperiodic].all() for name in expected)
+    assert verify(store, sample=12).fine
+
+
+def test_cells_watched_for_longer_are_not_taken_over_by_a_grown_atlas(
+    watched: Path, tmp_path: Path, client: Client
+) -> None:
+    spec = chaotic_plane()
+    atlas.run(spec, watched, client=client, options=retry_of(spec, survival=LONG))
+    atlas.extend(watched, tmp_path / "grown.zarr", refine={"b": 2}, client=client)
+    grown, fresh = whole(tmp_path / "grown.zarr"), whole_block(spec)
+    assert "survival" not in grown
+    assert all(same(grown[name][::2], values).all() for name, values in fresh.items())
+
+
+def test_a_tile_of_chaotic_cells_is_solved_again_by_a_process_of_its_own_too(watched: Path) -> None:
+    spec, header = chaotic_plane(), read_header(watched)
+    retry = checked_retry(spec, "chaotic", survival=LONG)
+    add_allowances(header, retry.raises)
+    index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == CHAOTIC).any())
+    receipt = run_isolated(Job(index, str(watched), header.run_id, header.solver_version, retry))
+    assert not isinstance(receipt, str)
+    assert receipt.cells == (read_tile(header, index)["survival"] == LONG).sum() > 0
+
+
+@pytest.mark.parametrize(
+    ("names", "survival", "message"),
+    [
+        ("chaotic", 40_000, "survival: found 40000, must exceed the spec's 40000"),
+        ("chaotic", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
+        ("aperiodic", None, "aperiodic cells come out the same within the same survival; give --survival above 40000"),
+        ("failed", 50_000, "survival: is for chaotic and aperiodic cells, found --retry failed"),
+    ],
+)
+def test_a_survival_that_could_change_nothing_is_refused_in_one_line(
+    tmp_path: Path, names: str, survival: int | None, message: str
+) -> None:
+    given = [] if survival is None else ["--survival", survival]
+    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", "--retry", names, *given)
+    assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
+    assert message in shown.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_fixed_schedule_has_no_survival_to_raise() -> None:
+    spec = atlas.Spec("two-mass", {"omega": [2.0]}, solve={"method": "fixed"})
+    with pytest.raises(InputError, match='method = "fixed" has no survival'):
+        checked_retry(spec, "chaotic", survival=10**6)

@@ -74,7 +74,7 @@ def is_completed(store: Path, client: Client) -> bool:
     return atlas.run(plane_of(), store, client=client).tiles_solved == 1 and verify(store).fine
 
 
-@pytest.mark.parametrize("name", ["min_impact_speed", "state", "largest", "period", "stuck_fraction"])
+@pytest.mark.parametrize("name", ["min_impact_speed", "state", "largest", "period", "stuck_fraction", "survived"])
 def test_a_store_from_before_there_was_a_result_is_sound_and_can_be_completed(
     store: Path, client: Client, name: str
 ) -> None:
@@ -99,8 +99,11 @@ def test_a_result_whose_metadata_are_gone_is_missing_where_there_are_chunks_of_i
     assert [str(fault) for fault in verify(store).faults] == ["state/zarr.json is missing"]
 
 
-def test_a_store_from_before_there_was_a_setting_is_sound_and_can_be_completed(store: Path, client: Client) -> None:
-    remove_from_spec(store, "solve", "max_period")
+@pytest.mark.parametrize("name", ["max_period", "survival"])
+def test_a_store_from_before_there_was_a_setting_is_sound_and_can_be_completed(
+    store: Path, client: Client, name: str
+) -> None:
+    remove_from_spec(store, "solve", name)
     assert verify(store).fine
     assert is_completed(store, client)
 
@@ -117,13 +120,13 @@ def test_a_store_from_before_there_was_a_parameter_is_sound_and_can_be_completed
 class LaterSettings(Settings):
     """Settings with one that was added."""
 
-    survival: int = 5
+    patience: int = 5
 
 
 def test_a_setting_added_later_changes_a_digest_only_where_it_is_not_at_its_default() -> None:
     resolved = plane_of().resolved()
     before = resolved_digest(resolved)
-    with_default, with_another = (resolved | {"solve": resolved["solve"] | {"survival": n}} for n in (5, 6))
+    with_default, with_another = (resolved | {"solve": resolved["solve"] | {"patience": n}} for n in (5, 6))
     assert resolved_digest(with_default, LaterSettings) == before
     assert resolved_digest(with_another, LaterSettings) != before
 

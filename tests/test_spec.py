@@ -7,7 +7,7 @@ import pytest
 
 from atlas import Spec
 from atlas.errors import InputError
-from atlas.spec.spec import example_names
+from atlas.spec.spec import example_names, resolved_digest
 from workers import Settings
 
 OMEGA = {"start": 2.0, "stop": 4.0, "num": 5}
@@ -52,6 +52,14 @@ def test_settings_may_be_given_as_their_record() -> None:
     assert make(solve=Settings(max_periods=7)).digest == make(solve={"max_periods": 7}).digest
 
 
+def test_a_survival_at_its_default_does_not_enter_the_digest() -> None:
+    """Specs from before there was that setting keep theirs."""
+    default = Settings().survival
+    resolved = make(solve={"survival": default}).resolved()
+    assert resolved["solve"].pop("survival") == default
+    assert resolved_digest(resolved) == make(solve={"survival": default}).digest == make().digest
+
+
 def test_tile_shape_does_not_enter_the_digest() -> None:
     assert make(store={"tile": [1, 2]}).digest == make().digest
 
@@ -62,9 +70,10 @@ def test_tile_shape_does_not_enter_the_digest() -> None:
         {"axes": {"b": B, "omega": OMEGA}},
         {"parameters": {"R": 0.5}},
         {"solve": {"tolerance": 0.5}},
+        {"solve": {"survival": 0}},
         {"axes": {"omega": OMEGA, "b": {"values": [0.1, 0.2, 0.4000000000000001]}}},
     ],
-    ids=["axis order", "parameter", "setting", "last bit of an axis value"],
+    ids=["axis order", "parameter", "setting", "setting of later", "last bit of an axis value"],
 )
 def test_the_digest_distinguishes(changes: dict[str, object]) -> None:
     assert make(**changes).digest != make().digest
@@ -135,6 +144,10 @@ BAD = [
     ({"system": ["two-mass"]}, "system: found ['two-mass'], must be the name of a system"),
     ({"solve": []}, "solve: found [], must be a table"),
     ({"solve": {"tolerance": 10**400}}, "solve.tolerance: found 1000"),
+    ({"solve": {"survival": -1}}, "solve.survival: found -1, must be a whole number, 0 to 500000000"),
+    ({"solve": {"survival": 500_000_001}}, "solve.survival: found 500000001, must be a whole number"),
+    ({"solve": {"survival": 2.5}}, "solve.survival: found 2.5, must be a whole number"),
+    ({"solve": {"surviv": 5}}, "unknown key in solve 'surviv'; did you mean 'survival'?"),
     ({"solve": {"max_periods": 10**5000}}, "solve.max_periods: found a whole number of thousands of digits"),
     ({"axes": {"omega": {"values": []}}}, "axes.omega.values: found 0 points"),
     ({"axes": {"omega": {"values": 3.0}}}, "axes.omega.values: found 3.0, must be a list of numbers"),

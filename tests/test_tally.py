@@ -177,6 +177,33 @@ def test_a_tally_that_is_missing_or_damaged_is_counted_again(
     assert len(keys) == 9  # by the comparison alone
 
 
+def test_a_tally_from_before_there_was_a_regime_or_a_reason_is_read_and_made_anew_by_a_run(
+    tmp_path: Path, keys: list[str]
+) -> None:
+    header = complete(tmp_path / "a.zarr", (16, 16))
+    keep_tally(header)
+    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)["tally"]
+    whole, attributes = group["tiles"][...], dict(group["tiles"].attrs)
+    older = [name for name in tally.COLUMNS if not name.endswith(("aperiodic", "not_relaxed", "not_stationary"))]
+    assert len(older) == len(tally.COLUMNS) - 4
+    kept = whole[..., [tally.COLUMNS.index(name) for name in older]]
+    group.create_array("tiles", data=kept, attributes=attributes | {"columns": older}, overwrite=True)
+    keys.clear()
+    status = read_status(header)
+    assert keys == []
+    assert_true(status, header.path)
+    keep_tally(header)
+    np.testing.assert_array_equal(group["tiles"][...], whole)
+
+
+def test_a_tally_of_a_newer_version_is_counted_again(tmp_path: Path) -> None:
+    header = complete(tmp_path / "a.zarr", (16, 16))
+    keep_tally(header)
+    array = zarr.open_group(header.path, mode="r+", use_consolidated=False)["tally/tiles"]
+    array.update_attributes({"columns": [*tally.COLUMNS[:-1], "reason tired"]})
+    assert_true(read_status(header), header.path)
+
+
 def test_a_run_keeps_the_tally_of_its_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
     atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
     keys.clear()

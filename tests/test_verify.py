@@ -15,7 +15,7 @@ from distributed import Client
 
 import atlas
 from atlas.check import reproduce as recheck
-from atlas.check.rules import law_of
+from atlas.check.rules import broken_rules, law_of
 from atlas.check.verify import Fault, Report, draw_cells, verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
@@ -25,9 +25,22 @@ from atlas.store.digests import DIGESTS, TILES
 from atlas.store.machine import Machine, this_machine
 from atlas.store.tiles import read_tile, write_digest
 from tests.synthetic import set_attribute
+from workers import solve_tile
 from workers.exponents import sum_of_exponents
 from workers.model.system import find_system
-from workers.results import CHAOTIC, FAILED, GAVE_UP, INVALID, NO_IMPACT, PERIODIC, result_variables
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    FAILED,
+    GAVE_UP,
+    INVALID,
+    NO_IMPACT,
+    NO_REASON,
+    NOT_RELAXED,
+    NOT_STATIONARY,
+    PERIODIC,
+    result_variables,
+)
 
 SPEC = atlas.Spec(
     "two-mass",
@@ -164,8 +177,9 @@ def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: 
 @pytest.mark.parametrize(
     ("name", "regime", "value", "rule"),
     [
-        ("regime", PERIODIC, 9, "regime is none of 0 to 6"),
-        ("regime", PERIODIC, -1, "regime is none of 0 to 6"),
+        ("regime", PERIODIC, 8, "regime is none of 0 to 7"),
+        ("regime", PERIODIC, -1, "regime is none of 0 to 7"),
+        ("regime", CHAOTIC, APERIODIC, "aperiodic, although exponents were asked for"),
         ("largest", CHAOTIC, np.nan, "largest is NaN"),
         ("largest", CHAOTIC, 0.01, "chaotic, but largest is not positive by 4 errors"),
         ("error", PERIODIC, -1e-9, "error is negative"),
@@ -181,6 +195,12 @@ def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: 
         ("symmetric", CHAOTIC, True, "symmetric outside orbits"),
         ("min_impact_speed", NO_IMPACT, 0.1, "min_impact_speed without impact"),
         ("periods_used", PERIODIC, -5, "periods_used is negative"),
+        ("survived", CHAOTIC, -1, "survived is negative"),
+        ("survived", CHAOTIC, 0, "survived is 0 in a chaotic or aperiodic cell"),
+        ("survived", CHAOTIC, 10**8, "survived is longer than what was simulated"),
+        ("survived", PERIODIC, 5, "survived is not 0 outside chaos"),
+        ("reason", PERIODIC, NOT_RELAXED, "reason is not one for this regime"),
+        ("reason", NO_IMPACT, NOT_STATIONARY, "reason is not one for this regime"),
         ("state", PERIODIC, np.nan, "state is not finite"),
         ("regime", PERIODIC, INVALID, "state has a value in an invalid or failed cell"),
         ("spectrum", PERIODIC, lambda s: s[::-1], "spectrum does not fall"),
@@ -196,6 +216,48 @@ def test_results_that_contradict_each_other_are_found(
     cell = change(whole, name, lambda found: found == regime, value)
     faults = message(verify(whole, sample=0))
     assert f"tile {(cell[0] // 2, cell[1] // 2)}: {rule}: 1 cell, the first at {recheck.place_in(SPEC, cell)}" in faults
+
+
+def rules_broken_by_chaos(whole: Path, reason: int, errors: float) -> list[str]:
+    """By a tile one of whose chaotic cells has this reason and an exponent of so many errors."""
+    header = store.read_header(whole)
+    for tile in header.tiling.tiles():
+        arrays = read_tile(header, tile.index)
+        if (arrays["regime"] == CHAOTIC).any():
+            cell = tuple(np.argwhere(arrays["regime"] == CHAOTIC)[0].tolist())
+            arrays["reason"][cell], arrays["error"][cell] = reason, arrays["largest"][cell] / errors
+            return list(broken_rules(SPEC, tile.slices, arrays))
+    raise AssertionError("there is no chaotic cell")
+
+
+@pytest.mark.parametrize(
+    ("reason", "errors", "rules"),
+    [
+        (NO_REASON, 4.5, []),
+        (NO_REASON, 3.0, ["chaotic, but largest is not positive by 4 errors"]),
+        (NOT_RELAXED, 4.5, []),
+        (NOT_RELAXED, 3.0, ["chaotic, but largest is not positive by 4 errors"]),
+        (NOT_STATIONARY, 3.0, []),
+    ],
+)
+def test_only_where_its_averages_differ_may_the_error_of_chaos_exceed_a_quarter_of_its_exponent(
+    whole: Path, reason: int, errors: float, rules: list[str]
+) -> None:
+    assert rules_broken_by_chaos(whole, reason, errors) == rules
+
+
+def test_with_the_fixed_method_chaos_has_survived_for_the_periods_averaged() -> None:
+    settings = {"method": "fixed", "transient_periods": 300, "periods": 700, "exponents": "spectrum"}
+    spec = atlas.Spec("two-mass", axes={"omega": [2.1, 2.4, 3.0, 4.0]}, parameters={"b": 0.1}, solve=settings)
+    everything = (slice(0, 4),)
+    arrays = solve_tile("two-mass", spec.cell_params(everything), spec.settings)
+    chaotic = arrays["regime"] == CHAOTIC
+    assert chaotic.any()
+    assert broken_rules(spec, everything, arrays) == {}
+    arrays["survived"][chaotic] = 699
+    ((rule, cells),) = broken_rules(spec, everything, arrays).items()
+    assert rule == "survived is not the periods averaged"
+    np.testing.assert_array_equal(cells, chaotic)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ REGIMES = (
     Regime(UNDETERMINED, "undetermined", "#a3ff0d"),
     Regime(INVALID, "invalid", "#777777"),
     Regime(FAILED, "failed", "#000000"),
-    Regime(APERIODIC, "aperiodic", "#ccbb99"),
+    Regime(APERIODIC, "aperiodic", "#f8f0d0"),
 )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from atlas.errors import message_of
 from atlas.spec.spec import resolved_digest
 from atlas.store.digests import DIGESTS
-from atlas.store.schema import BUDGET, extra_sizes
+from atlas.store.schema import ALLOWANCES, extra_sizes
 from atlas.store.store import ROOT, Header, open_arrays, open_digests
 from atlas.store.tiles import covered_variables
 from workers.results import result_variables
@@ -30,9 +30,10 @@ def metadata_faults(header: Header) -> list[str]:
     sizes, variables = extra_sizes(spec), header.variables
     shapes = {name: coordinate.values.shape for name, coordinate in header.coordinates.items()}
     shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
+    given = {each.name for each in ALLOWANCES}
     for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:
         where = f"{name}/{ROOT}"
-        if name == BUDGET.name and name not in copied:
+        if name in given and name not in copied:
             continue  # a kill has come between the two; the next run copies it
         if name not in own:
             faults.append(f"{where} is missing")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from atlas.spec.spec import Spec
-from atlas.store.schema import BUDGET
+from atlas.store.schema import ALLOWANCES
 from workers.results import CHAOTIC, PERIODIC, REGIME, REGIMES
 
 ERRORS = 5.0
@@ -36,7 +36,8 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
     from workers.tile import solve_cells
 
     block = tuple(slice(i, i + 1) for i in sample.cell)
-    settings = replace(spec.settings, max_periods=int(sample.stored[BUDGET.name].item()))
+    given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
+    settings = replace(spec.settings, **given)
     return solve_cells(spec.system, spec.cell_params(block), settings).arrays
 
 

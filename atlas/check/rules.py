@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 
 from atlas.spec.spec import Slices, Spec
 from workers.results import (
+    APERIODIC,
     CHAOTIC,
     FAILED,
     INVALID,
     NO_IMPACT,
     NO_REASON,
+    NOT_STATIONARY,
     PERIODIC,
     QUASIPERIODIC,
     REASON,
@@ -25,7 +27,7 @@ Arrays = Mapping[str, NDArray[Any]]
 Mask = NDArray[np.bool_]
 
 STANDARD_ERRORS = 4.0
-"""By so many is the exponent of a chaotic cell positive."""
+"""By so many is the exponent of a chaotic cell positive, unless its average is not stationary."""
 SUM_LAW = 1e-8
 """By how much a sum of exponents may miss its exact value, relative to it or absolutely where that is small."""
 TORUS = 1e-3
@@ -50,9 +52,11 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     """Every rule in words, with the mask of the cells that break it."""
     regime = arrays[REGIME.name]
-    yield "regime is none of 0 to 6", ~((regime >= NO_IMPACT) & (regime <= FAILED))
+    yield f"regime is none of {NO_IMPACT} to {APERIODIC}", ~((regime >= NO_IMPACT) & (regime <= APERIODIC))
+    if spec.settings.exponents != "none":
+        yield "aperiodic, although exponents were asked for", regime == APERIODIC
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
-    known = (regime >= NO_IMPACT) & (regime <= CHAOTIC)
+    known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
 
     for variable in result_variables(spec.settings):
         if variable.name in (REGIME.name, REASON.name, "periods_used") or variable.name not in arrays:
@@ -82,6 +86,8 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         yield "min_impact_speed without impact", still & ~np.isnan(speed)
     if "periods_used" in arrays:
         yield "periods_used is negative", arrays["periods_used"] < 0
+    if "survived" in arrays:
+        yield from _survival_rules(spec, arrays)
     if "state" in arrays:
         yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
 
@@ -102,6 +108,8 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     yield "error is NaN", known & np.isnan(error)
     yield "error is negative", error < 0
     clear = largest >= STANDARD_ERRORS * error
+    if REASON.name in arrays:
+        clear |= arrays[REASON.name] == NOT_STATIONARY
     yield (
         f"chaotic, but largest is not positive by {STANDARD_ERRORS:g} errors",
         (regime == CHAOTIC) & ~(clear & (largest > 0)),
@@ -130,6 +138,18 @@ def _period_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     yield "period is not 1 without impact", still & (period != 1)
     yield "period is not positive in a periodic cell", periodic & (period < 1)
     yield "period is not 0 outside orbits", ~(still | periodic) & (period != 0)
+
+
+def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
+    regime, survived = arrays[REGIME.name], arrays["survived"]
+    watched = (regime == CHAOTIC) | (regime == APERIODIC)
+    yield "survived is negative", survived < 0
+    yield "survived is 0 in a chaotic or aperiodic cell", watched & (survived == 0)
+    yield "survived is not 0 outside chaos", ~watched & (survived != 0)
+    if "periods_used" in arrays:
+        yield "survived is longer than what was simulated", survived > arrays["periods_used"]
+    if spec.settings.method == "fixed":
+        yield "survived is not the periods averaged", watched & (survived != spec.settings.periods)
 
 
 def _impact_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:

@@ -25,7 +25,7 @@ from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.store.archive import refuse_packed
 from atlas.store.machine import this_machine
-from atlas.store.schema import BUDGET
+from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
 from atlas.store.store import (
     READERS,
@@ -267,7 +267,7 @@ def _read_all(
 
 def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: Index, drawn: list[int]) -> _Checked:
     tile = header.tiling.at(index)
-    needed = {variable.name for variable in (*header.variables, BUDGET)}
+    needed = {each.name for each in (*header.variables, *ALLOWANCES)}
     if digests is not None:
         needed |= {variable.name for variable in covered_variables(header, digests)}
     stored = needed & arrays.keys()

@@ -38,7 +38,7 @@ from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.task.compile import compile_once, warming
-from atlas.task.retry import checked_retry
+from atlas.task.retry import RETRIABLE, checked_retry
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
@@ -68,9 +68,12 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
 def _run_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of a run, whether this program coordinates it or a cluster does."""
     for option in (
+        click.option("--survival", type=int, help="With --retry chaotic or aperiodic: watch those cells for longer."),
         click.option("--max-periods", type=int, help="With --retry: the larger budget of the cells solved again."),
         click.option(
-            "--retry", metavar="REGIMES", help="Solve these cells of finished tiles again: failed, undetermined."
+            "--retry",
+            metavar="REGIMES",
+            help=f"Solve these cells of finished tiles again: {', '.join(RETRIABLE)}.",
         ),
         click.option("--tls-key", metavar="FILE", help="Its key."),
         click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
@@ -177,15 +180,17 @@ def _run_only(
     spec: Spec,
     retry: str | None,
     max_periods: int | None,
+    survival: int | None,
     tls_ca_file: str | None,
     tls_cert: str | None,
     tls_key: str | None,
 ) -> dict[str, Any]:
     """Fields of RunOptions that an extension does not have."""
-    if retry is None and max_periods is not None:
-        raise InputError("--max-periods is for cells solved again: give --retry too, or set it in the spec")
+    for option, given in (("--max-periods", max_periods), ("--survival", survival)):
+        if retry is None and given is not None:
+            raise InputError(f"{option} is for cells solved again: give --retry too, or set it in the spec")
     return {
-        "retry": None if retry is None else checked_retry(spec, retry, max_periods),
+        "retry": None if retry is None else checked_retry(spec, retry, max_periods, survival),
         "tls": Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None,
     }
 

@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from atlas.overview.levels import Levels
 from atlas.spec.spec import Spec
 from workers.results import (
+    APERIODIC,
+    CHAOTIC,
     FAILED,
     LARGEST,
     PENDING,
@@ -49,6 +51,8 @@ POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive va
 PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
 CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
 """The regime of each entry along the dimension "class"."""
+_TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: CHAOTIC + 0.5 if CODES[i] == APERIODIC else CODES[i]))
+"""The entries in the order of the table, but for ``aperiodic``, a later addition, which stands after ``chaotic``."""
 
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
@@ -202,7 +206,8 @@ def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
 def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
     # Shares that differ by rounding alone are equal; the last of the largest wins.
     tied = share >= share.max(-1, keepdims=True) - 1e-9
-    return CODES[CODES.size - 1 - tied[..., ::-1].argmax(-1)]
+    last_first = _TOWARDS_DOUBT[::-1]
+    return CODES[last_first[tied[..., last_first].argmax(-1)]]
 
 
 def _shown(share: NDArray[np.float64], regime: NDArray[np.int8]) -> NDArray[np.int8]:

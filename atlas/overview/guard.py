@@ -16,7 +16,7 @@ from zarr.storage import WrapperStore
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.remote import zarr_store
-from atlas.store.schema import BUDGET, OVERVIEWS
+from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from atlas.store.store import Header
 from workers.results import REGIME
 
@@ -33,7 +33,7 @@ class GuardedStore(WrapperStore[Any]):
         self.place, self.chunks_read = header.place, 0
         self._dims = len(header.spec.shape)
         self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
-        self._checked = {variable.name for variable in header.variables} | {BUDGET.name, *header.coordinates}
+        self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinates}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """An object, None where there is none and none has to be."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, RunError, message_of
-from atlas.overview.coarsen import CODES, REGIME_SHOWN, Widths, coarsen, from_cells, halved, level_variables
+from atlas.overview.coarsen import CODES, REGIME_SHOWN, SHARE, Widths, coarsen, from_cells, halved, level_variables
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import edges_of, widths_along
 from atlas.spec.spec import Slices
@@ -36,7 +36,7 @@ MARKS = (REGIME, REGIME_SHOWN)
 """Written last of a chunk, the first of them at the very end: either says that all else of it is there."""
 _VERSION = 1
 """Of the form of the levels; those of another version are not read, and made anew by the next run."""
-_UNSTATED = {"side": 256, "least": 128}
+_UNSTATED = {"side": 256, "least": 128, "classes": 8}
 """The shapes of overviews made before they were stored with them."""
 
 
@@ -52,6 +52,7 @@ class Pyramid:
     root     its group, for reading; no chunk that is missing or damaged passes
     made     whether there are overviews at all
     levels   their geometry; ``side`` and ``least`` are those of overviews that are yet to be made
+    classes  how many regimes they know: what was added to the table since is read as a share of 0
     """
 
     def __init__(self, header: Header, side: int = SIDE, least: int = LEAST) -> None:
@@ -60,7 +61,9 @@ class Pyramid:
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
-        self.levels = Levels(header.spec.shape, header.tile, **(stored or {"side": side, "least": least}))
+        shapes = stored or {"side": side, "least": least, "classes": CODES.size}
+        self.classes = shapes["classes"]
+        self.levels = Levels(header.spec.shape, header.tile, side=shapes["side"], least=shapes["least"])
 
     @property
     def chunks_read(self) -> int:
@@ -97,7 +100,10 @@ class Pyramid:
         """A block of a variable of a level; ChunkError where a chunk of it is missing or damaged."""
         array = self.array(level, name)
         with _named(self.header, array.path):
-            return np.asarray(array[block])
+            found = np.asarray(array[block])
+        if level and name == SHARE.name and self.classes < CODES.size:
+            return np.pad(found, [(0, 0)] * (found.ndim - 1) + [(0, CODES.size - self.classes)])
+        return found
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
         """Indices of the chunks of a level that exist, by one of MARKS; from one listing."""
@@ -106,12 +112,17 @@ class Pyramid:
         return {index for index in found if index is not None}
 
     def create(self) -> None:
-        """Make the groups of all levels, without a value, where they are not yet; the last step says that they are."""
+        """Make the groups of all levels, without a value; the last step says that they are there.
+
+        Those that there are stay, unless a regime was added to the table since.
+        """
         import zarr
 
-        if self.made:
+        if self.made and self.classes == CODES.size:
             return
-        shapes = {name: getattr(self.levels, name) for name in _UNSTATED}
+        self.made, self.classes = False, int(CODES.size)
+        self._arrays.clear()
+        shapes = {"side": self.levels.side, "least": self.levels.least, "classes": self.classes}
         top = self._writable.create_group(GROUP, overwrite=True, attributes=shapes)
         for level in range(1, self.levels.count + 1):
             self._create_level(top, level)
@@ -247,11 +258,12 @@ def _stored_shapes(root: Any) -> dict[str, int] | None:
         raise
     except Exception:  # what is no JSON, or no metadata, may raise anything
         return None
-    return shapes if attributes.get("version") == _VERSION and min(shapes.values()) > 0 else None
+    known = min(shapes.values()) > 0 and shapes["classes"] <= CODES.size
+    return shapes if attributes.get("version") == _VERSION and known else None
 
 
-def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
-    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
+def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> dict[str, Coordinate]:
+    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of so many classes."""
     spec, base, made = header.spec, header.coordinates, {}
     for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
         bounds = bounds_name(axis.name)
@@ -260,7 +272,7 @@ def level_coordinates(header: Header, level: int) -> dict[str, Coordinate]:
         made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
     for name in (name for name in spec.parameters if name in base):
         made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
-    named = np.array([regime.name for regime in REGIMES], dtype="T")
+    named = np.array([regime.name for regime in REGIMES[:classes]], dtype="T")
     return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}
 
 

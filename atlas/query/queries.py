@@ -118,9 +118,10 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
 
 
 def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
-    """How many cells of a window have no result, by the reason in words; empty where the atlas is too old to say.
+    """How many cells of a window have no result, or an uncertain one, by the reason in words.
 
-    Cells and errors as in ``fractions``. Reads the store's tally, and the reasons themselves along the window's border.
+    Empty where the atlas is too old to say. Cells and errors as in ``fractions``. Reads the store's tally, and the
+    reasons themselves along the window's border.
     """
     ds = within(ds, window)
     if REASON.name not in ds:

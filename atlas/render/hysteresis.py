@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from atlas.render import axes, style, sweep
+from atlas.render import axes, maps, style, sweep
 from atlas.render.page import STANDARD, Page
-from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, PERIODIC, REGIME, SECTION
+from workers.results import ERROR, LARGEST, NO_IMPACT, PERIODIC, REGIME, SECTION
 
 COLORS = ("#0a6ebd", "#e8701a")
 _COUNTS = ("period", "impacts_upper", "impacts_lower")
@@ -78,7 +78,7 @@ def compare(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.int8]:
     on) but exponents agree, they are held for MIRRORED. A cell whose motion is not known in both counts as SAME.
     """
     one, two = first[REGIME.name].values, second[REGIME.name].values
-    known = (one >= NO_IMPACT) & (one <= CHAOTIC) & (two >= NO_IMPACT) & (two <= CHAOTIC)
+    known = maps.determined(one) & maps.determined(two)
     unlike = (one != two) | _exponents_differ(first, second)
     closed = (one == PERIODIC) & (two == PERIODIC)
     straight, swapped, shared = (np.ones(one.shape, bool) for _ in range(3))

@@ -18,7 +18,18 @@ from atlas.render import axes, style
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 from atlas.render.style import DPI
-from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIME, REGIMES, UNDETERMINED
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    FAILED,
+    INVALID,
+    NO_IMPACT,
+    PENDING,
+    QUASIPERIODIC,
+    REGIME,
+    REGIMES,
+    UNDETERMINED,
+)
 
 PIXELS = (1500, 1100)
 """Least size, (x, y), of a map's plot area in a file of the standard page, in pixels: cells not smaller than these are
@@ -96,7 +107,7 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str, pixels: tuple[int,
 
 def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
     """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
-    return (regime >= NO_IMPACT) & (regime <= CHAOTIC)
+    return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
 
 
 def frame(ds: xr.Dataset, page: Page) -> tuple[Figure, Axes]:

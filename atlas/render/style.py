@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from atlas.query.window import axis_names
 from workers.model.system import SYSTEMS, Parameter, System
-from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
+from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 DPI = 300.0
 """Dots per inch of a file where none are asked for."""
@@ -58,7 +58,7 @@ TEXTURE = "#8c8c8c"
 COLORS = {regime.code: regime.color for regime in REGIMES}
 """The colour of each regime code, as in the data's flag_colors."""
 
-INK = {**COLORS, NO_IMPACT: "#8c8c8c", UNDETERMINED: "#7db800"}
+INK = {**COLORS, NO_IMPACT: "#8c8c8c", UNDETERMINED: "#7db800", APERIODIC: "#986020"}
 """The same for points and lines on white, where the pale colours of areas would not be seen."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}

@@ -13,7 +13,7 @@ from atlas.service.plan import Probe
 from atlas.spec.spec import Spec
 from atlas.task.compile import warm_up
 from workers import Settings
-from workers.results import CHAOTIC, REGIME, UNDETERMINED
+from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
 if TYPE_CHECKING:
     from workers.tile import Solution
@@ -23,8 +23,11 @@ STEPS = (4, 16, 64, CELLS)
 """Cells solved in all after each step. A step begins only if it should keep the whole within BUDGET."""
 BUDGET = 2.0
 """Processor seconds."""
-LONGEST = 20_000
-"""Forcing periods that a probed cell may cost; its error shows what it would cost with a larger budget."""
+LONGEST, LONGEST_WATCH = 20_000, 40_000
+"""Forcing periods that a probed cell may cost, and for which it may be watched besides.
+
+Its error shows what it would cost with a larger budget; what it survived, for how long it would be watched.
+"""
 SEGMENT = 8
 """Cells of a part of a line that is continued; the first is not counted, since no other of its line starts so."""
 STANDARD_ERRORS = 2.0
@@ -85,10 +88,14 @@ def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
 
 
 def brief(settings: Settings) -> tuple[Settings, float]:
-    """Settings by which no cell costs more than LONGEST periods, and the share of the full budget that this is."""
+    """Settings by which no cell costs more than LONGEST periods, and LONGEST_WATCH of survival.
+
+    Also the share that LONGEST is of the full budget.
+    """
     if settings.method == "adaptive":
         share = min(1.0, LONGEST / settings.max_periods)
-        return replace(settings, max_periods=min(LONGEST, settings.max_periods)), share
+        survival = min(LONGEST_WATCH, settings.survival)
+        return replace(settings, max_periods=min(LONGEST, settings.max_periods), survival=survival), share
     whole = settings.transient_periods + settings.periods
     transient = settings.transient_periods * min(whole, LONGEST) // whole
     periods = max(1, settings.periods * min(whole, LONGEST) // whole)
@@ -136,18 +143,29 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
 def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> tuple[Array, Array]:
     """The least and the most periods that cells solved with this share of their budget cost with all of it.
 
-    The square of a chaotic cell's error falls as one over its periods. Of one that is undetermined nothing is known.
+    The square of a chaotic cell's error falls as one over the periods that its budget allows for. Chaos is watched for
+    all of its survival, or for a part of it, whichever it was in the probe. Of a cell that is undetermined nothing is
+    known.
     """
     used = arrays["periods_used"].astype(np.float64)
     if settings.method == "fixed":
         return used / share, used / share
-    short = np.zeros(used.shape)
+    regime, few = arrays[REGIME.name], brief(settings)[0]
+    least = used + np.where(np.isin(regime, (CHAOTIC, APERIODIC)), _unwatched(arrays["survived"], settings, few), 0.0)
     if "error" in arrays:
         with np.errstate(over="ignore"):  # a tolerance of next to nothing
             wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
-        short = np.where((arrays[REGIME.name] == CHAOTIC) & (wanted > 1.0), wanted, 0.0)
-    least = used * np.maximum(1.0, short)
-    return least, np.where(arrays[REGIME.name] == UNDETERMINED, used / share, least)
+        spent = np.minimum(used, few.max_periods - few.max_periods // 10)
+        least += np.where((regime == CHAOTIC) & (wanted > 1.0), spent * (wanted - 1.0), 0.0)
+    return least, np.where(regime == UNDETERMINED, used / share, least)
+
+
+def _unwatched(survived: NDArray[np.int32], settings: Settings, few: Settings) -> Array:
+    """Periods of survival that cells solved with few of them have still to go."""
+    from workers.adaptive import WITHOUT_RIVAL
+
+    required = np.where(survived >= few.survival, settings.survival, settings.survival // WITHOUT_RIVAL)
+    return np.where(settings.survival > few.survival, np.maximum(required - survived, 0), 0).astype(np.float64)
 
 
 def _estimate(steps: list[_Measured], cells: int, of: int) -> Probe:

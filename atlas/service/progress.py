@@ -64,7 +64,7 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
-    """A line for each reason why cells have no result: ``360 cells invalid: the initial state lies beyond a stop``."""
+    """A line for each reason why results are missing or uncertain: ``3 cells invalid: the initial state lies ...``."""
     regimes = {regime.code: regime.name for regime in REGIMES}
     # How a process died has words of its own.
     meant = {reason.text: regimes[reason.regime] for reason in REASONS}

@@ -24,7 +24,7 @@ from atlas.spec.spec import Spec
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.schema import Origin
 from atlas.store.sidecar import notes_of
-from atlas.store.store import Header, add_budget, create, done_tiles, find
+from atlas.store.store import Header, add_allowances, create, done_tiles, find
 from atlas.store.tally import TallyKeeper, done_mask
 from atlas.store.tiles import read_tile
 from atlas.task.compile import compile_once, warming
@@ -120,8 +120,8 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
     totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
     options.report(totals.progress(work.beginning))
     header = header or target.create(plan.tiling.tile)
-    if options.retry is not None and options.retry.max_periods is not None:
-        add_budget(header)
+    if options.retry is not None:
+        add_allowances(header, options.retry.raises)
     with ExitStack() as stack:
         if work.due.any() and client is None:
             options.report(totals.progress(f"starting {plural(plan.workers, 'worker')}"))

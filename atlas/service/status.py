@@ -22,7 +22,7 @@ from workers.results import NO_REASON, REASON, REASONS, REGIMES
 class Status:
     """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
 
-    ``reasons`` has the cells without a result, by the reason in words; none of a store too old to keep them.
+    ``reasons`` has the cells without a certain result, by the reason in words; none of a store too old to keep them.
     ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged.
     ``ended`` is how the last submitted run ended. Both are empty where all is well.
     """

@@ -26,14 +26,15 @@ class Summary:
 
     tiles, tiles_done              in all (of those to be solved again, where some are); done now
     tiles_solved, cells_solved     by this run
-    counts, reasons                cells solved by regime; those without a result by the reason in words
+    counts, reasons                cells solved by regime; those without a certain result by the reason
     seconds                        from the first tile to the last
     solve_seconds, write_seconds   the workers' own inside the solver and inside the store, summed
     processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
     failures, refused              tiles that raised; workers that would not do them, with their reasons
-    retried                        cells of finished tiles were solved again, and nothing else
+    retried, changed               cells of finished tiles were solved again, and nothing else; those of them that
+                                   came out of another regime
     """
 
     store: str
@@ -53,6 +54,7 @@ class Summary:
     refused: Mapping[str, str]
     retried: bool = False
     processor_seconds: float = 0.0
+    changed: int = 0
 
     @property
     def cells_per_second(self) -> float:
@@ -85,6 +87,8 @@ class Summary:
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
             shares(self.counts),
         ]
+        if self.retried:
+            lines.append(f"{plural(self.changed, 'cell')} came out of another regime than before")
         return "\n".join(lines + reason_lines(self.reasons))
 
 
@@ -97,7 +101,7 @@ class Totals:
         self.plan, self.retried = plan, retried
         self.workers = plan.workers
         self.tiles, self.cells, self.tiles_done, self.cells_done = tiles, cells, tiles_done, cells_done
-        self.tiles_solved = self.cells_solved = self.periods = self.peak_bytes = 0
+        self.tiles_solved = self.cells_solved = self.changed = self.periods = self.peak_bytes = 0
         self.counts: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
         self.failures: list[TileFailure] = []
@@ -124,6 +128,7 @@ class Totals:
         self.processor_seconds += outcome.processor_seconds
         self.write_seconds += outcome.write_seconds
         self.periods += outcome.periods
+        self.changed += outcome.changed
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     def progress(self, stage: str) -> Progress:
@@ -170,5 +175,6 @@ class Totals:
             failures=tuple(self.failures),
             refused=dict(self.refused),
             retried=self.retried,
+            changed=self.changed,
             processor_seconds=self.processor_seconds,
         )

@@ -8,7 +8,7 @@ from atlas.spec.spec import Spec
 from atlas.store.digests import create_digests
 from atlas.store.machine import MACHINES
 from atlas.store.schema import (
-    BUDGET,
+    ALLOWANCES,
     DIMENSIONS,
     Origin,
     coordinates,
@@ -43,7 +43,7 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
         array[...] = coordinate.values
     for variable in variables:
         create_variable(group, variable, spec, tiling, variable_attributes(variable, spec.parameters))
-    create_digests(group, (*variables, BUDGET), spec.dims, tiling.grid, codecs())
+    create_digests(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
     consolidate(group)
 
 

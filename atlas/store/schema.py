@@ -20,10 +20,29 @@ OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
 DIMENSIONS = {"state": "component"}
 """Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
-BUDGET = Variable(
-    "budget", "int32", 0, "forcing periods that the cell may cost; as in the spec unless retried", "1", sparse=True
-)
-"""Only in stores where cells were solved again with more than the spec's ``max_periods``, which fills it."""
+
+
+@dataclass(frozen=True)
+class Allowance(Variable):
+    """A variable that says how much of a setting each cell was given: more than the spec's after a retry.
+
+    It is only in stores where cells were given more, where the spec's setting fills it.
+    """
+
+    setting: str = ""
+
+    def of_spec(self, spec: Spec) -> int:
+        """What a cell has that was not retried."""
+        return int(getattr(spec.settings, self.setting))
+
+
+def _allowance(name: str, what: str, setting: str) -> Allowance:
+    return Allowance(name, "int32", 0, f"{what}; as in the spec unless retried", "1", sparse=True, setting=setting)
+
+
+BUDGET = _allowance("budget", "forcing periods that the cell may cost", "max_periods")
+SURVIVAL = _allowance("survival", "forcing periods for which chaos may be watched", "survival")
+ALLOWANCES = (BUDGET, SURVIVAL)
 
 
 @dataclass(frozen=True)

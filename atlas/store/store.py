@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -21,9 +21,10 @@ from atlas.store.digests import DIGESTS, TILES
 from atlas.store.location import LocalPlace, Place, place_of
 from atlas.store.machine import MACHINES, Machine
 from atlas.store.schema import (
-    BUDGET,
+    ALLOWANCES,
     FORMAT,
     FORMAT_VERSION,
+    Allowance,
     Coordinate,
     Origin,
     coordinates,
@@ -93,7 +94,7 @@ class Header:
     def unknown(self) -> tuple[Variable, ...]:
         """Values of cells that the store holds and this program does not know: it was made by a newer version."""
         dims = self.spec.dims
-        known = {BUDGET.name, *self.coordinates} | {variable.name for variable in self.variables}
+        known = {each.name for each in (*self.variables, *ALLOWANCES)} | {*self.coordinates}
         return tuple(
             variable_of(name, array, len(dims))
             for name, array in self.arrays.items()
@@ -269,7 +270,7 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
     """
     group = open_group(header.place, "r", consolidated)
-    results = (*result_variables(header.spec.settings), *header.unknown, BUDGET)
+    results = (*result_variables(header.spec.settings), *header.unknown, *ALLOWANCES)
     return {name: group[name] for name in (*(v.name for v in results), *coordinates(header.spec)) if name in group}
 
 
@@ -286,14 +287,16 @@ def restore_coordinates(header: Header) -> None:
         group[name][...] = coordinate.values
 
 
-def add_budget(header: Header) -> None:
-    """Make room for cells that are given more than the spec's ``max_periods``; all others read as that number."""
+def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:
+    """Make room for cells that are given more than the spec's settings say; all others read as what these say."""
     group = open_group(header.place, "r+")
-    if BUDGET.name not in group:
-        fixed = [name for name in header.spec.parameters if name in header.coordinates]
-        budget = replace(BUDGET, fill=header.spec.settings.max_periods)
-        create_variable(group, budget, header.spec, header.tiling, variable_attributes(BUDGET, fixed))
-    if BUDGET.name not in header.arrays:  # not even where a run made it and was killed at once
+    wanted = list(raised)
+    for each in wanted:
+        if each.name not in group:
+            fixed = [name for name in header.spec.parameters if name in header.coordinates]
+            variable = replace(each, fill=each.of_spec(header.spec))
+            create_variable(group, variable, header.spec, header.tiling, variable_attributes(variable, fixed))
+    if any(each.name not in header.arrays for each in wanted):  # not even where a run made it and was killed at once
         consolidate(group)
 
 

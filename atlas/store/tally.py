@@ -8,7 +8,7 @@ Only the coordinator of a run writes it. It is a cache of finished work and neve
 - Before a tile is solved its entry is cleared, and it is set again from the tile's receipt, after it is written.
 
 So a kill at any moment leaves a right entry or none. A store whose tally is missing, damaged or of another form is
-counted by the next run.
+counted by the next run. In a tally from before there was some regime or reason, no cell has it.
 """
 
 import threading
@@ -104,8 +104,10 @@ def read_tally(root: Any, tiling: Tiling) -> tuple[Entries, NDArray[np.bool_]]:
     """The entries of all tiles, and the mask of those that are there and add up; of the store's root group."""
     entries = np.zeros((*tiling.grid, len(COLUMNS)))
     array = _array_of(root, tiling)
-    for block in _blocks(array) if array is not None else ():
-        entries[block] = _read(array, block)
+    if array is not None:
+        places = [COLUMNS.index(name) for name in _columns_of(array)]
+        for block in _blocks(array):
+            entries[block][..., places] = _read(array, block)
     return entries, entries[..., CELLS].sum(axis=-1) == tiling.sizes()
 
 
@@ -190,10 +192,11 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
 
 
 def _array_of(root: Any, tiling: Tiling) -> Any:
-    """The tally's array in a store, None where there is none of this form."""
+    """The tally's array in a store, None where there is none with columns that are known."""
     try:
         array = root[f"{GROUP}/{ARRAY}"]
-        fits = array.shape == (*tiling.grid, len(COLUMNS)) and tuple(array.attrs.get("columns", ())) == COLUMNS
+        columns = _columns_of(array)
+        fits = array.shape == (*tiling.grid, len(columns)) and {*columns} <= {*COLUMNS}
     except OSError:
         raise
     except Exception:  # there is none, or its metadata are damaged, which may raise anything
@@ -201,11 +204,15 @@ def _array_of(root: Any, tiling: Tiling) -> Any:
     return array if fits else None
 
 
+def _columns_of(array: Any) -> tuple[str, ...]:
+    return tuple(array.attrs.get("columns", ()))
+
+
 def _ensured(header: Header) -> Any:
     """The tally's array, made anew where there is none of this form."""
     root, grid = open_group(header.place, "r+"), header.tiling.grid
     array = _array_of(root, header.tiling)
-    if array is not None:
+    if array is not None and _columns_of(array) == COLUMNS:
         return array
     group = root.create_group(GROUP, overwrite=True, attributes={"long_name": "what the finished tiles hold, a cache"})
     side = round(CHUNK ** (1.0 / len(grid)))
@@ -229,10 +236,11 @@ def _blocks(array: Any) -> Iterator[tuple[slice, ...]]:
 
 
 def _read(array: Any, block: tuple[slice, ...]) -> Entries:
-    """A chunk of the tally; one that is damaged reads as without an entry."""
+    """A chunk of the tally, in its own columns; one that is damaged reads as without an entry."""
     try:
         return np.array(array[block])
     except OSError:
         raise
     except Exception:  # a codec that meets bytes it never wrote may raise anything
-        return np.zeros((*(len(range(*p.indices(n))) for p, n in zip(block, array.shape, strict=False)), len(COLUMNS)))
+        shape = (len(range(*p.indices(n))) for p, n in zip(block, array.shape, strict=False))
+        return np.zeros((*shape, array.shape[-1]))

@@ -10,7 +10,7 @@ from atlas.errors import ChunkError, RunError, message_of
 from atlas.spec.spec import Slices
 from atlas.store.digests import COVERED, DIGESTS, digest_of
 from atlas.store.machine import this_machine
-from atlas.store.schema import BUDGET
+from atlas.store.schema import ALLOWANCES, Allowance
 from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group, record_machine
 from workers.results import REGIME, Variable
 
@@ -26,17 +26,17 @@ def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.n
     record_machine(header, this_machine())
     if is_done(header, index):
         drop_tile(header, index)
-    budget = np.full(arrays[REGIME.name].shape, header.spec.settings.max_periods, BUDGET.dtype)
-    arrays = {BUDGET.name: budget, **arrays}
-    if BUDGET.name in group:
-        _write(group[BUDGET.name], index, arrays[BUDGET.name], sparse=True)
+    arrays = {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
+    for each in ALLOWANCES:
+        if each.name in group:
+            _write(group[each.name], index, arrays[each.name], sparse=True)
     _write_digest(group, header, index, arrays)
     for variable in header.variables:
         _write(group[variable.name], index, arrays[variable.name], variable.sparse)
 
 
 def write_digest(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Keep the digest of a tile's arrays, ``budget`` among them; nothing in a store that has no room for it."""
+    """Keep the digest of a tile's arrays, ``ALLOWANCES`` among them; nothing in a store that has no room for it."""
     _write_digest(open_group(header.place, "r+"), header, index, arrays)
 
 
@@ -48,14 +48,14 @@ def drop_tile(header: Header, index: tuple[int, ...]) -> None:
 def read_tile(
     header: Header, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: dict[str, Any] | None = None
 ) -> dict[str, np.ndarray]:
-    """Arrays of a finished tile: those named, or all results and ``budget``, what each cell may cost in periods.
+    """Arrays of a finished tile: those named, or all results and ``ALLOWANCES``, what each cell was given.
 
     They are read from ``arrays`` as ``open_arrays`` gives them. Names of results that the store has not are left out.
 
     Raises ChunkError, which names every bad chunk; OSError where the place cannot be read at all.
     """
     arrays = open_arrays(header) if arrays is None else arrays
-    wanted = {*(variable.name for variable in header.variables), BUDGET.name} if names is None else set(names)
+    wanted = {each.name for each in (*header.variables, *ALLOWANCES)} if names is None else set(names)
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
     for variable in (*header.variables, *header.unknown):
@@ -70,12 +70,14 @@ def read_tile(
             faults[key] = "is missing"
         else:
             values[variable.name] = found
-    if BUDGET.name in wanted:
-        found = _read_budget(header, index, arrays)
+    for each in ALLOWANCES:
+        if each.name not in wanted:
+            continue
+        found = _read(arrays[each.name], index) if each.name in arrays else _as_in_spec(header, index, each)
         if isinstance(found, str):
-            faults[chunk_key(BUDGET, index)] = found
+            faults[chunk_key(each, index)] = found
         else:
-            values[BUDGET.name] = found
+            values[each.name] = found
     if faults:
         raise ChunkError(header.place, faults)
     return values
@@ -83,7 +85,7 @@ def read_tile(
 
 def covered_variables(header: Header, digests: Any) -> list[Variable]:
     """The variables that the digests of a store cover, in their order; KeyError where it does not have one of them."""
-    known = {variable.name: variable for variable in (*header.variables, *header.unknown, BUDGET)}
+    known = {variable.name: variable for variable in (*header.variables, *header.unknown, *ALLOWANCES)}
     return [known[name] for name in digests.attrs[COVERED]]
 
 
@@ -118,10 +120,8 @@ def _write_digest(group: Any, header: Header, index: tuple[int, ...], arrays: Ma
         _write(digests, index, np.uint64(digest_of(index, covered_variables(header, digests), arrays)))
 
 
-def _read_budget(header: Header, index: tuple[int, ...], arrays: dict[str, Any]) -> np.ndarray | str:
-    if BUDGET.name in arrays:
-        return _read(arrays[BUDGET.name], index)
-    return np.full(header.tiling.at(index).shape, header.spec.settings.max_periods, BUDGET.dtype)
+def _as_in_spec(header: Header, index: tuple[int, ...], allowance: Allowance) -> np.ndarray:
+    return np.full(header.tiling.at(index).shape, allowance.of_spec(header.spec), allowance.dtype)
 
 
 def _read(array: Any, index: tuple[int, ...]) -> np.ndarray | str:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from atlas.errors import NetworkError
-from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, is_done
 from atlas.store.tiles import write_tile
@@ -49,7 +48,8 @@ def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
     else:
         stored = stored_tile(header, job.index)
         solved = job.retry.selects(stored)
-        stored[BUDGET.name] = np.where(solved, job.retry.budgets(stored), stored[BUDGET.name])
+        for name, given in job.retry.allowances(stored).items():
+            stored[name] = np.where(solved, given, stored[name])
         for variable in result_variables(spec.settings):
             stored[variable.name][solved] = variable.fill
     if job.retry is None and is_done(header, job.index):

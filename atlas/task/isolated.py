@@ -37,7 +37,7 @@ def run_isolated(job: Job) -> Receipt | str:
 def main() -> None:
     """Solve and write the tile of the job given as JSON, print its receipt as JSON."""
     given = json.loads(sys.argv[1])
-    retry = given["retry"] and Retry(tuple(given["retry"]["regimes"]), given["retry"]["max_periods"])
+    retry = given["retry"] and Retry(**given["retry"] | {"regimes": tuple(given["retry"]["regimes"])})
     try:
         answer = asdict(solve_and_write(Job(**given | {"index": tuple(given["index"]), "retry": retry})))
     except Exception as error:

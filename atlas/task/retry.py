@@ -1,30 +1,39 @@
-"""Solving some cells of finished tiles again: those that failed, or that a larger budget may decide."""
+"""Solving some cells of finished tiles again: those that failed, or that more forcing periods may decide otherwise."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from atlas.errors import InputError, check_names
 from atlas.spec.spec import Spec
-from atlas.store.schema import BUDGET
-from workers.results import FAILED, REGIME, REGIMES, UNDETERMINED
+from atlas.store.schema import ALLOWANCES, BUDGET, SURVIVAL, Allowance
+from workers.results import APERIODIC, CHAOTIC, FAILED, REGIME, REGIMES, UNDETERMINED
 from workers.settings import MOST_PERIODS
 
-RETRIABLE = {regime.name: regime.code for regime in REGIMES if regime.code in (UNDETERMINED, FAILED)}
+DECIDED_BY = {UNDETERMINED: BUDGET, CHAOTIC: SURVIVAL, APERIODIC: SURVIVAL}
+"""What cells of a regime need more of, for else they come out the same."""
+RETRIABLE = {regime.name: regime.code for regime in REGIMES if regime.code in (*DECIDED_BY, FAILED)}
 
-NEEDED = (REGIME.name, BUDGET.name)
+NEEDED = (REGIME.name, *(each.name for each in ALLOWANCES))
 """Of a stored tile, what ``Retry.selects`` looks at."""
 
 
 @dataclass(frozen=True)
 class Retry:
-    """Which cells to solve again, ``Retry(("failed",))``, and the budget they get, None for the one they had.
+    """Which cells to solve again, ``Retry(("failed",))``, and the settings they get, None for those they had.
 
     ``regimes`` are names, "failed" and "undetermined", or codes, which they become. InputError for an unknown name.
     """
 
     regimes: tuple[int | str, ...]
     max_periods: int | None = None
+    survival: int | None = None
+
+    @property
+    def raises(self) -> tuple[Allowance, ...]:
+        """What the cells are given more of."""
+        return tuple(each for each in ALLOWANCES if getattr(self, each.setting) is not None)
 
     def __post_init__(self) -> None:
         check_names("regime to retry", [each for each in self.regimes if isinstance(each, str)], RETRIABLE)
@@ -34,36 +43,48 @@ class Retry:
     def selects(self, stored: dict[str, np.ndarray]) -> np.ndarray:
         """Mask of the cells of a stored tile that are to be solved again.
 
-        An undetermined cell comes out the same within the budget that it had, so it needs a larger one; so an
-        interrupted retry resumes where it stopped.
+        A cell comes out the same with what it had: an undetermined one needs a larger budget, a chaotic or aperiodic
+        one a longer survival. So an interrupted retry resumes where it stopped.
         """
-        regime, budget = stored[REGIME.name], stored[BUDGET.name]
-        worth = (regime != UNDETERMINED) | (budget < (self.max_periods or 0))
-        return np.isin(regime, self.regimes) & worth
+        regime = stored[REGIME.name]
+        chosen = np.isin(regime, self.regimes)
+        for code, needs in DECIDED_BY.items():
+            chosen &= (regime != code) | (stored[needs.name] < self._given(needs))
+        return chosen
 
-    def budgets(self, stored: dict[str, np.ndarray]) -> np.ndarray:
-        """Forcing periods that each cell may cost when it is solved again: never fewer than it had."""
-        return np.maximum(stored[BUDGET.name], self.max_periods or 0)
+    def allowances(self, stored: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """What each cell is given when it is solved again, by variable: never less than it had."""
+        return {each.name: np.maximum(stored[each.name], self._given(each)) for each in ALLOWANCES}
+
+    def _given(self, allowance: Allowance) -> int:
+        return int(getattr(self, allowance.setting) or 0)
 
 
-def checked_retry(spec: Spec, names: str, max_periods: int | None) -> Retry:
+def checked_retry(spec: Spec, names: str, max_periods: int | None = None, survival: int | None = None) -> Retry:
     """The retry that a user asked for, as ``failed,undetermined``; InputError where it could not change a cell."""
     chosen = [name.strip() for name in names.split(",") if name.strip()]
     check_names("regime to retry", chosen, RETRIABLE)
     if not chosen:
         raise InputError(f"retry: found none, must be one or more of {', '.join(RETRIABLE)}")
-    settings = spec.settings
-    if max_periods is not None and settings.method == "fixed":
-        raise InputError('max_periods: a spec with method = "fixed" has no budget to raise')
-    if max_periods is not None and not settings.max_periods < max_periods <= MOST_PERIODS:
-        bounds = f"must exceed the spec's {settings.max_periods} and be at most {MOST_PERIODS}"
-        raise InputError(f"max_periods: found {max_periods}, {bounds}")
-    if "undetermined" in chosen and max_periods is None:
-        raise InputError(
-            "retry: undetermined cells come out the same within the same budget; give --max-periods above "
-            f"{settings.max_periods}"
-        )
-    return Retry(tuple(RETRIABLE[name] for name in chosen), max_periods)
+    retry = Retry(tuple(RETRIABLE[name] for name in chosen), max_periods, survival)
+    for each in retry.raises:
+        found, least = getattr(retry, each.setting), each.of_spec(spec)
+        if spec.settings.method == "fixed":
+            raise InputError(f'{each.setting}: a spec with method = "fixed" has no {each.name} to raise')
+        if not least < found <= MOST_PERIODS:
+            bounds = f"must exceed the spec's {least} and be at most {MOST_PERIODS}"
+            raise InputError(f"{each.setting}: found {found}, {bounds}")
+    for name in chosen:
+        needs = DECIDED_BY.get(RETRIABLE[name])
+        if needs is not None and needs not in retry.raises:
+            option = f"--{needs.setting.replace('_', '-')}"
+            raise InputError(
+                f"retry: {name} cells come out the same within the same {needs.name}; give {option} above "
+                f"{needs.of_spec(spec)}"
+            )
+    if survival is not None and not {CHAOTIC, APERIODIC} & {*retry.regimes}:
+        raise InputError(f"survival: is for chaotic and aperiodic cells, found --retry {','.join(chosen)}")
+    return retry
 
 
 def solve_again(
@@ -71,20 +92,21 @@ def solve_again(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """A stored tile with the selected cells solved again: its arrays, and the mask of those cells.
 
-    ``cells`` holds the parameters of every cell of the tile, each in the tile's shape.
+    ``cells`` holds the parameters of every cell of the tile, each in the tile's shape. Cells are solved from their
+    beginning, so that they have the bits of an atlas whose spec gives them as much.
     """
     from workers.tile import solve_cells
 
-    mask, budgets = retry.selects(stored), retry.budgets(stored)
+    mask, allowances = retry.selects(stored), retry.allowances(stored)
     arrays = {name: values.copy() for name, values in stored.items()}
-    for budget in np.unique(budgets[mask]).tolist():
-        chosen = mask & (budgets == budget)
-        solution = solve_cells(
-            spec.system,
-            {name: values[chosen] for name, values in cells.items()},
-            replace(spec.settings, max_periods=budget),
-        )
-        for name, values in solution.arrays.items():
+    given = np.stack([allowances[each.name] for each in ALLOWANCES], axis=-1)
+    for amounts in np.unique(given[mask], axis=0).tolist():
+        chosen = mask & (given == amounts).all(axis=-1)
+        amount = dict(zip(ALLOWANCES, amounts, strict=True))
+        settings: dict[str, Any] = {each.setting: n for each, n in amount.items()}
+        params = {name: values[chosen] for name, values in cells.items()}
+        for name, values in solve_cells(spec.system, params, replace(spec.settings, **settings)).arrays.items():
             arrays[name][chosen] = values
-        arrays[BUDGET.name][chosen] = budget
+        for each, n in amount.items():
+            arrays[each.name][chosen] = n
     return arrays, mask

@@ -11,7 +11,7 @@ from atlas.errors import InputError, RunError
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import place_of
 from atlas.store.outage import LONG
-from atlas.store.schema import BUDGET, extra_sizes
+from atlas.store.schema import ALLOWANCES, extra_sizes
 from atlas.store.store import Header, is_done, machines, open_arrays, read_header, record_machine
 from atlas.store.tiles import read_tile
 from atlas.task.solving import solve_block
@@ -86,8 +86,9 @@ def _copy_known(header: Header, slices: Slices, arrays: dict[str, np.ndarray]) -
             for machine in machines(origin):
                 record_machine(header, machine)
         found = read_tile(origin, index, arrays=sources)
-        # A cell that was given more than the settings' budget is not what it would come out as here.
-        found[REGIME.name][found.pop(BUDGET.name) != origin.spec.settings.max_periods] = PENDING
+        # A cell that was given more than the settings say is not what it would come out as here.
+        for each in ALLOWANCES:
+            found[REGIME.name][found.pop(each.name) != each.of_spec(origin.spec)] = PENDING
         if REASON.name not in found:  # an older store: what is invalid costs nothing, and gets its reason here
             found[REGIME.name][found[REGIME.name] == INVALID] = PENDING
         for name, values in found.items():

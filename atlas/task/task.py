@@ -57,12 +57,13 @@ class Job:
 class Receipt:
     """What a finished tile reports.
 
-    cells, counts, reasons          solved, in all and of each regime; those without a result by the reason in words
+    cells, counts, reasons          solved, in all and of each regime; those without a certain result by the reason
     taken                           cells copied from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
     peak_bytes                      most memory that the worker's process ever had
+    changed                         cells solved again that came out of another regime
     entry                           of the whole tile in the store's tally, see ``store.tally``
     """
 
@@ -76,6 +77,7 @@ class Receipt:
     peak_bytes: int
     taken: int = 0
     processor_seconds: float = 0.0
+    changed: int = 0
     entry: tuple[float, ...] = ()
 
 
@@ -101,6 +103,7 @@ def solve_and_write(job: Job) -> Receipt:
         return replace(
             receipt_of(header, job.index, arrays, solved),
             taken=int((~solved).sum()) if job.retry is None else 0,
+            changed=0 if job.retry is None else int((arrays[REGIME.name] != stored[REGIME.name])[solved].sum()),
             solve_seconds=middle - begin,
             processor_seconds=processor,
             write_seconds=time.perf_counter() - middle,
