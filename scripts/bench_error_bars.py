@@ -38,7 +38,7 @@ def drawn(seed: int, count: int) -> dict[str, NDArray[Any]]:
 
 def compared(pool: Any, seed: int, wanted: int, tolerance: float) -> tuple[dict[str, Any], dict[str, Any]]:
     """Parameters of chaotic cells, and with them ``largest``, ``error``, ``again`` and ``again_error``."""
-    params = drawn(seed, 8 * wanted)
+    params = drawn(seed, 20 * wanted)
     found, _ = solved(pool, params, Settings(tolerance=tolerance))
     rows = np.flatnonzero((found["regime"] == CHAOTIC) & (found["reason"] == 0))[:wanted]
     cells = {name: values[rows] for name, values in params.items()}
