@@ -17,7 +17,7 @@ from atlas.query import queries as query
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
-from atlas.render import LOOK, check_path, figure, portrait
+from atlas.render import LOOK, check_path, compared_figure, figure, portrait, side_by_side
 from workers import Settings
 from workers.model.system import find_system
 
@@ -28,11 +28,12 @@ if TYPE_CHECKING:
 class DrawnComparison(Comparison):
     """A comparison that can draw itself."""
 
-    def plot(self) -> "Figure":
-        """A matplotlib Figure of both maps: differences of exponents, and where regimes differ."""
-        from atlas.render.together import difference  # with it matplotlib
+    def plot(self, path: str | Path | None = None, **look: Any) -> "Figure":
+        """A matplotlib Figure of both maps: differences of exponents, and where regimes differ.
 
-        return difference(self)
+        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``. See ``render.compared_figure``.
+        """
+        return compared_figure(self, path, **look)
 
 
 @xr.register_dataset_accessor("atlas")
@@ -107,11 +108,14 @@ class AtlasAccessor:
         """
         return DrawnComparison.of(self._ds, other, window)
 
-    def beside(self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None) -> "Figure":
-        """Maps of this atlas and of others side by side on one scale. See ``together.side_by_side``."""
-        from atlas.render.together import side_by_side  # with it matplotlib
+    def beside(
+        self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Any
+    ) -> "Figure":
+        """Maps of this atlas and of others side by side on one scale, ``beside(other, width="85mm")``.
 
-        return side_by_side([self._ds, *others], kind, window)
+        See ``atlas.render.side_by_side``.
+        """
+        return side_by_side([self._ds, *others], kind, window, **look)
 
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> Any:
         """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.

@@ -209,6 +209,13 @@ def test_maps_side_by_side_are_named_by_the_parameter_that_differs(folder: Path)
     assert len(drawn.axes) == 4  # with one scale for all
 
 
+def test_size_and_scale_have_the_same_names_for_several_atlases(folder: Path) -> None:
+    one, other = (atlas.open(folder / f"{name}.zarr") for name in "ab")
+    drawn = one.atlas.beside(other, width="85mm", vmin=-1, vmax=2), one.atlas.compare(other).plot(width="85mm")
+    assert [figure.get_size_inches()[0] for figure in drawn] == pytest.approx([85 / 25.4] * 2)
+    assert drawn[0].axes[-1].get_xlim() == (-1.0, 2.0)  # below the maps of a narrow page
+
+
 def test_maps_side_by_side_have_the_one_scale_of_all_their_cells() -> None:
     one = pictures.plane()
     wide = one.assign(largest=one.largest * 10)

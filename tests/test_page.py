@@ -17,11 +17,20 @@ import atlas
 from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.query.compare import Comparison
 from tests.pictures import line, orbit, plane
 from tests.synthetic import complete
 
 
 def draw(kind: str, **look: Any) -> Figure:
+    if kind.startswith("beside"):
+        others = [plane().assign_coords(R=r, zeta=r / 7.0, mu_m=7.5 * r) for r in (0.75, 0.875, 0.925)]
+        return render.side_by_side([plane(), *others[: int(kind[-1]) - 1]], **look)
+    if kind == "named":
+        return render.side_by_side([plane()] * 3, "period", names=["a_long_name_of_a_store.zarr", "b", "c"], **look)
+    if kind == "compared":
+        other = plane().roll(omega=1).assign_coords(R=0.75)
+        return render.compared_figure(Comparison.of(plane(), other), **look)
     if kind == "portrait":
         return render.orbit_figure(orbit(), **look)
     if kind == "hysteresis":
@@ -47,7 +56,7 @@ def texts(figure: Figure) -> list[Text]:
 
 
 @pytest.mark.parametrize("width", ["85mm", "180mm"])
-@pytest.mark.parametrize("kind", [*render.KINDS, "portrait"])
+@pytest.mark.parametrize("kind", [*render.KINDS, "portrait", "beside2", "beside3", "beside4", "named", "compared"])
 def test_no_text_is_clipped_and_none_overlaps_another(kind: str, width: str) -> None:
     figure = draw(kind, width=width)
     boxes = [(each.get_text(), each.get_window_extent()) for each in texts(figure)]
@@ -100,6 +109,29 @@ def test_two_planes_can_be_drawn_on_one_scale(kind: str) -> None:
     assert [bar.get_ylim() for bar in bars] == [pytest.approx((low, 3e4))] * 2
 
 
+def test_maps_side_by_side_take_the_ends_of_their_scale() -> None:
+    assert draw("beside2", vmin=-2.0, vmax=1.0).axes[-1].get_ylim() == (-2.0, 1.0)
+    with pytest.raises(InputError, match="kind 'period' draws classes"):
+        draw("named", vmax=1.0)
+
+
+def test_the_scale_of_differences_takes_its_ends_and_one_decides_the_other() -> None:
+    assert draw("compared", vmin=-2.0, vmax=1.0).axes[-1].get_xlim() == (-2.0, 1.0)
+    assert draw("compared", vmax=3.0).axes[-1].get_xlim() == (-3.0, 3.0)
+    with pytest.raises(InputError, match="zero in its middle: found 1 to 3"):
+        draw("compared", vmin=1.0, vmax=3.0)
+    without = plane().drop_vars("largest")
+    with pytest.raises(InputError, match="a comparison without exponents draws classes"):
+        render.compared_figure(Comparison.of(without, without), vmax=1.0)
+
+
+@pytest.mark.parametrize("kind", ["beside2", "compared"])
+def test_a_figure_of_several_maps_shows_itself_in_a_notebook_and_is_not_drawn_into_axes(kind: str) -> None:
+    assert draw(kind)._repr_png_()[0].startswith(b"\x89PNG")  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match="several maps make a figure of their own"):
+        draw(kind, ax=Figure().subplots())
+
+
 def test_sweeps_take_the_ends_of_the_axis_of_exponents() -> None:
     top, bottom = render.figure(line(), vmin=-1.0, vmax=0.5).axes
     assert bottom.get_ylim() == (-1.0, 0.5)
@@ -109,6 +141,9 @@ def test_sweeps_take_the_ends_of_the_axis_of_exponents() -> None:
 def test_the_title_can_be_left_out() -> None:
     assert render.figure(plane(), title=False).axes[0].get_title(loc="left") == ""
     assert render.orbit_figure(orbit(), title=False).get_suptitle() == ""
+    assert draw("compared", title=False).get_suptitle() == ""
+    beside = draw("beside2", title=False)
+    assert (beside.get_suptitle(), "R = 0.75" in beside.axes[1].get_title("left")) == ("", True)
 
 
 def test_all_type_follows_the_size_that_was_asked_for() -> None:
@@ -162,17 +197,29 @@ def test_a_portrait_to_another_format_is_refused_before_the_cell_is_even_looked_
     assert "solving" not in ended.output
 
 
-def test_the_command_takes_size_type_and_scale(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "args", [("render", "STORE"), ("render", "STORE", "STORE"), ("compare", "STORE", "STORE")], ids=" ".join
+)
+def test_the_command_takes_size_type_and_scale(tmp_path: Path, args: tuple[str, ...]) -> None:
     store, out = complete(tmp_path / "plane.zarr").path, tmp_path / "map.png"
+    command = [str(store) if arg == "STORE" else arg for arg in args]
     look = ["--width", "85mm", "--height", "3in", "--dpi", "150", "--font-size", "7", "--vmin=-2", "--vmax=1"]
     look += ["--no-title", "--style", "classic"]
-    ended = CliRunner().invoke(main, ["render", str(store), "-o", str(out), *look])
+    ended = CliRunner().invoke(main, [*command, "-o", str(out), *look])
     assert ended.exit_code == 0, ended.output
     with Image.open(out) as image:
         assert image.size == (int(85 / 25.4 * 150), 450)
-    refused = CliRunner().invoke(main, ["render", str(store), "-o", str(tmp_path / "no.png"), "--width", "85"])
+    refused = CliRunner().invoke(main, [*command, "-o", str(tmp_path / "no.png"), "--width", "85"])
     assert refused.exit_code == 2
     assert not (tmp_path / "no.png").exists()
+
+
+@pytest.mark.parametrize("option", [("--width", "85mm"), ("--vmin", "0"), ("--no-title",)], ids=" ".join)
+def test_how_a_comparison_looks_is_refused_without_a_picture(tmp_path: Path, option: tuple[str, ...]) -> None:
+    store = str(complete(tmp_path / "plane.zarr").path)
+    ended = CliRunner().invoke(main, ["compare", store, store, *option])
+    assert (ended.exit_code, ended.stdout) == (2, "")
+    assert f"{option[0]} goes with -o, the picture" in ended.stderr
 
 
 def test_a_period_has_one_colour_in_every_map() -> None:

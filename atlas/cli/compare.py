@@ -1,13 +1,15 @@
 """The command that holds two atlases against each other."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from atlas.cli.options import input_errors, json_option, read_bounds, read_pairs, say, window_option
+from atlas.cli.options import input_errors, json_option, look_options, read_bounds, read_pairs, say, window_option
 from atlas.cli.output import print_table, to_json
+from atlas.errors import InputError
 from atlas.query.open import open_atlas
-from atlas.render import check_path
+from atlas.render import check_path, compared_figure
 from atlas.text import plural
 
 
@@ -19,7 +21,8 @@ from atlas.text import plural
     "-o", "--out", type=click.Path(path_type=Path), help="Draw both maps of it; the suffix chooses the format."
 )
 @json_option
-def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+@look_options()
+def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, as_json: bool, **look: Any) -> None:
     """Compare STORE with OTHER, of the same axes: cells by their regimes in both, differences of exponents.
 
     Differences are OTHER's minus STORE's.
@@ -27,16 +30,18 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
     from atlas.query.compare import Comparison
 
     bounds = read_pairs("--window", window, read_bounds)
+    asked = {**look, "title": None, "no_title": True if not look["title"] else None}
+    given = [name for name, value in asked.items() if value is not None]
     if out is not None:
         check_path(out)
+    elif given:
+        raise InputError(f"--{given[0].replace('_', '-')} goes with -o, the picture")
     with input_errors():
         compared = Comparison.of(open_atlas(store), open_atlas(other), bounds)
         message = compared.as_dict()
         if out is not None:
-            from atlas.render import together  # with it matplotlib
-
             say("drawing")
-            together.save(together.difference(compared), out, (compared.one, compared.other))
+            compared_figure(compared, out, **look)
     if as_json:
         click.echo(to_json(message | ({} if out is None else {"file": str(out)})))
         return

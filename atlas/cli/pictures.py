@@ -19,7 +19,7 @@ from atlas.cli.options import (
 from atlas.cli.paper import figures as draw_figures
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
-from atlas.render import FORMATS, KINDS, OVERLAYS, check_path
+from atlas.render import FORMATS, KINDS, OVERLAYS, check_path, side_by_side
 from atlas.render import render as draw
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
@@ -52,8 +52,7 @@ def render(
 
     check_path(out)
     bounds = read_pairs("--window", window, read_bounds)
-    of_one = {"overlay": overlays, "against": against, **look, "no-title": not look["title"], "title": None}
-    given = [name.replace("_", "-") for name, value in of_one.items() if value]
+    given = [name for name, value in {"overlay": overlays, "against": against}.items() if value]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
@@ -61,10 +60,8 @@ def render(
         other = None if against is None else open_atlas(against)
         say("drawing")
         if len(atlases) > 1:
-            from atlas.render import together  # with it matplotlib
-
             names = [store.rstrip("/").rpartition("/")[2] for store in stores]
-            together.save(together.side_by_side(atlases, kind, bounds, names), out, atlases)
+            side_by_side(atlases, kind, bounds, names=names, path=out, **look)
         else:
             draw(atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other, **look)
     if reads.chunks:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from atlas.cell.orbit import CellOrbit
+    from atlas.query.compare import Comparison
     from atlas.render.page import Look, Page
     from atlas.render.style import Provenance
 
@@ -79,11 +80,13 @@ __all__ = [
     "MAPS",
     "OVERLAYS",
     "check_path",
+    "compared_figure",
     "figure",
     "orbit_figure",
     "portrait",
     "render",
     "render_orbit",
+    "side_by_side",
 ]
 
 
@@ -139,16 +142,14 @@ def _drawn(
     if chosen not in possible:
         wanted = "a second atlas to draw against" if _KINDS[chosen].atlases == 2 else "one atlas, found two"
         raise InputError(f"kind {chosen!r} needs {wanted}; possible here: {', '.join(possible)}")
-    if not _KINDS[chosen].scale and (page.vmin is not None or page.vmax is not None):
-        raise InputError(f"kind {chosen!r} draws classes: it has no scale that vmin and vmax could end")
+    if not _KINDS[chosen].scale:
+        page.refuse_ends(f"kind {chosen!r} draws classes")
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
     if overlays and len(axes) != 2:
         raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_AXES[len(axes)]} ({', '.join(axes)})")
-    units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
-    if units != LARGEST.units:
-        raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
+    _check_units(ds)
     module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
     drawn: Figure
     with counted() as reads:
@@ -164,6 +165,12 @@ def _drawn(
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     page.fit(drawn)
     return drawn
+
+
+def _check_units(ds: "xr.Dataset") -> None:
+    units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
+    if units != LARGEST.units:
+        raise InputError(f"pictures draw exponents per forcing period, found units {units}; draw the atlas as stored")
 
 
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "Page") -> None:
@@ -208,6 +215,66 @@ def render(
     page = page_of(**look)
     drawn = _drawn(ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, None, page)
     return _write(drawn, target, suffix, provenance_of(ds, *([] if against is None else [against])), page)
+
+
+def side_by_side(
+    atlases: "Sequence[xr.Dataset]",
+    kind: str | None = None,
+    window: Window | None = None,
+    *,
+    names: Sequence[str] = (),
+    path: str | Path | None = None,
+    **look: "Unpack[Look]",
+) -> "Figure":
+    """Maps of several atlases in one matplotlib Figure, on one scale; written to ``path`` too if given.
+
+    ``kind`` is "exponent" or "period", by default the first that all of them hold; ``names`` stand over the maps where
+    no parameter differs; ``window`` and ``look`` as in ``render``.
+    Raises InputError for fewer than two atlases, for another kind, where axes or variables are not the same, and for a
+    path that cannot be written.
+    """
+    target = None if path is None else _target(path)
+    from atlas.render import together
+
+    page = _several_page(look)
+    for ds in atlases:
+        _check_units(ds)
+    return _several(together.side_by_side(atlases, kind, window, names, page), page, target, atlases)
+
+
+def compared_figure(compared: "Comparison", path: str | Path | None = None, **look: "Unpack[Look]") -> "Figure":
+    """A matplotlib Figure of how two atlases differ; written to ``path`` too if given; ``look`` as in ``render``.
+
+    Two maps: the difference of the exponents, there minus here, and where the regime is another there, which. Where
+    there are no exponents, the second alone.
+    Raises InputError for atlases with one axis and for a path that cannot be written.
+    """
+    target = None if path is None else _target(path)
+    from atlas.render import together
+
+    page, both = _several_page(look), (compared.one, compared.other)
+    for ds in both:
+        _check_units(ds)
+    return _several(together.difference(compared, page), page, target, both)
+
+
+def _several_page(look: "Look") -> "Page":
+    from atlas.render.page import page as page_of
+
+    if "ax" in look:
+        raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
+    return page_of(**look)
+
+
+def _several(
+    drawn: "Figure", page: "Page", target: tuple[Path, str] | None, atlases: "Sequence[xr.Dataset]"
+) -> "Figure":
+    page.fit(drawn)
+    if target is not None:
+        from atlas.render.style import provenance_of
+
+        _write(drawn, *target, provenance_of(*atlases), page)
+    return drawn
 
 
 def orbit_figure(orbit: "CellOrbit", **look: "Unpack[Look]") -> "Figure":

@@ -1,11 +1,13 @@
 """The chaos map: the largest Lyapunov exponent over a plane, blue where motion is stable, yellow to red in chaos."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.colors import Colormap, LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
@@ -24,7 +26,7 @@ _SHARE = 2.0
 """Per cent of each half's cells that may lie beyond the end of the scale: outliers must not flatten the rest."""
 
 
-def _two_sided() -> LinearSegmentedColormap:
+def _two_colours() -> LinearSegmentedColormap:
     # Each half has lightness of its own from zero outwards, so that it reads in grey and without red or green;
     # the small step at zero keeps the border of chaos sharp where exponents on both sides are small.
     stable = list(zip(np.linspace(0.0, 0.5, len(_STABLE)), _STABLE, strict=True))
@@ -32,21 +34,22 @@ def _two_sided() -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("exponent", stable + chaotic, N=1024)
 
 
-COLORMAP = _two_sided()
+COLORMAP = _two_colours()
+LABEL = r"largest Lyapunov exponent $\lambda_1$ [per forcing period]"
 
 
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The chaos map as a figure, with its overlays; InputError where the atlas holds no exponents."""
     plane = overlays.read(ds, [LARGEST.name], "exponent", options)
     largest = np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
-    norm = _norm(largest, options.page)
+    norm = two_sided(options.page, *scale_ends(largest))
     with options.page.context():
         drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, largest, norm)
         maps.draw(ax, plane, rgba, options)
-        entries: list[Artist] = [*legend, *_mark_no_impact(ax, plane, norm)]
+        entries: list[Artist] = [*legend, *mark_no_impact(ax, plane, norm)]
         entries += overlays.draw(ax, ds, plane, options)
-        _colour_bar(drawn, ax, norm, largest)
+        colour_bar(drawn, [ax], norm, largest, LABEL)
         options.page.legend(drawn, entries)
     return drawn
 
@@ -62,8 +65,9 @@ def scale_ends(largest: NDArray[np.float64]) -> tuple[float, float]:
     return -(low or high or 1.0), high or low or 1.0
 
 
-def _norm(largest: NDArray[np.float64], page: Page) -> TwoSlopeNorm:
-    low, high = page.ends(*scale_ends(largest))
+def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
+    """The scale between these ends, or those that the page gives; InputError unless zero is between them."""
+    low, high = page.ends(low, high)
     if not low < 0.0 < high:
         raise InputError(f"the scale of exponents has zero in its middle: found {low:g} to {high:g}")
     return TwoSlopeNorm(0.0, low, high)
@@ -87,20 +91,30 @@ def _reach(sizes: NDArray[np.float64]) -> float:
     return float(np.ceil(reach / digit - 1e-9) * digit)
 
 
-def _colour_bar(drawn: Figure, ax: Axes, norm: TwoSlopeNorm, largest: NDArray[np.float64]) -> None:
+def colour_bar(
+    drawn: Figure,
+    panels: Sequence[Axes],
+    norm: TwoSlopeNorm,
+    values: NDArray[np.float64],
+    label: str,
+    colormap: Colormap = COLORMAP,
+    below: bool = False,
+) -> None:
+    """The scale of these values to the right of these plots, or below them, with a line at zero."""
     ends = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     bar = drawn.colorbar(
-        ScalarMappable(norm, COLORMAP),
-        ax=ax,
-        extend=style.beyond(largest, *ends),
-        ticks=_ticks(*ends),
+        ScalarMappable(norm, colormap),
+        ax=list(panels),
+        location="bottom" if below else "right",
+        extend=style.beyond(values, *ends),
+        ticks=_ticks(*ends, 3 if below else 5),  # numbers need more room side by side
         aspect=28,
         pad=0.02,
         extendfrac=0.03,
     )
-    bar.set_label(r"largest Lyapunov exponent $\lambda_1$ [per forcing period]")
+    bar.set_label(label)
     bar.outline.set_linewidth(0.6)
-    bar.ax.axhline(0.0, color="black", linewidth=0.7)
+    (bar.ax.axvline if below else bar.ax.axhline)(0.0, color="black", linewidth=0.7)
 
 
 def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -114,14 +128,14 @@ def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
 
 
-def _ticks(low: float, high: float) -> NDArray[np.float64]:
+def _ticks(low: float, high: float, most: int) -> NDArray[np.float64]:
     """Round numbers on each half, which have scales of their own, and zero."""
-    nice = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10])
+    nice = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
     both = np.concatenate([nice.tick_values(low, 0.0), nice.tick_values(0.0, high)])
     return np.unique(both[(both >= low) & (both <= high)].round(12))
 
 
-def _mark_no_impact(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm) -> list[Patch]:
+def mark_no_impact(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm) -> list[Patch]:
     """Outline impact-free cells and dot them, since they have exponents as others do; the legend entry, if any."""
     quiet = (plane.regime == NO_IMPACT) & ~np.isnan(plane[LARGEST.name])
     if not quiet.any():

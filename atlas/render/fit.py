@@ -1,20 +1,24 @@
 """Texts made to fit: labels and titles that are longer than their figure are broken into lines."""
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 TITLE = "title"
 """The mark, as a group's name, of texts whose parts may move to the next line."""
+OWN_TITLE = "own title"
+"""The same of titles that have no more room than their plot is wide, since others stand beside it."""
 
 
 def fit(drawn: Figure) -> None:
     """Break labels and titles that are longer than the figure into lines."""
     for _ in range(3):  # a label in two lines leaves less room for others
         drawn.draw_without_rendering()
-        titles: Any = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() == TITLE)
+        titles: Any = drawn.findobj(lambda each: isinstance(each, Text) and each.get_gid() in (TITLE, OWN_TITLE))
         if not any([_fit_title(drawn, each) for each in titles] + [_fit_labels(drawn)]):
             return
 
@@ -22,7 +26,8 @@ def fit(drawn: Figure) -> None:
 def _fit_title(drawn: Figure, text: Text) -> bool:
     """Put as many parts of a title, which commas separate, into each line as fit."""
     before = text.get_text()
-    room = drawn.bbox.x1 - text.get_window_extent().x0 - 3.0
+    end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else drawn.bbox.x1 - 3.0
+    room = end - text.get_window_extent().x0
     lines = []
     for line in before.replace(",\n", ",  ").split("\n"):  # what an earlier turn broke may fit now
         kept, *rest = re.split(r"(?<=,)( +)", line)
@@ -39,21 +44,26 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
 
 
 def _fit_labels(drawn: Figure) -> bool:
-    """Break labels that leave the figure, and those of plots one above the other that run into each other."""
+    """Break labels that leave the figure, and those of neighbouring plots that run into each other."""
+    levels = [ax.xaxis.label.get_window_extent() for ax in drawn.axes if ax.get_xlabel()]
     uprights = [ax.yaxis.label.get_window_extent() for ax in drawn.axes if ax.get_ylabel()]
     changed = False
     for ax in drawn.axes:
         across, up = (text.get_window_extent() for text in (ax.xaxis.label, ax.yaxis.label))
-        others = [each for each in uprights if each.bounds != up.bounds]
         too_long = {
-            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width,
-            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or up.padded(2.0).count_overlaps(others) > 0,
+            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width or _meets(across, levels),
+            ax.yaxis.label: up.y0 < 0.0 or up.y1 > drawn.bbox.height or _meets(up, uprights),
         }
         for text in [each for each, long in too_long.items() if long and each.get_text()]:
             before = text.get_text()
             text.set_text(_broken(before))
             changed |= text.get_text() != before
     return changed
+
+
+def _meets(box: Bbox, boxes: Sequence[Bbox]) -> bool:
+    """Whether a box touches another one of these."""
+    return box.padded(2.0).count_overlaps([each for each in boxes if each.bounds != box.bounds]) > 0
 
 
 def _broken(label: str) -> str:

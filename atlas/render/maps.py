@@ -115,9 +115,13 @@ def frame(ds: xr.Dataset, page: Page) -> tuple[Figure, Axes]:
     figure, (ax,) = page.panels(height(page), 1)
     if page.title:
         ax.set_title(style.title_line(ds), loc="left", gid=TITLE)
-    # Cells without a value are transparent: what shows through them is this texture, which no value has.
-    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
+    texture(ax)
     return figure, ax
+
+
+def texture(ax: Axes) -> None:
+    """Give a plot area the texture of pending cells, which no value has: drawn transparent, they let it through."""
+    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
 
 
 def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDArray[np.bool_]) -> list[Patch]:
@@ -130,11 +134,15 @@ def paint_regimes(rgba: NDArray[np.uint8], regime: NDArray[np.int8], where: NDAr
         cells = where & (regime == each.code)
         if cells.any():
             rgba[cells] = style.rgb(each.color, alpha=0 if each.code == PENDING else 255)
-            # An impact-free cell is textured only where it is not seen by its colour.
-            hatch = None if each.code == NO_IMPACT else style.HATCH.get(each.code)
-            ink = style.HATCH_INK.get(each.code, style.TEXTURE)
-            entries.append(style.swatch(each.color, style.name_of(each.code), hatch, ink))
+            entries.append(regime_entry(each.code, style.name_of(each.code)))
     return entries
+
+
+def regime_entry(code: int, label: str) -> Patch:
+    """The legend entry of cells that are drawn in the colour of this regime."""
+    # An impact-free cell is textured only where it is not seen by its colour.
+    hatch = None if code == NO_IMPACT else style.HATCH.get(code)
+    return style.swatch(style.COLORS[code], label, hatch, style.HATCH_INK.get(code, style.TEXTURE))
 
 
 def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> None:

@@ -129,6 +129,11 @@ class Page:
             raise InputError(f"the scale must rise: found {low:g} to {high:g}; give vmin, vmax or both")
         return low, high
 
+    def refuse_ends(self, why: str) -> None:
+        """InputError, which gives this reason, where ends of a scale are asked for."""
+        if self.vmin is not None or self.vmax is not None:
+            raise InputError(f"{why}: it has no scale that vmin and vmax could end")
+
     def panels(self, height: float, count: int) -> tuple[Figure, list[Axes]]:
         """A figure with so many plots over one shared axis, or the given axes; InputError if those are not as many."""
         if not self.given:
@@ -217,7 +222,8 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
     font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
-    dpi = positive("dpi", look.get("dpi")) or rc.pop("savefig.dpi", DPI)
+    styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
+    dpi = positive("dpi", look.get("dpi")) or styled
     if given and asked:
         rc |= {name: value for name, value in house(font / _FONT).items() if name in _SIZES}
     return Page(

@@ -1,15 +1,16 @@
 """Several atlases in one figure: what differs between two, and maps side by side on one scale."""
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from dataclasses import dataclass, replace
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, TwoSlopeNorm
+from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -20,7 +21,9 @@ from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.query.window import Window, axis_names, within
 from atlas.render import axes, exponent, maps, period, style
-from workers.results import LARGEST, NO_IMPACT, PENDING, REGIME, REGIMES
+from atlas.render.fit import OWN_TITLE, TITLE
+from atlas.render.page import STANDARD, Page
+from workers.results import LARGEST, PENDING, REGIME, REGIMES
 
 KINDS = {"exponent": LARGEST.name, "period": "period"}
 """The kinds of map that are drawn side by side, and the variable that each takes."""
@@ -32,7 +35,7 @@ _SHARE = 2.0
 """Per cent of the differences that may lie beyond the ends of the scale."""
 
 
-def difference(compared: Comparison) -> Figure:
+def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     """Two maps: the difference of the exponents, there minus here, and where the regime is another there, which.
 
     Where there are no exponents, the second alone. InputError for atlases with one axis.
@@ -40,22 +43,27 @@ def difference(compared: Comparison) -> Figure:
     names = axis_names(compared.one)
     if len(names) != 2:
         raise InputError(f"a comparison is drawn as a map, found one axis ({names[0]}); sweeps: atlas render --against")
-    columns = 2 if compared.has_exponents else 1
-    with counted() as reads, rc_context(style.STYLE):
-        here, there = _same_cells(compared, (maps.PIXELS[0] // columns, maps.PIXELS[1] // columns))
-        drawn = style.new_figure(4.0 if columns == 2 else maps.HEIGHT)
-        panels = drawn.subplots(1, columns, sharey=True, squeeze=False)[0].tolist()
-        drawn.suptitle(_note(_title(compared), max(reads.block)), x=0.01, ha="left", fontsize=style.STYLE["font.size"])
-        entries = _draw_difference(drawn, panels[0], here, there) if columns == 2 else []
-        entries = [*_draw_changes(panels[-1], here, there), *entries]
-        for ax in panels[1:]:
-            ax.set_ylabel("")
-        maps.legend_below(drawn, entries)
+    if not compared.has_exponents:
+        page.refuse_ends("a comparison without exponents draws classes")
+    count = 2 if compared.has_exponents else 1
+    sheet = _Sheet(page, count, min(count, _most_columns(page, 2)))
+    with counted() as reads, page.context():
+        here, there = _same_cells(compared, sheet.panel.pixels)
+        drawn, panels = sheet.draw()
+        _head(drawn, page, _title(compared), max(reads.block))
+        entries = _draw_difference(drawn, panels[0], here, there, sheet.panel) if count == 2 else []
+        entries = [*_draw_changes(panels[-1], here, there, sheet.panel), *entries]
+        sheet.label_outside(panels)
+        page.legend(drawn, entries)
     return drawn
 
 
 def side_by_side(
-    atlases: Sequence[xr.Dataset], kind: str | None = None, window: Window | None = None, names: Sequence[str] = ()
+    atlases: Sequence[xr.Dataset],
+    kind: str | None = None,
+    window: Window | None = None,
+    names: Sequence[str] = (),
+    page: Page = STANDARD,
 ) -> Figure:
     """Maps of several atlases in one figure, on one scale, each under the parameters in which they differ.
 
@@ -64,54 +72,84 @@ def side_by_side(
     Raises InputError for fewer than two atlases, for another kind, and where axes or variables are not the same.
     """
     chosen = _check(atlases, kind)
+    if chosen == "period":
+        page.refuse_ends("kind 'period' draws classes")
     shown = [within(ds, window) for ds in atlases]
-    columns = _columns(len(shown))
-    rows = math.ceil(len(shown) / columns)
-    variable = KINDS[chosen]
-    with counted() as reads, rc_context(style.STYLE):
-        pixels = (maps.PIXELS[0] // columns, maps.PIXELS[1] // columns)
-        planes = [maps.read(ds, [variable], chosen, pixels) for ds in shown]
-        drawn = style.new_figure(0.9 + 2.3 * rows if columns > 2 else 0.9 + 2.9 * rows)
-        grid = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        panels = grid.ravel().tolist()
-        for empty in panels[len(shown) :]:
-            empty.remove()
+    sheet = _Sheet(page, len(shown), _columns(len(shown), _most_columns(page, 3)))
+    with counted() as reads, page.context():
+        planes = [maps.read(ds, [KINDS[chosen]], chosen, sheet.panel.pixels) for ds in shown]
+        drawn, panels = sheet.draw()
         differing = _differing(shown)
-        common = shown[0].drop_vars(differing)
-        over = _note(style.title_line(common), max(reads.block))
-        drawn.suptitle(over, x=0.01, ha="left", fontsize=style.STYLE["font.size"])
-        titles = [_panel_title(ds, differing, names[k] if names else f"{k + 1}") for k, ds in enumerate(shown)]
+        _head(drawn, page, style.title_line(shown[0].drop_vars(differing)), max(reads.block))
+        known = np.concatenate([_exponents(plane).ravel() for plane in planes]) if chosen == "exponent" else None
+        norm = None if known is None else exponent.two_sided(page, *exponent.scale_ends(known))
         entries: dict[str, Patch] = {}
-        norm = _common_norm(planes) if chosen == "exponent" else None
-        for k, (ax, plane, title) in enumerate(zip(panels, planes, titles, strict=False)):
-            _texture(ax)
-            ax.set_title(title, loc="left")
-            for entry in _draw_map(ax, plane, norm):
+        for k, (ax, plane) in enumerate(zip(panels, planes, strict=True)):
+            maps.texture(ax)
+            title = sheet.panel_title(shown[k], differing, names[k] if names else f"{k + 1}")
+            ax.set_title(title, loc="left", gid=OWN_TITLE)
+            for entry in _draw_map(ax, plane, norm, sheet.panel):
                 entries.setdefault(str(entry.get_label()), entry)
-            if k % columns:
-                ax.set_ylabel("")
-            if k + columns < len(shown):
-                ax.set_xlabel("")
-            else:
-                ax.tick_params(labelbottom=True)  # where the place below is empty too
-        for ax, which in ((panels[0], 0), (panels[0], 1)):
-            sides = [(plane.x, plane.y)[which].edges for plane in planes]
-            limits = min(side[0] for side in sides), max(side[-1] for side in sides)
-            (ax.set_xlim, ax.set_ylim)[which](*limits)  # shared, so those of all
-        if norm is not None:
-            _scale(drawn, panels[: len(shown)], norm, np.concatenate([plane[variable].ravel() for plane in planes]))
-        maps.legend_below(drawn, list(entries.values()))
+        sheet.label_outside(panels)
+        # The axes are shared, so that these limits are those of all.
+        panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
+        panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
+        if norm is not None and known is not None:
+            label = r"$\lambda_1$ [per forcing period]"
+            exponent.colour_bar(drawn, panels, norm, known, label, below=not page.wide)
+        page.legend(drawn, list(entries.values()))
     return drawn
 
 
-def save(drawn: Figure, path: str | Path, atlases: Sequence[xr.Dataset]) -> Path:
-    """Write a figure of several atlases to a file, whose metadata carry all their digests; InputError if it cannot."""
-    target = Path(path)
-    try:
-        style.save(drawn, target, target.suffix.lower().removeprefix("."), style.provenance_of(*atlases))
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
-    return target
+@dataclass(frozen=True)
+class _Sheet:
+    """How maps share a page: so many, in rows of so many columns."""
+
+    page: Page
+    count: int
+    columns: int
+
+    @property
+    def rows(self) -> int:
+        return math.ceil(self.count / self.columns)
+
+    @property
+    def height(self) -> float:
+        """Height in inches where none is asked for: that of a row grows with its maps' width."""
+        under = 0.9 if self.page.wide else 1.5  # with a colour bar
+        return self.page.scale * (under + 1.1 * self.rows) + 0.51 * self.page.width / self.columns * self.rows
+
+    @property
+    def panel(self) -> maps.Options:
+        """What one of the maps is drawn with."""
+        height = (self.page.height or self.height) / self.rows
+        return maps.Options(page=replace(self.page, width=self.page.width / self.columns, height=height))
+
+    def draw(self) -> tuple[Figure, list[Axes]]:
+        """The figure and its plots, with axes in common."""
+        drawn = self.page.figure(self.height)
+        grid = drawn.subplots(self.rows, self.columns, sharex=True, sharey=True, squeeze=False)
+        panels = grid.ravel().tolist()
+        for empty in panels[self.count :]:
+            empty.remove()
+        return drawn, panels[: self.count]
+
+    def panel_title(self, ds: xr.Dataset, differing: Sequence[str], name: str) -> str:
+        """The parameters that differ, or the name in lines that are not wider than a map."""
+        if differing:
+            return style.parameter_line([(style.symbol(ds, each), float(ds[each])) for each in differing])
+        letters = self.panel.size[0] / (0.6 * self.page.font)
+        return textwrap.fill(name, max(4, int(letters)))
+
+    def label_outside(self, panels: Sequence[Axes]) -> None:
+        """Take the labels off the axes that have another map to their left or below."""
+        for k, ax in enumerate(panels):
+            if k % self.columns:
+                ax.set_ylabel("")
+            if k + self.columns < self.count:
+                ax.set_xlabel("")
+            else:
+                ax.tick_params(labelbottom=True)  # where the place below is empty too
 
 
 def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
@@ -135,19 +173,19 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
     return kind or held[0]
 
 
-def _columns(count: int) -> int:
-    return count if count <= 3 else 2 if count == 4 else 3
+def _most_columns(page: Page, most: int) -> int:
+    """How many maps share a row of a wide page; of a narrow one, less by one."""
+    return most if page.wide else most - 1
+
+
+def _columns(count: int, most: int) -> int:
+    return count if count <= most else 2 if count == 4 else most
 
 
 def _differing(atlases: Sequence[xr.Dataset]) -> list[str]:
     """The fixed parameters that are not the same in all of them."""
     fixed = [str(n) for n in atlases[0].coords if all(n in ds.coords and ds[n].ndim == 0 for ds in atlases)]
     return [n for n in fixed if len({str(ds[n].values) for ds in atlases}) > 1]
-
-
-def _panel_title(ds: xr.Dataset, differing: Sequence[str], name: str) -> str:
-    values = [(style.symbol(ds, each), float(ds[each])) for each in differing]
-    return style.parameter_lines(values) if values else name
 
 
 def _title(compared: Comparison) -> str:
@@ -160,9 +198,12 @@ def _title(compared: Comparison) -> str:
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 
-def _note(title: str, block: int) -> str:
-    """The title with a word about cells that stand for several."""
-    return f"{title}\none cell drawn for {block} × {block} computed" if block > 1 else title
+def _head(drawn: Figure, page: Page, title: str, block: int) -> None:
+    """The title over all maps, with a word about cells that stand for several."""
+    if not page.title:
+        return
+    text = f"{title}\none cell drawn for {block} × {block} computed" if block > 1 else title
+    drawn.suptitle(text, fontsize=mpl.rcParams["font.size"], ha="left", x=0.012).set_gid(TITLE)
 
 
 def _same_cells(compared: Comparison, pixels: tuple[int, int]) -> tuple[maps.Plane, maps.Plane]:
@@ -180,32 +221,30 @@ def _plane(ds: xr.Dataset, names: Sequence[str]) -> maps.Plane:
     return maps.Plane(x, y, ds[REGIME.name].values, values)
 
 
-def _texture(ax: Axes) -> None:
-    """The texture of pending cells, which are drawn transparent."""
-    ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
-
-
-def _draw_difference(drawn: Figure, ax: Axes, here: maps.Plane, there: maps.Plane) -> list[Patch]:
+def _draw_difference(
+    drawn: Figure, ax: Axes, here: maps.Plane, there: maps.Plane, options: maps.Options
+) -> list[Patch]:
     """Draw the differences of exponents, with their scale; legend entries."""
     change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
     known = ~np.isnan(change)
-    end = float(np.percentile(np.abs(change[known]), 100.0 - _SHARE)) if known.any() else 0.0
-    norm = Normalize(-(end or 1.0), end or 1.0)
+    most = float(np.percentile(np.abs(change[known]), 100.0 - _SHARE)) if known.any() else 0.0
+    # Rise and fall are to look alike: one end that is asked for decides the other.
+    given = [end for end in (options.page.vmax, options.page.vmin) if end is not None]
+    end = abs(given[0]) if given else most or 1.0
+    norm = exponent.two_sided(options.page, -end, end)
     rgba = DIFFERENCE(norm(np.where(known, change, 0.0)), bytes=True)
     rgba[~known] = style.rgb(WITHOUT)
-    _texture(ax)
+    maps.texture(ax)
     _hide_pending(rgba, here, there)
     axes.draw_cells(ax, here.x, here.y, rgba)
     ax.set_title("difference of exponents", loc="left")
-    extend = style.beyond(change[known], float(norm.vmin or 0.0), float(norm.vmax or 0.0))
-    bar = drawn.colorbar(ScalarMappable(norm, DIFFERENCE), ax=ax, location="bottom", extend=extend, aspect=28, pad=0.02)
-    bar.set_label(r"change of $\lambda_1$ [per forcing period]")
-    bar.outline.set_linewidth(0.6)
+    label = r"change of $\lambda_1$ [per forcing period]"
+    exponent.colour_bar(drawn, [ax], norm, change[known], label, DIFFERENCE, below=True)
     grey = ~known & (here.regime != PENDING) & (there.regime != PENDING)
     return [style.swatch(WITHOUT, "without an exponent in one")] if grey.any() else []
 
 
-def _draw_changes(ax: Axes, here: maps.Plane, there: maps.Plane) -> list[Patch]:
+def _draw_changes(ax: Axes, here: maps.Plane, there: maps.Plane, options: maps.Options) -> list[Patch]:
     """Draw the regimes there of cells that have another one here; legend entries."""
     rgba = np.zeros((*here.regime.shape, 4), np.uint8)
     rgba[...] = style.rgb(SAME)
@@ -215,10 +254,10 @@ def _draw_changes(ax: Axes, here: maps.Plane, there: maps.Plane) -> list[Patch]:
         cells = (there.regime == each.code) & (here.regime != each.code) & ~pending
         if cells.any():
             rgba[cells] = style.rgb(each.color)
-            entries.append(style.swatch(each.color, f"{style.name_of(each.code)} instead"))
-    _texture(ax)
+            entries.append(maps.regime_entry(each.code, f"{style.name_of(each.code)} instead"))
+    maps.texture(ax)
     _hide_pending(rgba, here, there)
-    axes.draw_cells(ax, here.x, here.y, rgba)
+    maps.draw(ax, there, rgba, options)
     ax.set_title("another regime", loc="left")
     if pending.any():
         entries.append(style.swatch("white", style.name_of(PENDING), style.HATCH[PENDING]))
@@ -229,33 +268,16 @@ def _hide_pending(rgba: NDArray[np.uint8], here: maps.Plane, there: maps.Plane) 
     rgba[(here.regime == PENDING) | (there.regime == PENDING)] = 0
 
 
-def _common_norm(planes: Sequence[maps.Plane]) -> TwoSlopeNorm:
-    """The scale of the exponents of all planes."""
-    both = [np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan).ravel() for plane in planes]
-    return TwoSlopeNorm(0.0, *exponent.scale_ends(np.concatenate(both)))
+def _exponents(plane: maps.Plane) -> NDArray[np.float64]:
+    return np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
 
 
-def _draw_map(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm | None) -> list[Patch]:
+def _draw_map(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm | None, options: maps.Options) -> list[Patch]:
     """Draw one of several maps: exponents on this scale, or periods; legend entries."""
     if norm is None:
         rgba, entries = period.paint(plane.regime, plane["period"])
-        maps.draw(ax, plane, rgba)
+        maps.draw(ax, plane, rgba, options)
         return entries
-    largest = np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
-    rgba, entries = exponent.paint(plane.regime, largest, norm)
-    maps.draw(ax, plane, rgba)
-    quiet = (plane.regime == NO_IMPACT) & ~np.isnan(largest)
-    if quiet.any():
-        color = exponent.COLORMAP(norm(np.median(largest[quiet])))
-        ink = style.ink_on(color)
-        axes.hatch(ax, plane.x, plane.y, quiet, style.HATCH[NO_IMPACT], ink)
-        entries.append(style.swatch(color, style.name_of(NO_IMPACT), style.HATCH[NO_IMPACT], ink))
-    return entries
-
-
-def _scale(drawn: Figure, panels: Sequence[Axes], norm: TwoSlopeNorm, values: NDArray[np.float64]) -> None:
-    extend = style.beyond(values, float(norm.vmin or 0.0), float(norm.vmax or 0.0))
-    bar = drawn.colorbar(ScalarMappable(norm, exponent.COLORMAP), ax=list(panels), extend=extend, aspect=28, pad=0.02)
-    bar.set_label(r"$\lambda_1$ [per forcing period]")
-    bar.outline.set_linewidth(0.6)
-    bar.ax.axhline(0.0, color="black", linewidth=0.7)
+    rgba, entries = exponent.paint(plane.regime, _exponents(plane), norm)
+    maps.draw(ax, plane, rgba, options)
+    return [*entries, *exponent.mark_no_impact(ax, plane, norm)]
