@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from workers.cells import RETURNS, Array, Cells, Rows, clearly_positive
+from workers.cells import NEAR, RETURNS, Array, Cells, Rows, clearly_positive
 from workers.kernel.cells import impact_free
 from workers.kernel.motion import LOWER, UPPER
 from workers.model.oscillator import COLUMN
@@ -42,6 +42,10 @@ FIRST_STRETCH = 32
 
 LEAST_TRANSIENT, RELAXATIONS, LARGEST_SHARE = 256, 3.0, 0.25
 """The transient: so many periods at least, so many relaxation times, but not more than this share of max_periods."""
+
+NEAR_LATER = 1e-3
+"""NEAR after the first stretch, when motion has had time to come nearer: chaos often returns within NEAR itself, and each
+try costs."""
 
 WARM_UP = 64
 """Periods in which the tangent frame turns into the right directions before its growth counts."""
@@ -135,7 +139,8 @@ class _Course:
         warm = self.stage[through] == WARMING
         self._average(through[warm])
         rest = through[~warm]
-        settled = cells.settle(rest, self.settings.max_periods + self.settings.survival - cells.used)
+        near = np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
+        settled = cells.settle(rest, self.settings.max_periods + self.settings.survival - cells.used, near)
         put_periodic(cells, rest[settled])
         rest = rest[~settled]
         searching, averaging, watching = (rest[self.stage[rest] == s] for s in (SEARCHING, AVERAGING, WATCHING))

@@ -23,6 +23,9 @@ CLEAR = 4.0
 GROWN = 15.0
 """Total log-growth from which a positive exponent counts: a deviation of rounding has become visible."""
 
+NEAR = 1e-2
+"""Distance of a return, relative to the motion's scale, from which on it may be one to a stable orbit."""
+
 RETURNS = 64
 """Returns of a motion that are known of each cell at least, whatever ``max_period``."""
 
@@ -97,13 +100,16 @@ class Cells:
         """How many sections of its stretch are known of each cell."""
         return np.minimum(self.batch.periods, self.batch.sections.shape[1])
 
-    def settle(self, cells: Rows, budget: NDArray[np.int64]) -> Mask:
-        """Which of these cells fall into a stable orbit, found within a budget (N,) of periods; see ``orbits``."""
+    def settle(self, cells: Rows, budget: NDArray[np.int64], near: Array) -> Mask:
+        """Which of these cells fall into a stable orbit, found within a budget (N,) of periods; see ``orbits``.
+
+        One is looked for where the motion has returned within ``near`` (N,) of its scale.
+        """
         spent = np.zeros(len(self.used), dtype=np.int64)
         longest = self.settings.max_period
         motions, sections = self.bare.motions, self.batch.sections
         settled: Mask = settle_each(
-            self.oscillators, motions, sections, self.kept(), longest, budget, cells, self.orbits, spent
+            self.oscillators, motions, sections, self.kept(), near, longest, budget, cells, self.orbits, spent
         )
         self.used[cells] += spent[cells]
         return settled
@@ -129,9 +135,10 @@ class Cells:
         orbits = no_orbits(len(cells), motions.h.shape[1])
         through = every[batch.done == batch.periods]
         settled = np.zeros(len(cells), dtype=np.bool_)
+        near = np.full(len(cells), NEAR)
         settled[through] = settle_each(
-            batch.oscillators, batch.motions, batch.sections, batch.done, LONG_PERIOD, budget[cells] - batch.done,
-            through, orbits, spent,
+            batch.oscillators, batch.motions, batch.sections, batch.done, near, LONG_PERIOD,
+            budget[cells] - batch.done, through, orbits, spent,
         )  # fmt: skip
         self.used[cells] += batch.done + spent
         for mine, theirs in zip(self.orbits, orbits, strict=True):

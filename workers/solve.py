@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.adaptive import solve_adaptively
-from workers.cells import RETURNS, Cells, Rows, clearly_positive
+from workers.cells import NEAR, RETURNS, Cells, Rows, clearly_positive
 from workers.kernel.cells import impact_free, start_motions
 from workers.kernel.motion import BEYOND, WORK
 from workers.model.oscillator import Oscillator
@@ -75,7 +75,9 @@ def _solve_fixed(cells: Cells, ready: Rows) -> None:
     put_averaged(cells, ready)
     free = impact_free(cells.oscillators, cells.batch.motions, ready)
     settled = np.zeros(len(ready), dtype=np.bool_)
-    settled[~free] = cells.settle(ready[~free], np.full(len(cells.used), settings.max_periods))
+    settled[~free] = cells.settle(
+        ready[~free], np.full(len(cells.used), settings.max_periods), np.full(len(cells.used), NEAR)
+    )
     open_ = ready[~free & ~settled]
     chaotic = clearly_positive(*cells.growth(open_))
     put_chaotic(cells, open_[chaotic])

@@ -176,22 +176,22 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
 
 
 @kernel
-def recurrence(lam, sections, scale, longest):
+def recurrence(lam, sections, near, longest):
     """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
 
-    Near is within 1e-2 of ``scale`` in the energy norm; of those, each p that came ten times closer than any
+    It returned within ``near`` in the energy norm; of those, each p that came ten times closer than any
     shorter one, at most three. Whether it means anything, settle() finds out.
     """
     found = np.empty(3, dtype=np.int64)
     count, last = 0, len(sections) - 1
-    record = 1e-2 * scale
+    record = near
     for p in range(1, min(last, longest) + 1):
         here = separation(lam, sections[last], sections[last - p])
         if here < record:
             found[2], found[1], found[0] = found[1], found[0], p
             count = min(count + 1, 3)
             record = 0.1 * here
-        if record < 1e-12 * scale:
+        if record < 1e-10 * near:
             break
     return found[:count]
 
@@ -214,7 +214,7 @@ def far_from_closing(lam, response, h, sections, cells, returns, limit):
 
 
 @piece
-def settle(osc, motion, sections, longest, budget):
+def settle(osc, motion, sections, near, longest, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, periods spent): the stable orbit that the motion falls into.
 
     NEAR: its sections recur near a stable orbit, but it is not shown to fall into that.
@@ -222,14 +222,15 @@ def settle(osc, motion, sections, longest, budget):
     Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
     the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
     one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
-    At most ``budget`` periods are spent.
+    Sections recur where the last one has returned within ``near`` of the motion's scale, after ``longest`` periods at
+    most. At most ``budget`` periods are spent.
     """
     h, contact = motion.h, motion.contact[0]
     scale = scale_of(osc, h)
     symmetric_gap = osc.b_upper == osc.b_lower
     none = PeriodicOrbit(h, contact, 1, False, nothing_left(h.size), np.inf, 0.0)
     spent, nearest = 0, NOTHING
-    for p in recurrence(osc.gap.lam, sections, scale, longest):
+    for p in recurrence(osc.gap.lam, sections, near * scale, longest):
         for half in (True, False):
             per_period = 2 if half else 1
             left = (budget - spent) * per_period
@@ -275,8 +276,8 @@ def no_orbits(count: int, n: int) -> Orbits:
 
 
 @kernel
-def settle_each(oscillators, motions, sections, kept, longest, budgets, cells, orbits, spent):
-    """settle for each of these cells, of which the last ``kept`` (N,) sections (N, K, n, 2) are known.
+def settle_each(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
+    """settle for each of these cells, of which the last ``kept`` (N,) sections (N, K, n, 2) are known; near (N,).
 
     Fills in the rows of orbits and spent (N,) of these cells; returns which of them were found.
     """
@@ -285,7 +286,7 @@ def settle_each(oscillators, motions, sections, kept, longest, budgets, cells, o
         r = cells[e]
         osc = oscillator_of(oscillators, r)
         known = sections[r, sections.shape[1] - kept[r] :]
-        result, orbit, spent[r] = settle(osc, motion_of(motions, r), known, longest, budgets[r])
+        result, orbit, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
         settled[e] = result == SETTLED
         orbits.near[r] |= result == NEAR
         if not settled[e]:
