@@ -52,9 +52,8 @@ def entry(j, c, i):
 def normalise_pass(lam, rank, k, u, growth, modes, count):
     """The part of frame.orthonormalise that makes vector k a unit vector, for ``count`` frames at once.
 
-    u (2 n STRIDE,) are its numbers, each for all frames see entry, lam (2 n STRIDE,) as the first
-    of each two, rank and growth
-    (STRIDE,) one for each frame; modes: a tuple of length n.
+    u (2 n STRIDE,) are its numbers, see entry, and lam (2 n STRIDE,) stands where the first of each two does; rank and
+    growth (STRIDE,) have one number for each frame; modes is a tuple of length n.
     """
     for i in range(count):
         square = 0.0
