@@ -44,8 +44,8 @@ LEAST_TRANSIENT, RELAXATIONS, LARGEST_SHARE = 256, 3.0, 0.25
 """The transient: so many periods at least, so many relaxation times, but not more than this share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR after the first stretch, when motion has had time to come nearer: chaos often returns within NEAR itself, and each
-try costs."""
+"""NEAR after the first stretch: by then motion has had time to come nearer, and chaos often returns within NEAR itself,
+where each try costs."""
 
 WARM_UP = 64
 """Periods in which the tangent frame turns into the right directions before its growth counts."""
