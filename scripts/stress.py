@@ -54,7 +54,9 @@ class Task:
 def perform(task: Task) -> Findings:
     """The findings over a task's cells."""
     if not task.recheck:
-        settings = Settings(exponents="spectrum", max_periods=task.max_periods, tolerance=0.05, section_samples=4)
+        settings = Settings(
+            exponents="spectrum", max_periods=task.max_periods, survival=0, tolerance=0.05, section_samples=4
+        )
         return solve(task.seed, task.first, task.count, settings)
     found = Findings()
     for number in range(task.first, task.first + task.count):
