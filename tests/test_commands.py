@@ -56,6 +56,8 @@ FILES = {
     "up.toml": LINE.format(more='continuation = "forward"'),
     "down.toml": LINE.format(more='continuation = "backward"'),
 }
+STORES = {"other.zarr": 0.7, "R7.zarr": 0.7, "R8.zarr": 0.8, "R9.zarr": 0.9}
+"""Stores of the same plane at another R, made for the pages that name them."""
 SKIPPED = r"<!-- not run by tests: [^>]+ -->\n\n?"
 
 
@@ -90,6 +92,10 @@ def run(command: list[str], work: Path) -> None:
 
 @pytest.mark.parametrize("page", [page for page in PAGES if runnable(page)], ids=lambda page: page.name)
 def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, folder: Path) -> None:
+    for name, R in STORES.items():
+        if name in page.read_text():
+            (folder / "another.toml").write_text(PLANE.replace("[axes.omega]", f"[parameters]\nR = {R}\n[axes.omega]"))
+            run(["atlas", "run", "another.toml", "-o", name], folder)
     for number, (language, text) in enumerate(runnable(page)):
         if language == "sh":
             run(["sh", "-eu", "-c", text], folder)

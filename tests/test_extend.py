@@ -23,7 +23,7 @@ from tests.synthetic import set_attribute
 from workers import tile as solving
 from workers.results import FAILED, result_variables
 
-SOLVE = {"max_periods": 400, "tolerance": 0.1, "section_samples": 2}
+SOLVE = {"max_periods": 300, "tolerance": 0.1, "section_samples": 2}
 
 
 def spec_of(omega: Any = (2.0, 2.4, 3.0, 4.0), b: Any = (0.1, 0.3, 0.5), **changes: Any) -> atlas.Spec:
@@ -323,7 +323,7 @@ def test_the_command_refines_and_extends(old: Path, tmp_path: Path, client: Clie
     assert "9 cells in " in shown.stdout
     (tmp_path / "spec.toml").write_text(
         'system = "two-mass"\n[axes.omega]\nvalues = [2.0, 2.4]\n[axes.b]\nvalues = [0.1, 0.6]\n'
-        "[solve]\nmax_periods = 400\ntolerance = 0.1\nsection_samples = 2\n"
+        "[solve]\nmax_periods = 300\ntolerance = 0.1\nsection_samples = 2\n"
     )
     assert call(old, tmp_path / "spec.toml", "-o", tmp_path / "b.zarr").exit_code == 0
     for args in ([old], [old, tmp_path / "spec.toml", "--refine", 2], [old, "--refine", "two"]):

@@ -102,7 +102,8 @@ class _Course:
 
     stage      of each cell; stretch: periods that it is to go next
     memory     periods that its transient should take, NaN until known; transient: those that it takes
-    began      periods that its motion had gone through when the average under way began
+    began      periods that its motion had gone through when the average under way began; first: when the first of
+               those began that count
     watched    periods of watching
     weighted   the weighted average of its last stretch
     """
@@ -115,6 +116,7 @@ class _Course:
         self.memory = np.full(N, math.nan)
         self.transient = np.full(N, LEAST_TRANSIENT)
         self.began = np.zeros(N, dtype=np.int64)
+        self.first = np.zeros(N, dtype=np.int64)
         self.watched = np.zeros(N, dtype=np.int64)
         self.weighted = np.full(N, math.nan)
 
@@ -149,16 +151,20 @@ class _Course:
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
-        watch = self.settings.survival - self.watched[rows]
         reserve = self.settings.max_periods // 10
         decide = self.settings.max_periods - reserve - (self.cells.used[rows] - self.watched[rows])
-        return np.where(self.stage[rows] == WATCHING, watch, decide)
+        return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
+
+    def _watchable(self, rows: Rows) -> Rows:
+        """Periods for which these cells may still be watched: what proofs have taken of both budgets is gone."""
+        left = self.settings.max_periods + self.settings.survival - self.cells.used[rows]
+        return np.minimum(self.settings.survival - self.watched[rows], left)
 
     def _finish(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
         average = self.cells.whole_average(rows)
         clear = clearly_positive(average.mean, average.error, average.periods)
-        relaxed = ~(self.began[rows] < self.memory[rows])
+        relaxed = ~(self.first[rows] < self.memory[rows])
         put_chaotic(self.cells, rows[clear], np.where(relaxed[clear], NO_REASON, NOT_RELAXED))
         put_undecided(self.cells, rows[~clear])
 
@@ -193,7 +199,7 @@ class _Course:
     def _to_watch(self, rows: Rows) -> Rows:
         """Periods for which these cells are still to be watched, so far as ``survival`` allows."""
         missing = self._required(rows) - (self.cells.flown[rows] - self.cells.since[rows])
-        return np.minimum(missing, self.settings.survival - self.watched[rows])
+        return np.minimum(missing, self._watchable(rows))
 
     def _missing(self, rows: Rows) -> Rows:
         """Periods for which these cells are still to be watched before an average as long as the last one."""
@@ -237,6 +243,8 @@ class _Course:
         cells.restart(rows)
         cells.averaging[rows] = True
         self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
+        alone = rows[cells.earlier.periods[rows] == 0.0]
+        self.first[alone] = cells.flown[alone]
         wanted = _periods_for(cells.earlier.periods[rows], cells.earlier.error[rows], self._half)
         self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * cells.earlier.periods[rows]), FIRST_AVERAGE)
 
@@ -289,6 +297,7 @@ class _Course:
         rows, before = rows[changed], before[changed]
         mean, error, count = mean[changed], error[changed], count[changed]
         cells.forget(rows)
+        self.first[rows] = self.began[rows]
         out = self._left(rows) <= 0
         positive = clearly_positive(mean, error, count)
         put_undecided(cells, rows[out & ~positive])

@@ -143,6 +143,7 @@ class Cells:
         self.used[cells] += batch.done + spent
         for mine, theirs in zip(self.orbits, orbits, strict=True):
             mine[cells[settled]] = theirs[settled]
+        self.orbits.near[cells] |= orbits.near
         return settled
 
     def has_rival(self, cells: Rows) -> Mask:

@@ -27,8 +27,8 @@ HOPELESS = 30.0
 """Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
 
 RESERVED_TURNS = 6
-"""Turns that the other tests of an orbit take: divisors (less than two), one under G, one of the motion, one for the
-error of the multipliers, one last count."""
+"""Turns that the other tests of an orbit take: divisors (less than three, or less than two and one under G), one of the
+motion, one for the error of the multipliers, one last count."""
 
 
 NOTHING, NEAR, SETTLED = range(3)
