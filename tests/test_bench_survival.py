@@ -8,6 +8,8 @@ import pytest
 from scripts.bench_error_bars import compared
 from scripts.bench_survival import PLANES, measure, plane, show, wilson
 
+pytestmark = pytest.mark.slow
+
 
 def test_more_watching_costs_more_and_leaves_no_more_wrong() -> None:
     with ThreadPool(1) as pool:

@@ -21,6 +21,8 @@ from atlas.query.compare import Comparison
 from tests.pictures import line, orbit, plane
 from tests.synthetic import complete
 
+pytestmark = pytest.mark.slow
+
 
 def draw(kind: str, **look: Any) -> Figure:
     if kind.startswith("beside"):

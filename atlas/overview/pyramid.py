@@ -11,6 +11,7 @@ So a kill at any moment leaves a chunk current or missing, and what is missing i
 it is asked for (``atlas.query.source``).
 """
 
+import time
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -34,6 +35,9 @@ from workers.results import PENDING, REGIME, REGIMES, Variable
 GROUP = OVERVIEWS
 MARKS = (REGIME, REGIME_SHOWN)
 """Written last of a chunk, the first of them at the very end: either says that all else of it is there."""
+_LOOKS, _PAUSE = 10, 0.2
+"""A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
+
 _VERSION = 1
 """Of the form of the levels; those of another version are not read, and made anew by the next run."""
 _UNSTATED = {"side": 256, "least": 128, "classes": 8}
@@ -141,8 +145,12 @@ class Pyramid:
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
         below = names if level > 1 else [variable.name for variable in self.header.variables if variable.name in names]
-        arrays = {name: self.read(level - 1, name, finer) for name in below}
-        if (arrays[REGIME.name] == PENDING).any():
+        for _ in range(_LOOKS):
+            arrays = {name: self.read(level - 1, name, finer) for name in below}
+            if not (arrays[REGIME.name] == PENDING).any():
+                break
+            time.sleep(_PAUSE)
+        else:
             raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
         cells = from_cells(arrays, names) if level == 1 else arrays
         made = coarsen(cells, tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True)))
