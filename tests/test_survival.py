@@ -206,7 +206,7 @@ def test_weak_chaos_is_no_torus() -> None:
     params = {"omega": np.linspace(1.0, 4.5, 64)[14], "b": np.linspace(0.05, 0.6, 64)[15]}
     long = solve_tile("two-mass", params, Settings(method="fixed", transient_periods=100_000, periods=100_000))
     params |= dict(zip(("x1", "x2", "v1", "v2"), long["state"], strict=True))
-    found = solve_tile("two-mass", params, Settings(tolerance=0.002, max_periods=60_000))
+    found = solve_tile("two-mass", params, Settings(tolerance=0.002, max_periods=100_000))
     assert found["regime"] == CHAOTIC
     assert found["largest"] == pytest.approx(0.01425, abs=4 * found["error"])
     assert found["error"] <= 0.002

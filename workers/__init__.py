@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from workers.history import trace
     from workers.tile import solve_tile
 
-SOLVER_VERSION = 6
+SOLVER_VERSION = 7
 """Raised whenever any number that solve_tile returns may change."""
 
 __all__ = ["SOLVER_VERSION", "Settings", "solve_tile", "trace"]

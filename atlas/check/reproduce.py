@@ -9,7 +9,6 @@ import numpy as np
 
 from atlas.spec.spec import Spec
 from atlas.store.schema import ALLOWANCES
-from atlas.task.compile import compile_once
 from workers.results import CHAOTIC, PERIODIC, REGIME, REGIMES
 
 ERRORS = 5.0
@@ -33,17 +32,12 @@ class Sample:
 
 
 def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
-    """The results of the cell as they come out now, in the stored ones' shapes.
-
-    By kernels from the cache on disk, as a run's are: those that a process has compiled itself round otherwise in the
-    last bit here and there.
-    """
+    """The results of the cell as they come out now, in the stored ones' shapes."""
     from workers.tile import solve_cells
 
     block = tuple(slice(i, i + 1) for i in sample.cell)
     given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
     settings = replace(spec.settings, **given)
-    compile_once(spec.system, settings)
     return solve_cells(spec.system, spec.cell_params(block), settings).arrays
 
 

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from workers.kernel.fma import fma
 from workers.kernel.jit import inlined
 
 _TO_INTEGER = 1.5 * 2.0**52
@@ -38,23 +39,23 @@ _PI2_LOW = float.fromhex("0x1.a62633145c06ep-58")
 def exp_minus(x):
     """exp(-x) for x >= 0: 2^-k e^r with k the integer nearest to x / ln 2; 0 from x = 708 on."""
     reduced = min(x, _LARGEST_EXPONENT)
-    shifted = reduced * _LOG2_E + _TO_INTEGER  # k is in its last bits, and below in the exponent's
+    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # k is in its last bits, and below in the exponent's
     k = shifted - _TO_INTEGER
     power = np.int64(_EXPONENT_OF_ONE - (np.float64(shifted).view(np.int64) << _EXPONENT_BITS)).view(np.float64)
-    r = (k * _LN2_HIGH - reduced) + k * _LN2_LOW
+    r = fma(k, _LN2_LOW, fma(k, _LN2_HIGH, -reduced))
     p = 1.0 / 6227020800.0
-    p = p * r + 1.0 / 479001600.0
-    p = p * r + 1.0 / 39916800.0
-    p = p * r + 1.0 / 3628800.0
-    p = p * r + 1.0 / 362880.0
-    p = p * r + 1.0 / 40320.0
-    p = p * r + 1.0 / 5040.0
-    p = p * r + 1.0 / 720.0
-    p = p * r + 1.0 / 120.0
-    p = p * r + 1.0 / 24.0
-    p = p * r + 1.0 / 6.0
-    p = p * r + 0.5
-    return 0.0 if x > _LARGEST_EXPONENT else (1.0 + (r + r * r * p)) * power
+    p = fma(p, r, 1.0 / 479001600.0)
+    p = fma(p, r, 1.0 / 39916800.0)
+    p = fma(p, r, 1.0 / 3628800.0)
+    p = fma(p, r, 1.0 / 362880.0)
+    p = fma(p, r, 1.0 / 40320.0)
+    p = fma(p, r, 1.0 / 5040.0)
+    p = fma(p, r, 1.0 / 720.0)
+    p = fma(p, r, 1.0 / 120.0)
+    p = fma(p, r, 1.0 / 24.0)
+    p = fma(p, r, 1.0 / 6.0)
+    p = fma(p, r, 0.5)
+    return 0.0 if x > _LARGEST_EXPONENT else (1.0 + fma(r * r, p, r)) * power
 
 
 @inlined
@@ -66,18 +67,18 @@ def log(x):
     s = f / (2.0 + f)
     z = s * s
     p = 2.0 / 23.0
-    p = p * z + 2.0 / 21.0
-    p = p * z + 2.0 / 19.0
-    p = p * z + 2.0 / 17.0
-    p = p * z + 2.0 / 15.0
-    p = p * z + 2.0 / 13.0
-    p = p * z + 2.0 / 11.0
-    p = p * z + 2.0 / 9.0
-    p = p * z + 2.0 / 7.0
-    p = p * z + 2.0 / 5.0
-    p = p * z + 2.0 / 3.0
+    p = fma(p, z, 2.0 / 21.0)
+    p = fma(p, z, 2.0 / 19.0)
+    p = fma(p, z, 2.0 / 17.0)
+    p = fma(p, z, 2.0 / 15.0)
+    p = fma(p, z, 2.0 / 13.0)
+    p = fma(p, z, 2.0 / 11.0)
+    p = fma(p, z, 2.0 / 9.0)
+    p = fma(p, z, 2.0 / 7.0)
+    p = fma(p, z, 2.0 / 5.0)
+    p = fma(p, z, 2.0 / 3.0)
     half = 0.5 * f * f
-    found = k * _LN2_HIGH - ((half - (s * (half + z * p) + k * _LN2_LOW)) - f)
+    found = fma(k, _LN2_HIGH, f - (half - fma(s, fma(z, p, half), k * _LN2_LOW)))
     found = found if x < np.inf else x
     return -np.inf if x == 0.0 else found
 
@@ -85,28 +86,28 @@ def log(x):
 @inlined
 def sin_cos(x):
     """(sin x, cos x) for |x| <= 3e7 (oscillator.LARGEST_ANGLE): from those of r = x - k pi / 2, |r| <= pi / 4."""
-    k = (x * _TWO_OVER_PI + _TO_INTEGER) - _TO_INTEGER
-    r = ((x - k * _PI2_HIGH) - k * _PI2_MIDDLE) - k * _PI2_LOW
+    k = fma(x, _TWO_OVER_PI, _TO_INTEGER) - _TO_INTEGER
+    r = fma(-k, _PI2_LOW, fma(-k, _PI2_MIDDLE, fma(-k, _PI2_HIGH, x)))
     z = r * r
     p = 1.0 / 355687428096000.0
-    p = p * z - 1.0 / 1307674368000.0
-    p = p * z + 1.0 / 6227020800.0
-    p = p * z - 1.0 / 39916800.0
-    p = p * z + 1.0 / 362880.0
-    p = p * z - 1.0 / 5040.0
-    p = p * z + 1.0 / 120.0
-    p = p * z - 1.0 / 6.0
-    s = r + r * z * p
+    p = fma(p, z, -1.0 / 1307674368000.0)
+    p = fma(p, z, 1.0 / 6227020800.0)
+    p = fma(p, z, -1.0 / 39916800.0)
+    p = fma(p, z, 1.0 / 362880.0)
+    p = fma(p, z, -1.0 / 5040.0)
+    p = fma(p, z, 1.0 / 120.0)
+    p = fma(p, z, -1.0 / 6.0)
+    s = fma(r * z, p, r)
     q = -1.0 / 6402373705728000.0
-    q = q * z + 1.0 / 20922789888000.0
-    q = q * z - 1.0 / 87178291200.0
-    q = q * z + 1.0 / 479001600.0
-    q = q * z - 1.0 / 3628800.0
-    q = q * z + 1.0 / 40320.0
-    q = q * z - 1.0 / 720.0
-    q = q * z + 1.0 / 24.0
-    c = 1.0 - 0.5 * z + z * z * q
-    quarter = k - 4.0 * math.floor(0.25 * k)
+    q = fma(q, z, 1.0 / 20922789888000.0)
+    q = fma(q, z, -1.0 / 87178291200.0)
+    q = fma(q, z, 1.0 / 479001600.0)
+    q = fma(q, z, -1.0 / 3628800.0)
+    q = fma(q, z, 1.0 / 40320.0)
+    q = fma(q, z, -1.0 / 720.0)
+    q = fma(q, z, 1.0 / 24.0)
+    c = fma(z * z, q, fma(-0.5, z, 1.0))
+    quarter = fma(-4.0, math.floor(0.25 * k), k)
     odd = quarter == 1.0 or quarter == 3.0
     sin = c if odd else s
     cos = s if odd else c
@@ -117,15 +118,15 @@ def sin_cos(x):
 def cosc_sinc(x):
     """(cos(sqrt x), sin(sqrt x) / sqrt x) for |x| <= 0.1 of either sign, by their series in x."""
     p = 1.0 / 479001600.0
-    p = p * x - 1.0 / 3628800.0
-    p = p * x + 1.0 / 40320.0
-    p = p * x - 1.0 / 720.0
-    p = p * x + 1.0 / 24.0
-    p = p * x - 0.5
+    p = fma(p, x, -1.0 / 3628800.0)
+    p = fma(p, x, 1.0 / 40320.0)
+    p = fma(p, x, -1.0 / 720.0)
+    p = fma(p, x, 1.0 / 24.0)
+    p = fma(p, x, -0.5)
     q = 1.0 / 6227020800.0
-    q = q * x - 1.0 / 39916800.0
-    q = q * x + 1.0 / 362880.0
-    q = q * x - 1.0 / 5040.0
-    q = q * x + 1.0 / 120.0
-    q = q * x - 1.0 / 6.0
-    return 1.0 + x * p, 1.0 + x * q
+    q = fma(q, x, -1.0 / 39916800.0)
+    q = fma(q, x, 1.0 / 362880.0)
+    q = fma(q, x, -1.0 / 5040.0)
+    q = fma(q, x, 1.0 / 120.0)
+    q = fma(q, x, -1.0 / 6.0)
+    return fma(x, p, 1.0), fma(x, q, 1.0)

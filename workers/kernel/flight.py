@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.kernel.fma import fma
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN
 
@@ -42,7 +43,7 @@ def oscillating_flow(s, eta, lam, w, inv_w):
     sin, cos = sin_cos(w * s)
     S = sin * inv_w
     f12 = decay * S
-    return decay * (cos + eta * S), f12, -lam * f12, decay * (cos - eta * S)
+    return decay * fma(eta, S, cos), f12, -lam * f12, decay * fma(-eta, S, cos)
 
 
 @inlined
@@ -64,9 +65,9 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
     decay = e_slow * e_w
     ratio = e_w * e_w
     half = 0.5 * e_slow * inv_w
-    f11 = decay * (C + eta * S) if near else half * (fast - slow * ratio)
+    f11 = decay * fma(eta, S, C) if near else half * fma(-slow, ratio, fast)
     f12 = decay * S if near else half * (1.0 - ratio)
-    f22 = decay * (C - eta * S) if near else half * (fast * ratio - slow)
+    f22 = decay * fma(-eta, S, C) if near else half * fma(fast, ratio, -slow)
     return (
         o11 if oscillates else f11,
         o12 if oscillates else f12,
@@ -91,8 +92,7 @@ def flow(signal, s, h):
     for j in range(len(block)):
         f11, f12, f21, f22 = block_flow(block[j], s)
         h0, h1 = h[j, 0], h[j, 1]
-        h[j, 0] = f11 * h0 + f12 * h1
-        h[j, 1] = f21 * h0 + f22 * h1
+        h[j, 0], h[j, 1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
 
 
 @kernel
@@ -102,12 +102,10 @@ def flow_with_tangent(signal, s, h, V):
     for j in range(len(block)):
         f11, f12, f21, f22 = block_flow(block[j], s)
         h0, h1 = h[j, 0], h[j, 1]
-        h[j, 0] = f11 * h0 + f12 * h1
-        h[j, 1] = f21 * h0 + f22 * h1
+        h[j, 0], h[j, 1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
         for i in range(V.shape[0]):
             v0, v1 = V[i, j, 0], V[i, j, 1]
-            V[i, j, 0] = f11 * v0 + f12 * v1
-            V[i, j, 1] = f21 * v0 + f22 * v1
+            V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
 
 
 @kernel
@@ -115,7 +113,7 @@ def dot(row, h):
     """row . h over all blocks, both (n, 2)."""
     total = 0.0
     for j in range(len(row)):
-        total += row[j, 0] * h[j, 0] + row[j, 1] * h[j, 1]
+        total = fma(row[j, 1], h[j, 1], fma(row[j, 0], h[j, 0], total))
     return total
 
 
@@ -124,7 +122,7 @@ def dot_vector(row, V, i):
     """row . V[i] over all blocks."""
     total = 0.0
     for j in range(len(row)):
-        total += row[j, 0] * V[i, j, 0] + row[j, 1] * V[i, j, 1]
+        total = fma(row[j, 1], V[i, j, 1], fma(row[j, 0], V[i, j, 0], total))
     return total
 
 
@@ -132,30 +130,30 @@ def dot_vector(row, V, i):
 def forced(phase, w, sin_part, cos_part):
     """The forced part at a phase: value and first derivative in time; the next two are -w^2 times them."""
     sin, cos = sin_cos(phase)
-    return sin_part * sin + cos_part * cos, w * (sin_part * cos - cos_part * sin)
+    return fma(sin_part, sin, cos_part * cos), w * fma(sin_part, cos, -cos_part * sin)
 
 
 @inlined
 def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
     """A block's share q = c . (h, h') of the signal, q' = d . (h, h'), and two more: q'' = -2 eta q' - lam q."""
-    q0 = c0 * h0 + c1 * h1
-    q1 = d0 * h0 + d1 * h1
-    q2 = -2.0 * eta * q1 - lam * q0
-    return q0, q1, q2, -2.0 * eta * q2 - lam * q1
+    q0 = fma(c0, h0, c1 * h1)
+    q1 = fma(d0, h0, d1 * h1)
+    q2 = fma(-2.0 * eta, q1, -lam * q0)
+    return q0, q1, q2, fma(-2.0 * eta, q2, -lam * q1)
 
 
 @kernel
 def evaluate(signal, h, s, phase, offset):
     """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
     w, block, row, row1 = signal.omega, signal.block, signal.row, signal.row1
-    y, v = forced(phase + w * s, w, signal.sin_part, signal.cos_part)
+    y, v = forced(fma(w, s, phase), w, signal.sin_part, signal.cos_part)
     a, j3, scale = -w * w * y, -w * w * v, abs(y) + abs(offset)
     y += offset
     for j in range(len(block)):
         h0, h1 = h[j, 0], h[j, 1]
         if s > 0.0:
             f11, f12, f21, f22 = block_flow(block[j], s)
-            h0, h1 = f11 * h0 + f12 * h1, f21 * h0 + f22 * h1
+            h0, h1 = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
         eta, lam = block[j, COLUMN.eta], block[j, COLUMN.lam]
         q0, q1, q2, q3 = block_output(h0, h1, eta, lam, row[j, 0], row[j, 1], row1[j, 0], row1[j, 1])
         y += q0
@@ -180,8 +178,8 @@ def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
     sqrt(q^2 + weight (q' + tilt q)^2) bounds q: with tilt = eta and weight = 1 / d it is the amplitude of the
     oscillation, with 0 and 1 / lam the energy, which never grows. The derivatives are at most grow2...grow4 times that.
     """
-    turned = q1 + tilt * q0
-    b0 = math.sqrt(q0 * q0 + weight * (turned * turned))
+    turned = fma(tilt, q0, q1)
+    b0 = math.sqrt(fma(q0, q0, weight * (turned * turned)))
     return b0, grow2 * b0, grow3 * b0, grow4 * b0
 
 
@@ -241,7 +239,7 @@ def derivative_bounds(signal, h):
 @inlined
 def arrival(g, v, K):
     """First s > 0 with g = v s + K s^2 / 2, infinity if there is none: no arrival before it (g >= 0)."""
-    D = v * v + 2.0 * K * g
+    D = fma(v, v, 2.0 * K * g)
     r = math.sqrt(max(D, 0.0))
     closing = v > 0.0
     above = 2.0 * g if closing else r - v
@@ -256,14 +254,14 @@ def curvature(a, j3, M2, M3, M4, h):
 
     M2 itself; from the third derivative a + M3 h / 3; from the fourth a + max(0, j3 + M4 h / 4) h / 3.
     """
-    return min(M2, a + min(M3, max(0.0, j3 + 0.25 * M4 * h)) * h * (1.0 / 3.0))
+    return min(M2, fma(min(M3, max(0.0, fma(0.25 * M4, h, j3))), h * (1.0 / 3.0), a))
 
 
 @inlined
 def stays_open(g, v, K, h):
     """Whether v s + K s^2 / 2 stays below g >= 0 for all s <= h: at its end and, if it has one before, at its peak."""
-    end = (v + 0.5 * K * h) * h < g
-    peaks = K < 0.0 and v + K * h < 0.0
+    end = fma(0.5 * K, h, v) * h < g
+    peaks = K < 0.0 and fma(K, h, v) < 0.0
     return (v <= 0.0 or v * v < -2.0 * K * g) if peaks else end
 
 
@@ -315,12 +313,12 @@ def landing(g, v, a, j3, M3, M4, tol):
     first = g * inv_v
     j6, a2, j2 = j3 * (1.0 / 6.0), 0.5 * a, 0.5 * j3
     e = a2 * first * inv_v
-    s = first * (1.0 - e + 2.0 * (e * e) - j6 * (first * first) * inv_v)
-    excess = ((j6 * s + a2) * s + v) * s - g
-    speed = (j2 * s + a) * s + v
-    s -= excess * speed / (speed * speed - 0.5 * excess * (j3 * s + a))
+    s = first * fma(-j6 * (first * first), inv_v, fma(2.0 * e, e, 1.0 - e))
+    excess = fma(fma(fma(j6, s, a2), s, v), s, -g)
+    speed = fma(fma(j2, s, a), s, v)
+    s -= excess * speed / fma(speed, speed, -0.5 * excess * fma(j3, s, a))
     sure = v > 0.0 and M4 * (first * first * first * first) <= 12.0 * tol
-    sure = sure and (abs(a) + M3 * first) * first <= v * (1.0 / 64.0) and M4 * (s * s * s * s) <= 24.0 * tol
+    sure = sure and fma(M3, first, abs(a)) * first <= v * (1.0 / 64.0) and M4 * (s * s * s * s) <= 24.0 * tol
     return s if sure else np.inf
 
 

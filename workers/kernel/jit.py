@@ -1,7 +1,7 @@
-"""The one way a kernel is compiled: no GIL, fused multiply-add, cached on disk under a key of the sources.
+"""The one way a kernel is compiled: no GIL, IEEE arithmetic, cached on disk under a key of the sources.
 
-A product and the sum that it goes into are rounded once where the processor can; beyond that the arithmetic is IEEE's,
-infinities and NaN included.
+The compiler neither reorders nor fuses: what is rounded once is written so, see fma.py. So the bits of a result do not
+depend on what was compiled or loaded before it, nor on the processor.
 
 Numba's cache does not notice an edit in another module, so its folder carries a hash of all sources of
 this package. NUMBA_CACHE_DIR is respected where set; a folder that cannot be written means no cache.
@@ -58,7 +58,7 @@ def _prepare_cache() -> Path | None:
 CACHE = _prepare_cache()
 """The folder of the compiled kernels of these sources; None where there is none."""
 
-_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 _NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 

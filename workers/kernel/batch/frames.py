@@ -16,6 +16,7 @@ from workers.kernel.batch.layout import AT_SECTION, BLOCK, BLOCK_SIZE, COLUMN, F
 from workers.kernel.batch.search import list_lanes, padded
 from workers.kernel.elementary import log
 from workers.kernel.flight import TINY
+from workers.kernel.fma import fma
 from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.jit import inlined, kernel
 from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
@@ -59,7 +60,7 @@ def normalise_pass(lam, rank, k, u, growth, modes, count):
         square = 0.0
         for j in range(len(modes)):
             u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
-            square += lam[entry(j, 0, i)] * u0 * u0 + u1 * u1
+            square = fma(u1, u1, fma(lam[entry(j, 0, i)] * u0, u0, square))
         exists, norm = k < rank[i], math.sqrt(square)
         growth[i] += log(norm if exists else 0.0)
         inverse = 1.0 / norm if exists else 0.0
@@ -75,11 +76,11 @@ def project_pass(lam, u, w, modes, count):
         overlap = 0.0
         for j in range(len(modes)):
             e0, e1 = entry(j, 0, i), entry(j, 1, i)
-            overlap += lam[e0] * u[e0] * w[e0] + u[e1] * w[e1]
+            overlap = fma(u[e1], w[e1], fma(lam[e0] * u[e0], w[e0], overlap))
         for j in range(len(modes)):
             e0, e1 = entry(j, 0, i), entry(j, 1, i)
-            w[e0] -= overlap * u[e0]
-            w[e1] -= overlap * u[e1]
+            w[e0] = fma(-overlap, u[e0], w[e0])
+            w[e1] = fma(-overlap, u[e1], w[e1])
 
 
 @inlined
@@ -161,17 +162,18 @@ def transfer_pass(a, u, modes, n):
         for j in range(len(modes)):
             e0, e1 = entry(j, 0, i), entry(j, 1, i)
             u0, u1 = u[e0], u[e1]
-            w0 = a[at(j, BLOCK.f11, i)] * u0 + a[at(j, BLOCK.f12, i)] * u1
-            w1 = a[at(j, BLOCK.f21, i)] * u0 + a[at(j, BLOCK.f22, i)] * u1
+            w0 = fma(a[at(j, BLOCK.f11, i)], u0, a[at(j, BLOCK.f12, i)] * u1)
+            w1 = fma(a[at(j, BLOCK.f21, i)], u0, a[at(j, BLOCK.f22, i)] * u1)
             w0, w1 = w0 if flows else u0, w1 if flows else u1
             u[e0], u[e1] = w0, w1
-            dy += a[at(j, BLOCK.c0, i)] * w0 + a[at(j, BLOCK.c1, i)] * w1
-            dv += a[at(j, BLOCK.cA0, i)] * w0 + a[at(j, BLOCK.cA1, i)] * w1
-        along_k = -a[LANE.loss + i] * (dv - a[LANE.ratio + i] * dy)
+            dy = fma(a[at(j, BLOCK.c1, i)], w1, fma(a[at(j, BLOCK.c0, i)], w0, dy))
+            dv = fma(a[at(j, BLOCK.cA1, i)], w1, fma(a[at(j, BLOCK.cA0, i)], w0, dv))
+        along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
         along_Ak = -a[LANE.loss + i] * dy
         for j in range(len(modes)):
-            u[entry(j, 0, i)] += along_k * a[at(j, BLOCK.k0, i)] + along_Ak * a[at(j, BLOCK.Ak0, i)]
-            u[entry(j, 1, i)] += along_k * a[at(j, BLOCK.k1, i)] + along_Ak * a[at(j, BLOCK.Ak1, i)]
+            e0, e1 = entry(j, 0, i), entry(j, 1, i)
+            u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
+            u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
 
 
 @kernel
@@ -212,7 +214,7 @@ def measure_pass(a, u, growth, modes, n):
         before, square = a[LANE.log_length + i], 0.0
         for j in range(len(modes)):
             u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
-            square += a[at(j, BLOCK.lam, i)] * u0 * u0 + u1 * u1
+            square = fma(u1, u1, fma(a[at(j, BLOCK.lam, i)] * u0, u0, square))
         length = growth[i] + 0.5 * log(square)
         a[LANE.period_growth + i] = length - before
         a[LANE.log_length + i] = length if a[LANE.event + i] == AT_SECTION or before != before else before

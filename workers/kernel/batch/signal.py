@@ -13,6 +13,7 @@ from workers.kernel.flight import (
     forced_bounds,
     oscillating_flow,
 )
+from workers.kernel.fma import fma
 from workers.kernel.jit import inlined, kernel
 
 
@@ -27,7 +28,7 @@ def forced_pass(a, n):
     """Begin the sums of the signal and its derivatives at LANE.time with the forced part."""
     for i in range(n):
         w = a[LANE.omega + i]
-        y, v = forced(a[LANE.flight_phase + i] + w * a[LANE.time + i], w, a[LANE.sin_part + i], a[LANE.cos_part + i])
+        y, v = forced(fma(w, a[LANE.time + i], a[LANE.flight_phase + i]), w, a[LANE.sin_part + i], a[LANE.cos_part + i])
         a[LANE.forced + i] = y
         a[LANE.forced_rate + i] = v
         a[LANE.y + i] = y
@@ -49,8 +50,8 @@ def output_of(q, i, h0, h1):
 def keep_flow(a, q, i, flow):
     """Take the state of one block of lane i to LANE.time by its flow and add its share of the signal."""
     f11, f12, f21, f22 = flow
-    h0 = f11 * q[BLOCK.start0 + i] + f12 * q[BLOCK.start1 + i]
-    h1 = f21 * q[BLOCK.start0 + i] + f22 * q[BLOCK.start1 + i]
+    start0, start1 = q[BLOCK.start0 + i], q[BLOCK.start1 + i]
+    h0, h1 = fma(f11, start0, f12 * start1), fma(f21, start0, f22 * start1)
     q0, q1, q2, q3 = output_of(q, i, h0, h1)
     q[BLOCK.f11 + i] = f11
     q[BLOCK.f12 + i] = f12
@@ -107,8 +108,8 @@ def share_at_start(a, q, i):
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
     dv, dy = a[LANE.kick + i], a[LANE.shift + i]
-    kicked0 = g0 + dv * q[BLOCK.k0 + i] + dy * q[BLOCK.Ak0 + i]
-    kicked1 = g1 + dv * q[BLOCK.k1 + i] + dy * q[BLOCK.Ak1 + i]
+    kicked0 = fma(dy, q[BLOCK.Ak0 + i], fma(dv, q[BLOCK.k0 + i], g0))
+    kicked1 = fma(dy, q[BLOCK.Ak1 + i], fma(dv, q[BLOCK.k1 + i], g1))
     h0, h1 = kicked0 if fresh else g0, kicked1 if fresh else g1
     q[BLOCK.start0 + i] = h0 if fresh else start0
     q[BLOCK.start1 + i] = h1 if fresh else start1
