@@ -76,15 +76,15 @@ def _scale(osc: Oscillator, h: Array) -> float:
 def _gap(osc: Oscillator, h: Array, t: float) -> float:
     """The gap coordinate, nothing taken off."""
     phase = osc.tau + osc.gap.omega * t
-    forced = osc.gap.sin_part * math.sin(phase) + osc.gap.cos_part * math.cos(phase)
+    forced = float(osc.gap.sin_part[0]) * math.sin(phase) + float(osc.gap.cos_part[0]) * math.cos(phase)
     return float(np.sum(np.array(osc.gap.row) * h)) + forced
 
 
 def _physical(osc: Oscillator, h: Array, t: float) -> Array:
     """Physical state (4,) of block coordinates at a time since the section."""
     phase = osc.tau + osc.gap.omega * t
-    full = h + np.array(osc.forced) @ [math.sin(phase), math.cos(phase)]
-    return np.asarray((np.array(osc.to_physical) @ full).T.ravel())
+    full = h + np.array(osc.forced)[:, :, 0] @ [math.sin(phase), math.cos(phase)]
+    return np.asarray(np.array(osc.to_physical) @ full.ravel())
 
 
 def _flights(found: Findings, number: int, params: Params, osc: Oscillator, start: Array) -> list[_Flight]:
@@ -156,8 +156,8 @@ def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator
     """Compare section states; deviations in units of eps, state size and the largest norm of a partial Jacobian."""
     rate = max(float(model(params).free.rate), float(frequencies(params)[1]))
     periods = min(ORBIT_PERIODS, int(ORBIT_COST / (rate * osc.period)))
-    weights = np.column_stack([np.sqrt(osc.gap.lam), np.ones(len(osc.gap.lam))])
-    forced = float(np.linalg.norm(np.hypot(*np.moveaxis(np.array(osc.forced), 2, 0)) * weights))
+    weights = np.column_stack([np.sqrt(osc.gap.metric), np.ones(len(osc.gap.metric))])
+    forced = float(np.linalg.norm(np.array(osc.swing) * weights))
     motion = motion_from(osc, start)
     states, norms, scales = [], [], []
     partial: list[Array] = []
@@ -193,7 +193,7 @@ def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator
     for k, state in enumerate(states):
         with mp.workdps(30):
             away = np.array([float(mp.mpf(a) - b) for a, b in zip(state.tolist(), true.sections[k + 1], strict=True)])
-        size = float(np.linalg.norm(weights * (to_blocks @ away.reshape(2, -1).T)))
+        size = float(np.linalg.norm(weights * (to_blocks @ away).reshape(-1, 2)))
         worst = max(worst, size / (EPS * max(scales[: k + 1]) * norms[k]))
     found.sample(f"deviation, {kind}", worst)
     found.sample(f"deviation per radian, {kind}", worst / (1.0 + rate * osc.period))

@@ -59,8 +59,9 @@ class Exponentials:
             for weight, rate in ((a, first), (h0 - a, second)):
                 weights.append(weight * (row[0] + row[1] * rate))
                 rates.append(rate)
-        weights.append((signal.cos_part - 1j * signal.sin_part) * np.exp(1j * phase))
-        rates.append(1j * signal.omega)
+        for order, (sin_part, cos_part) in enumerate(zip(signal.sin_part, signal.cos_part, strict=True), start=1):
+            weights.append((cos_part - 1j * sin_part) * np.exp(1j * order * phase))
+            rates.append(1j * order * signal.omega)
         return cls(np.array(weights), np.array(rates))
 
     def at(self, t: Array, derivative: int = 0) -> Array:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
+from tests.oscillators import mass_spring
 from workers.kernel.elementary import cosc_sinc, exp_minus, log, sin_cos
-from workers.model.oscillator import COLUMN, LARGEST_ANGLE, make_blocks, mass_spring
+from workers.model.oscillator import COLUMN, LARGEST_ANGLE, make_blocks
 
 EPS = 2.0**-52
 

@@ -71,10 +71,15 @@ def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float]
     row1 = np.column_stack([-lam * row[:, 1], row[:, 0] - 2 * eta * row[:, 1]])
     row2 = np.column_stack([-lam * row1[:, 1], row1[:, 0] - 2 * eta * row1[:, 1]])
     sin_part, cos_part = rng.normal(size=2) * 0.3
+    omega, size = float(np.exp(rng.uniform(np.log(0.3), np.log(5.0)))), math.hypot(sin_part, cos_part)
     return Signal(
-        eta, lam, make_blocks(eta, lam), row, row1, row2, float(sin_part), float(cos_part),
-        math.hypot(sin_part, cos_part), float(np.exp(rng.uniform(np.log(0.3), np.log(5.0)))), 0.0,
+        eta, lam, lam, make_blocks(eta, lam), row, row1, row2, np.array([sin_part]), np.array([cos_part]),
+        size, size * omega ** np.array([2.0, 3.0, 4.0]), omega,
     )  # fmt: skip
+
+
+def without_force(signal: Signal) -> Signal:
+    return signal._replace(sin_part=np.zeros(1), cos_part=np.zeros(1), amplitude=0.0, swing=np.zeros(3))
 
 
 def random_state(rng: np.random.Generator, signal: Signal) -> np.ndarray:
@@ -203,7 +208,7 @@ def test_a_stop_at_infinity_is_never_reached() -> None:
 
 
 def test_no_motion_at_all_reaches_nothing() -> None:
-    signal = random_signal(np.random.default_rng(9), 2)._replace(sin_part=0.0, cos_part=0.0, amplitude=0.0)
+    signal = without_force(random_signal(np.random.default_rng(9), 2))
     assert crossing(signal, np.zeros((2, 2)), 0.0, 1e-3, -1e-3, 5.0) == (5.0, 0, 0)
 
 
@@ -213,7 +218,7 @@ def on_stop(rng: np.random.Generator, zero: int) -> tuple[Signal, np.ndarray, fl
     phase = rng.uniform(0, 2 * math.pi)
     h = random_state(rng, signal)
     unit = np.eye(4).reshape(4, 2, 2)
-    still = signal._replace(sin_part=0.0, cos_part=0.0, amplitude=0.0)
+    still = without_force(signal)
     columns = [naive.Exponentials.of(still, e, phase) for e in unit]
     zeros = np.zeros(1)
     response = np.array([[float(c.at(zeros, k)[0]) for c in columns] for k in range(1, 4)])
@@ -274,7 +279,7 @@ def test_the_naive_twin_agrees_with_multiprecision() -> None:
     for t in (0.1, 2.0):
         with mp.workdps(40):
             angle = mp.mpf(0.3) + mp.mpf(signal.omega) * mp.mpf(t)
-            true = mp.mpf(signal.sin_part) * mp.sin(angle) + mp.mpf(signal.cos_part) * mp.cos(angle)
+            true = mp.mpf(signal.sin_part[0]) * mp.sin(angle) + mp.mpf(signal.cos_part[0]) * mp.cos(angle)
         for eta, lam, row, start in zip(signal.eta, signal.lam, signal.row, h, strict=True):
             true += float(np.array(row) @ naive.block_flow(eta, lam, t) @ start)
         assert float(exact.at(np.array([t]))[0]) == pytest.approx(float(true), rel=1e-13)

@@ -8,10 +8,11 @@ import pytest
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian
+from tests.oscillators import mass_spring
 from tests.test_stroboscopic import KINDS, differences, jacobian
 from workers.kernel.motion import LOST, STUCK
 from workers.kernel.stroboscopic import motion_from
-from workers.model.oscillator import Oscillator, many_of, mass_spring
+from workers.model.oscillator import Oscillator, many_of
 from workers.results import PERIODIC, empty_results, result_variables
 from workers.settings import Settings
 from workers.solve import solve

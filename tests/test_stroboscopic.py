@@ -25,10 +25,7 @@ def after(osc: Oscillator, state: np.ndarray, periods: int) -> np.ndarray:
 
 def physical(osc: Oscillator) -> np.ndarray:
     """Matrix (2n, 2n) from flat block coordinates (h_1, h_1', h_2, ...) to (x..., v...)."""
-    n = len(osc.kick)
-    P = np.zeros((2 * n, 2 * n))
-    P[:n, 0::2] = P[n:, 1::2] = osc.to_physical
-    return P
+    return np.asarray(osc.to_physical)
 
 
 def jacobian(osc: Oscillator, state: np.ndarray, periods: int, half: bool = False) -> np.ndarray:

@@ -228,8 +228,8 @@ def test_a_torus_is_told_from_an_orbit_that_closes_slowly_however_many_sections_
 ) -> None:
     """The nearest of 64 golden returns lies at .04 of the radius, the limit at 1e-5 of the motion."""
     cells = cells_of({"omega": 4.0, "b": 0.1})
-    lam, response, h = cells.oscillators.gap.lam, cells.oscillators.forced, cells.batch.motions.h
-    found = far_from_closing(lam, response, h, torus(count, radius, cells), np.arange(1), RETURNS, TORUS_RETURN)
+    metric, swing, h = cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.motions.h
+    found = far_from_closing(metric, swing, h, torus(count, radius, cells), np.arange(1), RETURNS, TORUS_RETURN)
     assert bool(found[0]) == is_torus
 
 

@@ -319,7 +319,7 @@ class _Course:
         spread = np.abs(now - previous)
         flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
         flat[flat] = far_from_closing(
-            cells.oscillators.gap.lam, cells.oscillators.forced, cells.batch.motions.h, cells.batch.sections,
+            cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.motions.h, cells.batch.sections,
             rows[flat], RETURNS, TORUS_RETURN,
         )  # fmt: skip
         put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])

@@ -91,7 +91,7 @@ class Cells:
 
     def restart(self, cells: Rows) -> None:
         """Count and average from here on."""
-        restart_counts(self.oscillators.gap.lam, self.batch.motions, cells)
+        restart_counts(self.oscillators.gap.metric, self.batch.motions, cells)
         self.batch.levels[cells], self.batch.weighted[cells] = 0.0, 0.0
 
     # Orbits
@@ -171,7 +171,7 @@ class Cells:
 
     def close(self, cells: Rows) -> None:
         """Keep the average under way as the earlier one, in its place."""
-        reset_frames(self.oscillators.gap.lam, self.batch.motions, cells)
+        reset_frames(self.oscillators.gap.metric, self.batch.motions, cells)
         e, motions = self.earlier, self.batch.motions
         e.mean[cells], e.error[cells], e.periods[cells] = self.growth(cells)
         e.growth[cells], e.tally[cells] = motions.growth[cells], motions.tally[cells]

@@ -72,7 +72,7 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     n = row.shape[1]
     for _ in range(2):  # the second time takes off what rounding left of the first
         y = np.sum(row * moved[:, :n], axis=1)
-        away = np.minimum(np.maximum(y, -oscillators.b_lower), oscillators.b_upper) - y
+        away = np.minimum(np.maximum(y, oscillators.lower), oscillators.upper) - y
         moved[:, :n] += row * (away / np.sum(row * row, axis=1))[:, None]
     built = reasons == NO_REASON  # solve_cells calls the others invalid
     states[known] = np.where(built[:, None], moved, last[known])

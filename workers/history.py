@@ -75,7 +75,7 @@ def trace(system: str, params: Mapping[str, float], periods: int, settings: Sett
         if status != RUNNING or motion.tally[WORK] < 0.0:
             reason = WORK_SPENT if status == RUNNING else REASON_OF[status]
             raise ValueError(f"period {k}: {REASONS[reason].text}")
-        reset_frames(oscillators.gap.lam, motions, cell)
+        reset_frames(oscillators.gap.metric, motions, cell)
         found = motion.impacts[: int(motion.tally[RECORDED])].copy()
         found[:, 0] += k * osc.period
         motion.tally[RECORDED] = 0.0

@@ -130,7 +130,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
         return
     motions = cells.batch.motions
     if cells.vectors:
-        reset_frames(cells.oscillators.gap.lam, motions, rows[cells.averaging[rows]])
+        reset_frames(cells.oscillators.gap.metric, motions, rows[cells.averaging[rows]])
     average = cells.whole_average(rows)
     counted = average.periods > 0.0
     if cells.vectors:

@@ -44,8 +44,8 @@ class Reason:
 (
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
-    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY,
-) = range(18)  # fmt: skip
+    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE,
+) = range(19)  # fmt: skip
 
 REASONS = (
     Reason(NO_REASON, "none", PENDING, ""),
@@ -60,8 +60,8 @@ REASONS = (
     Reason(NO_OSCILLATOR, "no_oscillator", INVALID, "the parameters make no oscillator"),
     Reason(RESONANCE, "resonance", INVALID, "undamped resonance: no periodic forced response exists"),
     Reason(LONG_PERIOD, "long_period", INVALID, "a forcing period spans too many radians of a free oscillation"),
-    Reason(RIGID_MODE, "rigid_mode", INVALID, "the stiffness leaves a free rigid mode"),
-    Reason(COUPLED_DAMPING, "coupled_damping", INVALID, "the damping is not classical: it couples the undamped modes"),
+    Reason(RIGID_MODE, "rigid_mode", INVALID, "a free rigid mode that the gap does not see, or more than one"),
+    Reason(COUPLED_DAMPING, "coupled_damping", INVALID, "the damping couples modes that doubles cannot tell apart"),
     Reason(OUT_OF_DOUBLES, "out_of_doubles", INVALID, "the parameters lead beyond the range of double precision"),
     Reason(
         ENERGY_OUT_OF_DOUBLES,
@@ -71,6 +71,7 @@ REASONS = (
     ),
     Reason(NOT_RELAXED, "not_relaxed", CHAOTIC, "averages began before the motion had forgotten its initial state"),
     Reason(NOT_STATIONARY, "not_stationary", CHAOTIC, "averages of successive stretches differ; the error covers both"),
+    Reason(UNSTABLE, "unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
 )
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 

@@ -15,10 +15,11 @@ Array = NDArray[np.float64]
 def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
     """A batch of many motions that have nowhere to go yet, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
-    head, blocks = constants(oscillators)
+    head, blocks, harmonics = constants(oscillators)
     return Batch(
         head=head,
         blocks=blocks,
+        harmonics=harmonics,
         oscillators=oscillators,
         motions=motions,
         periods=np.zeros(N, dtype=np.int64),
@@ -47,12 +48,11 @@ def run(batch: Batch, cells: NDArray[np.int64], *, to_end: bool = True, lanes: i
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
     place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
     """
-    modes = (0,) * batch.blocks.shape[1]
     underdamped = np.all(batch.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):
         some = cells[underdamped == oscillates]
         if len(some):
-            run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates, modes)
+            run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates)
 
 
 def run_periods(

@@ -102,7 +102,7 @@ def cell_orbit(given: Mapping[str, Any], system: str = "two-mass", settings: Set
         settings=asked,
         cell=cell,
         period=osc.period,
-        stops=(-osc.b_lower, osc.b_upper),
+        stops=(osc.lower, osc.upper),
         times=times,
         states=states,
         impacts=impacts,
@@ -176,8 +176,8 @@ def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
     """The state with its gap coordinate on a stop and moving with this velocity, all else as it is."""
     row = np.array(osc.gap_row)
     n = row.size
-    stop = osc.b_upper if side > 0 else -osc.b_lower
-    kick = np.array(osc.to_physical) @ np.array(osc.kick)[:, 1]  # what an impact changes the velocities along
+    stop = osc.upper if side > 0 else osc.lower
+    kick = (np.array(osc.to_physical) @ np.array(osc.kick).ravel())[n:]  # what an impact changes the velocities along
     on_stop = state.copy()
     on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
     on_stop[n:] += kick * (velocity - row @ state[n:])

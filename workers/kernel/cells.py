@@ -15,28 +15,24 @@ from workers.kernel.stroboscopic import blocks_to_physical, reset_frame_of, star
 
 
 @kernel
-def energy_norm(lam, h):
-    """sqrt(sum lam_j h_j^2 + h_j'^2) of block states (n, 2)."""
+def energy_norm(metric, h):
+    """sqrt(sum metric_j h_j^2 + h_j'^2) of block states (n, 2)."""
     total = 0.0
-    for j in range(len(lam)):
-        total += lam[j] * h[j, 0] ** 2 + h[j, 1] ** 2
+    for j in range(len(metric)):
+        total += metric[j] * h[j, 0] ** 2 + h[j, 1] ** 2
     return math.sqrt(total)
 
 
 @kernel
 def scale_of(osc, h):
     """Energy norm that deviations of a motion at block state h (n, 2) are measured against: its own and that of Y."""
-    return scale_at(osc.gap.lam, osc.forced, h)
+    return scale_at(osc.gap.metric, osc.swing, h)
 
 
 @kernel
-def scale_at(lam, response, h):
-    """scale_of of blocks of stiffness lam (n,) with this forced response (n, 2, 2)."""
-    size = np.empty(h.shape)
-    for j in range(len(lam)):
-        for k in range(2):
-            size[j, k] = math.sqrt(response[j, k, 0] ** 2 + response[j, k, 1] ** 2)
-    return energy_norm(lam, h) + energy_norm(lam, size)
+def scale_at(metric, swing, h):
+    """scale_of of blocks of this metric (n,) whose forced response has these moduli (n, 2)."""
+    return energy_norm(metric, h) + energy_norm(metric, swing)
 
 
 @kernel
@@ -63,7 +59,7 @@ def impact_free(oscillators, motions, cells):
 
 
 @kernel
-def restart_counts(lam, motions, cells):
+def restart_counts(metric, motions, cells):
     """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
     for r in cells:
         motion = motion_of(motions, r)
@@ -76,16 +72,16 @@ def restart_counts(lam, motions, cells):
         for k in range(TALLIES):
             tally[k] = 0.0
         tally[WORK], tally[STATUS], tally[MIN_SPEED] = work, status, np.inf
-        reset_frame_of(lam[r], motion)
+        reset_frame_of(metric[r], motion)
         for k in range(motion.growth.shape[0]):
             motion.growth[k] = 0.0
 
 
 @kernel
-def reset_frames(lam, motions, cells):
+def reset_frames(metric, motions, cells):
     """Make the frames orthonormal and count their growth."""
     for r in cells:
-        reset_frame_of(lam[r], motion_of(motions, r))
+        reset_frame_of(metric[r], motion_of(motions, r))
 
 
 @kernel

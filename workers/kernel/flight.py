@@ -85,14 +85,45 @@ def block_flow(block, s):
     return flow_entries(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
 
 
+@inlined
+def fall(s, eta):
+    """How far a rigid mode moves from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
+    x = 2.0 * eta * s
+    p = 1.0 / 1307674368000.0
+    p = fma(-p, x, 1.0 / 87178291200.0)
+    p = fma(-p, x, 1.0 / 6227020800.0)
+    p = fma(-p, x, 1.0 / 479001600.0)
+    p = fma(-p, x, 1.0 / 39916800.0)
+    p = fma(-p, x, 1.0 / 3628800.0)
+    p = fma(-p, x, 1.0 / 362880.0)
+    p = fma(-p, x, 1.0 / 40320.0)
+    p = fma(-p, x, 1.0 / 5040.0)
+    p = fma(-p, x, 1.0 / 720.0)
+    p = fma(-p, x, 1.0 / 120.0)
+    p = fma(-p, x, 1.0 / 24.0)
+    p = fma(-p, x, 1.0 / 6.0)
+    p = fma(-p, x, 0.5)
+    far = ((x - 1.0) + exp_minus(x)) / (x * x)
+    return s * s * (p if x < 1.0 else far)
+
+
 @kernel
 def flow(signal, s, h):
     """Move the block state h (n, 2) on by s, in place."""
     block = signal.block  # taken out once, here and elsewhere: a field of a record costs a reference count at every use
     for j in range(len(block)):
-        f11, f12, f21, f22 = block_flow(block[j], s)
-        h0, h1 = h[j, 0], h[j, 1]
-        h[j, 0], h[j, 1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
+        flow_block(block[j], s, h[j])
+
+
+@inlined
+def flow_block(block, s, h):
+    """Move the state h (2,) of one block on by s, in place; its flow."""
+    f11, f12, f21, f22 = block_flow(block, s)
+    h0, h1, load = h[0], h[1], block[COLUMN.load]
+    h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
+    if load != 0.0:
+        h[0], h[1] = fma(load, fall(s, block[COLUMN.eta]), h[0]), fma(load, f12, h[1])
+    return f11, f12, f21, f22
 
 
 @kernel
@@ -100,9 +131,7 @@ def flow_with_tangent(signal, s, h, V):
     """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
     block = signal.block
     for j in range(len(block)):
-        f11, f12, f21, f22 = block_flow(block[j], s)
-        h0, h1 = h[j, 0], h[j, 1]
-        h[j, 0], h[j, 1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
+        f11, f12, f21, f22 = flow_block(block[j], s, h[j])
         for i in range(V.shape[0]):
             v0, v1 = V[i, j, 0], V[i, j, 1]
             V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
@@ -128,9 +157,22 @@ def dot_vector(row, V, i):
 
 @inlined
 def forced(phase, w, sin_part, cos_part):
-    """The forced part at a phase: value and first derivative in time; the next two are -w^2 times them."""
+    """One harmonic of the forced part at its phase, of frequency w: value and derivatives in time."""
     sin, cos = sin_cos(phase)
-    return fma(sin_part, sin, cos_part * cos), w * fma(sin_part, cos, -cos_part * sin)
+    y, v = fma(sin_part, sin, cos_part * cos), w * fma(sin_part, cos, -cos_part * sin)
+    return y, v, -w * w * y, -w * w * v
+
+
+@inlined
+def all_forced(signal, phase):
+    """The forced part at a phase, its first three derivatives, and the sum of the moduli that add up to it."""
+    sin_part, cos_part = signal.sin_part, signal.cos_part
+    y, v, a, j3, scale = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(sin_part)):
+        order = k + 1.0
+        y_, v_, a_, j_ = forced(order * phase, order * signal.omega, sin_part[k], cos_part[k])
+        y, v, a, j3, scale = y + y_, v + v_, a + a_, j3 + j_, scale + abs(y_)
+    return y, v, a, j3, scale
 
 
 @inlined
@@ -142,33 +184,36 @@ def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
     return q0, q1, q2, fma(-2.0 * eta, q2, -lam * q1)
 
 
+@inlined
+def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
+    """block_output of a block under a load: q'' = -2 eta q' - lam q + c0 load."""
+    q0 = fma(c0, h0, c1 * h1)
+    q1 = fma(c1, load, fma(d0, h0, d1 * h1))
+    q2 = fma(c0, load, fma(-2.0 * eta, q1, -lam * q0))
+    return q0, q1, q2, fma(-2.0 * eta, q2, -lam * q1)
+
+
 @kernel
 def evaluate(signal, h, s, phase, offset):
     """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
-    w, block, row, row1 = signal.omega, signal.block, signal.row, signal.row1
-    y, v = forced(fma(w, s, phase), w, signal.sin_part, signal.cos_part)
-    a, j3, scale = -w * w * y, -w * w * v, abs(y) + abs(offset)
-    y += offset
+    block, row, row1 = signal.block, signal.row, signal.row1
+    y, v, a, j3, scale = all_forced(signal, fma(signal.omega, s, phase))
+    y, scale = y + offset, scale + abs(offset)
     for j in range(len(block)):
         h0, h1 = h[j, 0], h[j, 1]
+        eta, lam, load = block[j, COLUMN.eta], block[j, COLUMN.lam], block[j, COLUMN.load]
         if s > 0.0:
             f11, f12, f21, f22 = block_flow(block[j], s)
             h0, h1 = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
-        eta, lam = block[j, COLUMN.eta], block[j, COLUMN.lam]
-        q0, q1, q2, q3 = block_output(h0, h1, eta, lam, row[j, 0], row[j, 1], row1[j, 0], row1[j, 1])
+            if load != 0.0:
+                h0, h1 = fma(load, fall(s, eta), h0), fma(load, f12, h1)
+        q0, q1, q2, q3 = loaded_output(h0, h1, eta, lam, row[j, 0], row[j, 1], row1[j, 0], row1[j, 1], load)
         y += q0
         v += q1
         a += q2
         j3 += q3
         scale += abs(q0)
     return y, v, a, j3, scale
-
-
-@inlined
-def forced_bounds(w, amplitude):
-    """Bounds of the forced part and of its second to fourth derivatives."""
-    w2 = w * w
-    return amplitude, w2 * amplitude, w2 * w * amplitude, w2 * w2 * amplitude
 
 
 @inlined
@@ -184,24 +229,27 @@ def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
 
 
 @inlined
-def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
+def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
     """amplitude_bounds where the block oscillates, d > 0; else the smaller of two.
 
     sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows; and where well overdamped the moduli of
-    the two exponentials, |alpha| slow^k + |beta| fast^k.
+    the two exponentials, |alpha| slow^k + |beta| fast^k. A rigid mode, lam = 0, goes anywhere; its second and later
+    derivatives never grow. pull is what a load adds to q'': see loaded_output.
     """
     a0, a2, a3, a4 = amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4)
-    q2 = -2.0 * eta * q1 - lam * q0
+    q2 = pull - 2.0 * eta * q1 - lam * q0
     q3 = -2.0 * eta * q2 - lam * q1
     q4 = -2.0 * eta * q3 - lam * q2
     q5 = -2.0 * eta * q4 - lam * q3
     b2 = math.sqrt(q2 * q2 + q3 * q3 * weight)
     b3 = math.sqrt(q3 * q3 + q4 * q4 * weight)
     b4 = math.sqrt(q4 * q4 + q5 * q5 * weight)
-    split = d < -0.5 * lam
+    rigid = lam == 0.0
+    split = d < -0.5 * lam and not rigid
     alpha = 0.5 * inv_w * abs(fast * q0 + q1)
     beta = 0.5 * inv_w * abs(slow * q0 + q1)
     b0 = min(a0, alpha + beta) if split else a0
+    b0 = np.inf if rigid else b0
     alpha, beta = alpha * slow * slow, beta * fast * fast
     b2 = min(b2, alpha + beta) if split else b2
     alpha, beta = alpha * slow, beta * fast
@@ -216,10 +264,13 @@ def block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, gr
 def derivative_bounds(signal, h):
     """Bounds M0, M2, M3, M4 of |y - offset| and of its second to fourth derivatives, for all times after h (n, 2)."""
     block, row, row1 = signal.block, signal.row, signal.row1
-    M0, M2, M3, M4 = forced_bounds(signal.omega, signal.amplitude)
+    swing = signal.swing
+    M0, M2, M3, M4 = signal.amplitude, swing[0], swing[1], swing[2]
     for j in range(len(block)):
+        load = block[j, COLUMN.load]
         q0 = row[j, 0] * h[j, 0] + row[j, 1] * h[j, 1]
-        q1 = row1[j, 0] * h[j, 0] + row1[j, 1] * h[j, 1]
+        q1 = row1[j, 0] * h[j, 0] + row1[j, 1] * h[j, 1] + row[j, 1] * load
+        pull = row[j, 0] * load
         eta, lam, d, inv_w = block[j, COLUMN.eta], block[j, COLUMN.lam], block[j, COLUMN.d], block[j, COLUMN.inv_w]
         slow, fast, tilt, weight = (
             block[j, COLUMN.slow],
@@ -228,7 +279,7 @@ def derivative_bounds(signal, h):
             block[j, COLUMN.weight],
         )
         grow2, grow3, grow4 = block[j, COLUMN.grow2], block[j, COLUMN.grow3], block[j, COLUMN.grow4]
-        b0, b2, b3, b4 = block_bounds(q0, q1, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4)
+        b0, b2, b3, b4 = block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4)
         M0 += b0
         M2 += b2
         M3 += b3
@@ -358,7 +409,7 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
         ahead = 1 if v > 0.0 else -1
         for side in (ahead, -ahead):
             stop = upper if side == 1 else lower
-            if side * (offset - stop) + reach < 0.0:
+            if abs(stop) == np.inf or side * (offset - stop) + reach < 0.0:
                 continue
             g, approach, push = side * (stop - y), side * v, side * a
             if count == 1 and own == side:

@@ -5,20 +5,21 @@ import math
 import numpy as np
 
 from workers.kernel.jit import inlined, kernel
+from workers.model.oscillator import COLUMN
 
 
 @inlined
-def inner(lam, V, i, W, k):
-    """The energy product sum_j lam_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k]: undamped flight keeps it."""
+def inner(metric, V, i, W, k):
+    """The product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k], which undamped flight keeps."""
     total = 0.0
-    for j in range(len(lam)):
-        total += lam[j] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
+    for j in range(len(metric)):
+        total += metric[j] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
     return total
 
 
 @kernel
-def orthonormalise(lam, V, growth, triangle, rank):
-    """Make V (m, n, 2) orthonormal in the energy product and add the log of each norm to growth (m,).
+def orthonormalise(metric, V, growth, triangle, rank):
+    """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
     V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others are structurally
     lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
@@ -26,29 +27,29 @@ def orthonormalise(lam, V, growth, triangle, rank):
     """
     m = V.shape[0]
     for i in range(min(rank, m)):
-        norm = math.sqrt(inner(lam, V, i, V, i))
+        norm = math.sqrt(inner(metric, V, i, V, i))
         inverse = 1.0 / norm
-        for j in range(len(lam)):
+        for j in range(len(metric)):
             V[i, j, 0] *= inverse
             V[i, j, 1] *= inverse
         for k in range(i + 1, m):
-            overlap = inner(lam, V, i, V, k)
-            for j in range(len(lam)):
+            overlap = inner(metric, V, i, V, k)
+            for j in range(len(metric)):
                 V[k, j, 0] -= overlap * V[i, j, 0]
                 V[k, j, 1] -= overlap * V[i, j, 1]
             if triangle.shape[0] > 0:
                 add_row(triangle, growth, i, k, overlap * inverse)
         growth[i] += math.log(norm)
     for i in range(rank, m):
-        for j in range(len(lam)):
+        for j in range(len(metric)):
             V[i, j, 0] = V[i, j, 1] = 0.0
         growth[i] = -np.inf
 
 
 @inlined
-def log_length(lam, V, growth):
+def log_length(metric, V, growth):
     """Log of the length of the first vector, with what was taken out of it so far."""
-    return growth[0] + 0.5 * math.log(inner(lam, V, 0, V, 0))
+    return growth[0] + 0.5 * math.log(inner(metric, V, 0, V, 0))
 
 
 @kernel
@@ -73,7 +74,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
     back = np.zeros((2 * n, 2))
     decay = np.empty(2 * n)
     for j in range(n):
-        eta, lam = blocks[j, 0], blocks[j, 1]
+        eta, lam = blocks[j, COLUMN.eta], blocks[j, COLUMN.lam]
         w2 = eta * eta - lam
         w = math.sqrt(max(w2, 0.0))
         if w * s > 1.0:
@@ -113,7 +114,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
         pivot, best = -1, -np.inf
         for i in range(2 * n):
             if not used[i] and X[i, k] != 0.0:
-                norm = math.sqrt(blocks[i // 2, 1] * back[i, 0] ** 2 + back[i, 1] ** 2)
+                norm = math.sqrt(blocks[i // 2, COLUMN.metric] * back[i, 0] ** 2 + back[i, 1] ** 2)
                 size = math.log(abs(X[i, k]) * norm) - decay[i]
                 if size > best:
                     pivot, best = i, size

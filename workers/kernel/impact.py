@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from workers.kernel.flight import derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing
+from workers.kernel.flight import all_forced, derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing
 from workers.kernel.frame import graded_flow
 from workers.kernel.jit import inlined, kernel, piece
 
@@ -112,68 +112,69 @@ def stop_position(osc, side):
     return osc.b_upper if side > 0 else -osc.b_lower
 
 
+@inlined
+def forced_state(response, phase, j, k):
+    """Component k of the forced response of block j at a phase; see Oscillator.forced."""
+    total = 0.0
+    for harmonic in range(response.shape[2]):
+        angle = (harmonic + 1.0) * phase
+        total += response[j, k, harmonic, 0] * np.sin(angle) + response[j, k, harmonic, 1] * np.cos(angle)
+    return total
+
+
+@inlined
+def which(side):
+    """Where the numbers of a stop are in the arrays of both."""
+    return 0 if side > 0 else 1
+
+
 @kernel
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
-    sin, cos = np.sin(phase), np.cos(phase)
-    down, static, forced, free = osc.held.down, osc.held.static, osc.held.forced, osc.forced
-    for i in range(len(static)):
+    down, into, forced, free = osc.held.down, osc.held.into[which(side)], osc.held.forced, osc.forced
+    for i in range(u.shape[0]):
         for k in range(2):
-            total = -forced[i, k, 0] * sin - forced[i, k, 1] * cos
-            for j in range(len(free)):
-                total += down[i, j] * (h[j, k] + free[j, k, 0] * sin + free[j, k, 1] * cos)
-            u[i, k] = total
-        u[i, 0] -= static[i] * stop_position(osc, side)
+            u[i, k] = into[i, k] - forced_state(forced, phase, i, k)
+    for j in range(h.shape[0]):
+        for c in range(2):
+            full = h[j, c] + forced_state(free, phase, j, c)
+            for i in range(u.shape[0]):
+                for k in range(2):
+                    u[i, k] += down[2 * i + k, 2 * j + c] * full
 
 
 @kernel
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
-    sin, cos = np.sin(phase), np.cos(phase)
-    down, static, forced, free, kick = osc.held.down, osc.held.static, osc.held.forced, osc.forced, osc.kick
-    y = stop_position(osc, side)
-    for j in range(len(free)):
+    up, out, forced, free = osc.held.up, osc.held.out[which(side)], osc.held.forced, osc.forced
+    for j in range(h.shape[0]):
+        for c in range(2):
+            h[j, c] = out[j, c] - forced_state(free, phase, j, c)
+    for i in range(u.shape[0]):
         for k in range(2):
-            total = -free[j, k, 0] * sin - free[j, k, 1] * cos
-            for i in range(len(static)):
-                full = u[i, k] + forced[i, k, 0] * sin + forced[i, k, 1] * cos
-                if k == 0:
-                    full += static[i] * y
-                total += down[i, j] * full
-            h[j, k] = total
-        h[j, 0] += kick[j, 1] * y
+            full = u[i, k] + forced_state(forced, phase, i, k)
+            for j in range(h.shape[0]):
+                for c in range(2):
+                    h[j, c] += up[2 * j + c, 2 * i + k] * full
 
 
 @kernel
-def tangent_to_held(osc, V, U):
-    """Write the held part U (m, n - 1, 2) of tangent vectors V (m, n, 2) with c.V = cA.V = 0."""
-    down = osc.held.down
+def transformed(matrix, V, U):
+    """Write the tangent vectors U (m, ., 2) that a matrix makes of V (m, ., 2), one after the other."""
     for m in range(V.shape[0]):
-        for i in range(down.shape[0]):
+        for i in range(U.shape[1]):
             for k in range(2):
-                U[m, i, k] = 0.0
-                for j in range(down.shape[1]):
-                    U[m, i, k] += down[i, j] * V[m, j, k]
-
-
-@kernel
-def tangent_from_held(osc, U, V):
-    """Write the free tangent vectors V (m, n, 2) of held ones U (m, n - 1, 2)."""
-    down = osc.held.down
-    for m in range(V.shape[0]):
-        for j in range(down.shape[1]):
-            for k in range(2):
-                V[m, j, k] = 0.0
-                for i in range(down.shape[0]):
-                    V[m, j, k] += down[i, j] * U[m, i, k]
+                total = 0.0
+                for j in range(V.shape[1]):
+                    total += matrix[2 * i + k, 2 * j] * V[m, j, 0] + matrix[2 * i + k, 2 * j + 1] * V[m, j, 1]
+                U[m, i, k] = total
 
 
 @kernel
 def load_on_stop(osc, u, phase, side):
     """side * a: the free acceleration that presses the mass on the stop while it rests there."""
     release = osc.held.release
-    forced = release.sin_part * np.sin(phase) + release.cos_part * np.cos(phase)
-    return side * (dot(release.row, u) + forced + release.offset * stop_position(osc, side))
+    return side * (dot(release.row, u) + all_forced(release, phase)[0] + osc.held.push[which(side)])
 
 
 @kernel
@@ -182,14 +183,14 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
 
     Returns (time, released, evaluations); released is 2 where the march gave up.
     """
-    n = len(osc.held.static)
+    n = len(osc.held.release.lam)
     u, scratch = np.empty((n, 2)), np.empty((n, 2))
     U = np.empty((V.shape[0], n, 2))
     release = osc.held.release
     to_held(osc, h, phase, side, u)
-    tangent_to_held(osc, V, U)
+    transformed(osc.held.down, V, U)
     upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
-    offset = release.offset * stop_position(osc, side)
+    offset = osc.held.push[which(side)]
     none = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, none, none, H, scratch)
     if growth.shape[0] > 0:
@@ -198,5 +199,5 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     else:
         flow_with_tangent(release, s, u, U)
     from_held(osc, u, phase + release.omega * s, side, h)
-    tangent_from_held(osc, U, V)
+    transformed(osc.held.up, U, V)
     return s, abs(crossed), evaluations

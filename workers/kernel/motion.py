@@ -51,8 +51,8 @@ def signal_of(signals, r):
     """Signal r of many."""
     s = signals
     return Signal(
-        s.eta[r], s.lam[r], s.block[r], s.row[r], s.row1[r], s.row2[r],
-        s.sin_part[r], s.cos_part[r], s.amplitude[r], s.omega[r], s.offset[r],
+        s.eta[r], s.lam[r], s.metric[r], s.block[r], s.row[r], s.row1[r], s.row2[r],
+        s.sin_part[r], s.cos_part[r], s.amplitude[r], s.swing[r], s.omega[r],
     )  # fmt: skip
 
 
@@ -61,9 +61,13 @@ def oscillator_of(oscillators, r):
     """Oscillator r of many."""
     o, held = oscillators, oscillators.held
     return Oscillator(
-        signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.to_physical[r], o.to_blocks[r],
-        o.gap_row[r], o.b_upper[r], o.b_lower[r], o.R[r], o.period[r], o.tau[r], o.trace[r],
-        Held(held.down[r], held.static[r], held.forced[r], signal_of(held.release, r)),
+        signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.swing[r], o.rest[r],
+        o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.upper[r], o.lower[r], o.b_upper[r], o.b_lower[r],
+        o.symmetric[r], o.R[r], o.time_unit[r], o.period[r], o.tau[r], o.trace[r],
+        Held(
+            held.down[r], held.up[r], held.into[r], held.out[r], held.forced[r], signal_of(held.release, r),
+            held.push[r],
+        ),
     )  # fmt: skip
 
 

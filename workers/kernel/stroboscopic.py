@@ -22,6 +22,7 @@ from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.impact import (
     LEAVE,
     REST,
+    forced_state,
     kick,
     load_on_stop,
     outcome,
@@ -79,23 +80,21 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
 @kernel_and_part
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
-    sin, cos = math.sin(osc.tau), math.cos(osc.tau)
-    to_blocks, forced_response, row, n = osc.to_blocks, osc.forced, osc.gap_row, h.shape[0]
+    to_blocks, response, rest, row, n = osc.to_blocks, osc.forced, osc.rest, osc.gap_row, h.shape[0]
     y, v = 0.0, 0.0
     for j in range(n):
-        x, rate = 0.0, 0.0
-        for i in range(n):
-            x += to_blocks[j, i] * state[i]
-            rate += to_blocks[j, i] * state[n + i]
-        h[j, 0] = x - (forced_response[j, 0, 0] * sin + forced_response[j, 0, 1] * cos)
-        h[j, 1] = rate - (forced_response[j, 1, 0] * sin + forced_response[j, 1, 1] * cos)
+        for k in range(2):
+            full = 0.0
+            for i in range(2 * n):
+                full += to_blocks[2 * j + k, i] * state[i]
+            h[j, k] = full - forced_state(response, osc.tau, j, k) - rest[j, k]
         y += row[j] * state[j]
         v += row[j] * state[n + j]
-    if y > osc.b_upper or y < -osc.b_lower:
+    if y > osc.upper or y < osc.lower:
         return BEYOND
-    if v != 0.0 or -osc.b_lower < y < osc.b_upper:
+    if v != 0.0 or osc.lower < y < osc.upper:
         return FREE
-    side = 1 if y == osc.b_upper else -1
+    side = 1 if y == osc.upper else -1
     u = np.zeros((n - 1, 2))
     to_held(osc, h, osc.tau, side, u)
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
@@ -107,29 +106,28 @@ def blocks_to_physical(osc, motion):
 
     A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
     """
-    sin, cos = math.sin(osc.tau), math.cos(osc.tau)
-    modes, forced_response, row, h = osc.to_physical, osc.forced, osc.gap_row, motion.h
+    to_physical, response, rest, row, h = osc.to_physical, osc.forced, osc.rest, osc.gap_row, motion.h
     n = h.shape[0]
-    state = np.zeros(2 * n)
+    state, terms = np.zeros(2 * n), np.zeros(n)
+    for j in range(n):
+        for k in range(2):
+            full = h[j, k] + forced_state(response, osc.tau, j, k) + rest[j, k]
+            for i in range(2 * n):
+                state[i] += to_physical[i, 2 * j + k] * full
+            for i in range(n):
+                terms[i] += abs(to_physical[i, 2 * j + k]) * (abs(full) + abs(h[j, k]))
     y, v, size, square = 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        terms = 0.0
-        for j in range(n):
-            full = h[j, 0] + (forced_response[j, 0, 0] * sin + forced_response[j, 0, 1] * cos)
-            rate = h[j, 1] + (forced_response[j, 1, 0] * sin + forced_response[j, 1, 1] * cos)
-            state[i] += modes[i, j] * full
-            state[n + i] += modes[i, j] * rate
-            terms += abs(modes[i, j]) * (abs(full) + abs(h[j, 0]))
         y += row[i] * state[i]
         v += row[i] * state[n + i]
-        size += abs(row[i]) * terms
+        size += abs(row[i]) * terms[i]
         square += row[i] * row[i]
     contact = motion.contact[0]
-    stop = min(max(y, -osc.b_lower), osc.b_upper)
+    stop = min(max(y, osc.lower), osc.upper)
     if abs(y - stop) > 1e-12 * size:
         stop = y
     if contact != FREE:
-        stop = osc.b_upper if contact > 0 else -osc.b_lower
+        stop = osc.upper if contact > 0 else osc.lower
     for i in range(n):
         state[i] += row[i] / square * (stop - y)
         if contact != FREE:
@@ -158,15 +156,15 @@ def fly_far(osc, motion, s):
 @kernel
 def reset_frame(osc, motion):
     """Make the frame orthonormal and count its growth."""
-    reset_frame_of(osc.gap.lam, motion)
+    reset_frame_of(osc.gap.metric, motion)
 
 
 @kernel
-def reset_frame_of(lam, motion):
-    """reset_frame for blocks of stiffness lam (n,)."""
+def reset_frame_of(metric, motion):
+    """reset_frame for blocks of this metric (n,)."""
     V, growth, tally = motion.V, motion.growth, motion.tally
     if growth.shape[0] > 0:
-        orthonormalise(lam, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
+        orthonormalise(metric, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
     tally[SPREAD] = 0.0
 
 
@@ -221,7 +219,8 @@ def meet_stop(osc, motion, t, side, remaining, arrived, spread):
 def impact_spread(ratio, unit, loss):
     """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
 
-    2 ln(1 + u) - ln R, u = |ratio| unit, where unit = 1 / sqrt(lam_1); ln x < (x - 1) / sqrt(x) spares the logarithms.
+    2 ln(1 + u) - ln R, u = |ratio| unit, where unit is the oscillator's time_unit; ln x < (x - 1) / sqrt(x) spares the
+    logarithms.
     """
     u = abs(ratio) * unit
     return 2.0 * u / math.sqrt(1.0 + u) + loss
@@ -271,7 +270,7 @@ def propagate(osc, motion, duration):
     motion.contact[0] = FREE
     vectors = V.shape[0] > 0
     rate = spread_rate(osc.gap.block) if vectors else 0.0
-    unit, loss = 1.0 / math.sqrt(osc.gap.lam[0]), loss_spread(osc.R)
+    unit, loss = osc.time_unit, loss_spread(osc.R)
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE

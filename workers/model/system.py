@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import Machines, Oscillator, build, build_one
+from workers.model.build import build, build_one
+from workers.model.oscillator import Machines, Oscillator
 from workers.results import OUT_OF_RANGE
 
 Array = NDArray[np.float64]
@@ -100,11 +101,13 @@ def _two_mass(p: Mapping[str, Array]) -> Machines:
         damping=2.0 * p["zeta"][:, None, None] * stiffness,
         stiffness=stiffness,
         gap_row=np.stack([one, none], axis=-1),
-        force=np.stack([1.0 - p["f2"], p["f2"]], axis=-1),
+        force_sin=np.stack([1.0 - p["f2"], p["f2"]], axis=-1)[:, None],
+        force_cos=np.zeros((len(one), 1, 2)),
+        load=np.zeros((len(one), 2)),
         omega=p["omega"],
         tau=p["tau"],
-        b_upper=p["b"],
-        b_lower=p["b"],
+        upper=p["b"],
+        lower=-p["b"],
         R=p["R"],
     )
 

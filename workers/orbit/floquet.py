@@ -19,12 +19,12 @@ NARROW = 2.0
 
 
 @kernel
-def overlaps(lam, before, after, m):
+def overlaps(metric, before, after, m):
     """The energy products of the first m vectors of two frames: an orthogonal matrix where they span one space."""
     products = np.empty((m, m))
     for i in range(m):
         for k in range(m):
-            products[i, k] = inner(lam, before, i, after, k)
+            products[i, k] = inner(metric, before, i, after, k)
     return products
 
 
@@ -119,7 +119,7 @@ def floquet(osc, point, steps, half, most):
             break
         reset_frame(osc, motion)
         rank = size - int(motion.tally[LOST])
-        rotation = overlaps(osc.gap.lam, frame, motion.V, rank)
+        rotation = overlaps(osc.gap.metric, frame, motion.V, rank)
         frame = leading(motion.V, rank)
         if turn == 1:
             continue

@@ -65,9 +65,9 @@ def map_with_jacobian(osc, h, contact, steps, half):
 
 
 @kernel
-def separation(lam, h, g):
+def separation(metric, h, g):
     """The energy norm of the difference of two block states (n, 2)."""
     total = 0.0
-    for j in range(len(lam)):
-        total += lam[j] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
+    for j in range(len(metric)):
+        total += metric[j] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2
     return math.sqrt(total)

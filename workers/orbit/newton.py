@@ -55,7 +55,7 @@ class PeriodicOrbit(NamedTuple):
 
 
 @kernel
-def nonlinear_part(lam, h, image, point):
+def nonlinear_part(metric, h, image, point):
     """|F(h) - h* - J (h - h*)| in the energy norm: what the linear map at a fixed point does not explain."""
     J = point.jacobian
     total = 0.0
@@ -63,7 +63,7 @@ def nonlinear_part(lam, h, image, point):
         rest = image[row // 2, row % 2] - point.h[row // 2, row % 2]
         for k in range(len(J)):
             rest -= J[row, k] * (h[k // 2, k % 2] - point.h[k // 2, k % 2])
-        total += rest * rest * (lam[row // 2] if row % 2 == 0 else 1.0)
+        total += rest * rest * (metric[row // 2] if row % 2 == 0 else 1.0)
     return math.sqrt(total)
 
 
@@ -100,14 +100,14 @@ def newton(osc, start, contact, steps, half, scale, most):
     of ``scale``; the residual is infinite where none is found.
     """
     h = start.copy()
-    lam = osc.gap.lam
+    metric = osc.gap.metric
     size = h.size
     best = FixedPoint(h, h, contact, np.zeros((size, size)), np.inf)
     spent = 0
     while spent < most:
         spent += 1
         motion, J = map_with_jacobian(osc, h, contact, steps, half)
-        residual = separation(lam, motion.h, h)
+        residual = separation(metric, motion.h, h)
         arrived = motion.tally[STATUS] == RUNNING and motion.contact[0] == contact
         if not (arrived and residual <= 0.5 * best.residual):
             break
@@ -127,12 +127,12 @@ def closes_earlier(osc, point, steps, half, scale):
     With an odd number of steps under G it is the symmetric orbit, whose turn under G was not accepted.
     """
     spent = 0
-    mirrors = not half and steps % 2 == 1 and osc.b_upper == osc.b_lower
+    mirrors = not half and steps % 2 == 1 and osc.symmetric > 0.0
     for fewer in range(1, steps + 1):
         if steps % fewer == 0 and (fewer < steps or mirrors):
             trial = iterate_alone(osc, point.h, point.contact, fewer, half or fewer == steps)
             spent += fewer
-            if separation(osc.gap.lam, trial.h, point.h) < 1e-6 * scale:
+            if separation(osc.gap.metric, trial.h, point.h) < 1e-6 * scale:
                 return True, spent
     return False, spent
 
@@ -140,7 +140,7 @@ def closes_earlier(osc, point, steps, half, scale):
 @piece
 def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, steps spent), with at most so many steps: see settle."""
-    lam = osc.gap.lam
+    metric = osc.gap.metric
     turns_left = budget // steps - RESERVED_TURNS
     point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
     spent = tried * steps
@@ -159,11 +159,11 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
-    distance = separation(lam, h, point.h)
+    distance = separation(metric, h, point.h)
     if distance > 1e-9 * scale:
         trial = iterate_alone(osc, h, contact, steps, half)
         spent += steps
-        if not nonlinear_part(lam, h, trial.h, point) < 0.5 * -math.expm1(largest) * distance:
+        if not nonlinear_part(metric, h, trial.h, point) < 0.5 * -math.expm1(largest) * distance:
             return NEAR, orbit, spent
     again, J = map_with_jacobian(osc, point.image, contact, steps, half)
     spent += steps
@@ -176,7 +176,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
 
 
 @kernel
-def recurrence(lam, sections, near, longest):
+def recurrence(metric, sections, near, longest):
     """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
 
     It returned within ``near`` in the energy norm; of those, each p that came ten times closer than any
@@ -186,7 +186,7 @@ def recurrence(lam, sections, near, longest):
     count, last = 0, len(sections) - 1
     record = near
     for p in range(1, min(last, longest) + 1):
-        here = separation(lam, sections[last], sections[last - p])
+        here = separation(metric, sections[last], sections[last - p])
         if here < record:
             found[2], found[1], found[0] = found[1], found[0], p
             count = min(count + 1, 3)
@@ -197,7 +197,7 @@ def recurrence(lam, sections, near, longest):
 
 
 @kernel
-def far_from_closing(lam, response, h, sections, cells, returns, limit):
+def far_from_closing(metric, swing, h, sections, cells, returns, limit):
     """Of which of these cells none of the ``returns`` sections before the last lies within ``limit`` of it.
 
     Relative to the motion's scale. The number of returns is fixed, since on a torus more of them come nearer.
@@ -208,8 +208,8 @@ def far_from_closing(lam, response, h, sections, cells, returns, limit):
         r = cells[e]
         nearest = np.inf
         for k in range(last - returns, last):
-            nearest = min(nearest, separation(lam[r], sections[r, last], sections[r, k]))
-        found[e] = nearest > limit * scale_at(lam[r], response[r], h[r])
+            nearest = min(nearest, separation(metric[r], sections[r, last], sections[r, k]))
+        found[e] = nearest > limit * scale_at(metric[r], swing[r], h[r])
     return found
 
 
@@ -227,10 +227,10 @@ def settle(osc, motion, sections, near, longest, budget):
     """
     h, contact = motion.h, motion.contact[0]
     scale = scale_of(osc, h)
-    symmetric_gap = osc.b_upper == osc.b_lower
+    symmetric_gap = osc.symmetric > 0.0
     none = PeriodicOrbit(h, contact, 1, False, nothing_left(h.size), np.inf, 0.0)
     spent, nearest = 0, NOTHING
-    for p in recurrence(osc.gap.lam, sections, near * scale, longest):
+    for p in recurrence(osc.gap.metric, sections, near * scale, longest):
         for half in (True, False):
             per_period = 2 if half else 1
             left = (budget - spent) * per_period

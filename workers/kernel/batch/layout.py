@@ -6,6 +6,8 @@ compiler see that no two fields overlap, so that loops over lanes become vector 
 
 from typing import NamedTuple
 
+from numba.extending import register_jitable
+
 LANES = 128
 """Lanes of a batch: their fields stay in the processor's nearest caches."""
 
@@ -24,20 +26,25 @@ class LaneFields(NamedTuple):
 
     # constants of the oscillator, the columns of Batch.head
     omega: int
-    sin_part: int
+    sin_part: int  # of the first harmonic; for others see HarmonicFields
     cos_part: int
-    amplitude: int
+    amplitude: int  # bounds of the forced part and of its second to fourth derivative
+    swing2: int
+    swing3: int
+    swing4: int
     upper: int  # position of the upper stop
     lower: int  # position of the lower stop
     restitution: int
     cA2k: int
     period: int
     tau: int
+    time_unit: int  # see stroboscopic.impact_spread
     # what follows from them
-    forced_at_section: int  # the forced part at a section, and its derivative
+    forced_at_section: int  # the forced part at a section, and its derivatives
     forced_rate_at_section: int
+    forced_second_at_section: int
+    forced_third_at_section: int
     spread_rate: int  # see stroboscopic.spread_rate
-    time_unit: int  # 1 / sqrt(lam_1), see stroboscopic.impact_spread
     loss_spread: int  # see stroboscopic.loss_spread
     # the flight under way
     flight_start: int  # time from the section to the flight's start
@@ -51,8 +58,10 @@ class LaneFields(NamedTuple):
     stops: int  # 1 at a section and where the lane has LEFT, else 0
     renews: int  # 1 where the bounds are to be computed anew, else 0
     # the signal at ``time``
-    forced: int  # its forced part, and the derivative of that
+    forced: int  # its forced part, and the derivatives of that
     forced_rate: int
+    forced_second: int
+    forced_third: int
     y: int
     v: int
     a: int
@@ -108,6 +117,8 @@ class BlockFields(NamedTuple):
     grow2: int
     grow3: int
     grow4: int
+    metric: int
+    load: int
     c0: int  # the row c, for y
     c1: int
     cA0: int  # the row cA, for its derivative
@@ -126,6 +137,13 @@ class BlockFields(NamedTuple):
     f22: int
 
 
+class HarmonicFields(NamedTuple):
+    """Fields of one harmonic of a lane, from the second on."""
+
+    sin_part: int
+    cos_part: int
+
+
 class GapFields(NamedTuple):
     """Fields of the gaps of some lanes, gathered one after another: how a gap closes, and bounds of a safe time."""
 
@@ -142,6 +160,7 @@ class GapFields(NamedTuple):
 
 LANE = LaneFields(*(k * STRIDE for k in range(len(LaneFields._fields))))
 BLOCK = BlockFields(*(k * STRIDE for k in range(len(BlockFields._fields))))
+HARMONIC = HarmonicFields(*(k * STRIDE for k in range(len(HarmonicFields._fields))))
 GAP = GapFields(*(k * STRIDE for k in range(len(GapFields._fields))))
 
 COLUMN = BlockFields(*range(len(BlockFields._fields)))
@@ -151,7 +170,15 @@ LANE_CONSTANTS = LaneFields._fields.index("forced_at_section")
 BLOCK_CONSTANTS = BlockFields._fields.index("start0")
 """Fields that the oscillator sets: the first ones of each record."""
 
+
+@register_jitable
+def padded_blocks(n: int) -> int:
+    """Blocks that there is room for where there are n: the passes over tangent vectors take two at a time."""
+    return n + n % 2
+
+
 LANE_SIZE = len(LaneFields._fields) * STRIDE
 BLOCK_SIZE = len(BlockFields._fields) * STRIDE
+HARMONIC_SIZE = len(HarmonicFields._fields) * STRIDE
 GAP_SIZE = len(GapFields._fields) * STRIDE
-"""Numbers that the fields of all lanes take, of one block of them, and of the gathered gaps."""
+"""Numbers that the fields of all lanes take, of one block of them, of one harmonic, and of the gathered gaps."""

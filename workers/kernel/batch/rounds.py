@@ -5,13 +5,15 @@ A lane's results are the same bits whatever the other lanes hold, how many there
 
 import math
 
-from workers.kernel.batch.layout import AT_SECTION, FLYING, LANE, LEFT
+from workers.kernel.batch.layout import AT_SECTION, FLYING, LANE, LEFT, padded_blocks
 from workers.kernel.batch.search import safe_steps, step_pass
 from workers.kernel.batch.signal import (
     block_pass,
     bounds_pass,
     fields_of,
+    fields_of_harmonic,
     forced_pass,
+    harmonic_pass,
     oscillating_block_pass,
     oscillating_bounds_pass,
     restart_pass,
@@ -74,6 +76,10 @@ def arrival_pass(a, n):
         y_tau, v_tau = a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i]
         a[LANE.forced + i] = y_tau if at_section else y_force
         a[LANE.forced_rate + i] = v_tau if at_section else v_force
+        a_force, j_force = a[LANE.forced_second + i], a[LANE.forced_third + i]
+        a_tau, j_tau = a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i]
+        a[LANE.forced_second + i] = a_tau if at_section else a_force
+        a[LANE.forced_third + i] = j_tau if at_section else j_force
         leaves = hit and (not rebound or spent > LONGEST_PERIOD)
         a[LANE.event + i] = LEFT if leaves else side
         stops = leaves or side >= AT_SECTION
@@ -83,8 +89,8 @@ def arrival_pass(a, n):
 
 
 @kernel
-def take_round(a, blocks, oscillates, renews, n, chosen, c):
-    """One round of the first n lanes, a multiple of VECTOR_WIDTH.
+def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
+    """One round of the first n lanes, a multiple of VECTOR_WIDTH; so many harmonics besides the first.
 
     oscillates says that all blocks of all cells are underdamped, renews that a lane may want bounds anew; chosen and c
     are overwritten. Returns what arrival_pass does.
@@ -99,6 +105,8 @@ def take_round(a, blocks, oscillates, renews, n, chosen, c):
     safe_steps(a, n, chosen, c)
     step_pass(a, n)
     forced_pass(a, n)
+    for k in range(harmonics):
+        harmonic_pass(a, fields_of_harmonic(a, padded_blocks(blocks), k), k + 2.0, n)
     for j in range(blocks):
         if oscillates:
             oscillating_block_pass(a, fields_of(a, j), n)

@@ -1,6 +1,5 @@
 """Many cells at a time through whole periods: each lane takes the next cell of the queue when its own is through."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,18 +11,21 @@ from workers.kernel.batch.layout import (
     BLOCK,
     BLOCK_CONSTANTS,
     BLOCK_SIZE,
-    COLUMN,
     FLYING,
     GAP_SIZE,
+    HARMONIC,
+    HARMONIC_SIZE,
     LANE,
     LANE_CONSTANTS,
     LANE_SIZE,
     LANES,
     LEFT,
     STRIDE,
+    padded_blocks,
 )
 from workers.kernel.batch.rounds import take_round
 from workers.kernel.batch.search import list_lanes, padded
+from workers.kernel.batch.signal import fields_of_harmonic
 from workers.kernel.flight import forced
 from workers.kernel.frame import log_length
 from workers.kernel.jit import inlined, kernel
@@ -54,6 +56,7 @@ class Batch(NamedTuple):
 
     head         (N, LANE_CONSTANTS)      constants of the oscillators, see LaneFields
     blocks       (N, n, BLOCK_CONSTANTS)  constants of each of their blocks, see BlockFields
+    harmonics    (N, H - 1, 2)            sine and cosine parts of the harmonics after the first
     oscillators, motions                  records of many
     periods      (N,)                     wanted; done (N,) completed, before and after
     levels       (N, LEVELS, 4), weighted (N, 2): as in Averages
@@ -62,6 +65,7 @@ class Batch(NamedTuple):
 
     head: Array
     blocks: Array
+    harmonics: Array
     oscillators: Oscillator
     motions: Motion
     periods: NDArray[np.int64]
@@ -71,19 +75,21 @@ class Batch(NamedTuple):
     sections: Array
 
 
-def constants(oscillators: Oscillator) -> tuple[Array, Array]:
-    """Batch.head and Batch.blocks of many oscillators."""
+def constants(oscillators: Oscillator) -> tuple[Array, Array, Array]:
+    """Batch.head, Batch.blocks and Batch.harmonics of many oscillators."""
     gap = oscillators.gap
     head = (
-        gap.omega, gap.sin_part, gap.cos_part, gap.amplitude, oscillators.b_upper, -oscillators.b_lower, oscillators.R,
-        oscillators.cA2k, oscillators.period, oscillators.tau,
+        gap.omega, gap.sin_part[:, 0], gap.cos_part[:, 0], gap.amplitude, *gap.swing.T,
+        oscillators.b_upper, -oscillators.b_lower, oscillators.R, oscillators.cA2k, oscillators.period, oscillators.tau,
+        oscillators.time_unit,
     )  # fmt: skip
     blocks = (gap.block, gap.row, gap.row1, oscillators.kick, oscillators.kick1)
-    return np.stack(head, axis=-1), np.concatenate(blocks, axis=-1)
+    harmonics = np.stack([gap.sin_part[:, 1:], gap.cos_part[:, 1:]], axis=-1)
+    return np.stack(head, axis=-1), np.concatenate(blocks, axis=-1), harmonics
 
 
 @kernel
-def load(a, i, r, head, blocks, h, tally):
+def load(a, i, r, head, blocks, harmonics, h, tally):
     """Put the state of cell r into lane i, at its section."""
     for f in range(LANE_CONSTANTS):
         a[f * STRIDE + i] = head[r, f]
@@ -92,11 +98,19 @@ def load(a, i, r, head, blocks, h, tally):
         for f in range(BLOCK_CONSTANTS):
             a[b + f * STRIDE] = blocks[r, j, f]
         a[b + BLOCK.h0], a[b + BLOCK.h1] = h[r, j, 0], h[r, j, 1]
-    y, v = forced(a[LANE.tau + i], a[LANE.omega + i], a[LANE.sin_part + i], a[LANE.cos_part + i])
+    tau, w = a[LANE.tau + i], a[LANE.omega + i]
+    y, v, second, third = forced(tau, w, a[LANE.sin_part + i], a[LANE.cos_part + i])
+    for k in range(harmonics.shape[1]):
+        fields = fields_of_harmonic(a, padded_blocks(h.shape[1]), k)
+        fields[HARMONIC.sin_part + i], fields[HARMONIC.cos_part + i] = harmonics[r, k, 0], harmonics[r, k, 1]
+        order = k + 2.0
+        y_, v_, second_, third_ = forced(order * tau, order * w, harmonics[r, k, 0], harmonics[r, k, 1])
+        y, v, second, third = y + y_, v + v_, second + second_, third + third_
     a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i] = y, v
+    a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i] = second, third
     a[LANE.forced + i], a[LANE.forced_rate + i] = y, v
+    a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
     a[LANE.spread_rate + i] = spread_rate(blocks[r])
-    a[LANE.time_unit + i] = 1.0 / math.sqrt(blocks[r, 0, COLUMN.lam])
     a[LANE.loss_spread + i] = loss_spread(a[LANE.restitution + i])
     a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.time + i] = 0.0, a[LANE.tau + i], 0.0
     a[LANE.own_stop + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
@@ -169,14 +183,14 @@ def go_alone(batch, r):
     motion = motion_of(batch.motions, r)
     osc = oscillator_of(batch.oscillators, r)
     vectors = motion.growth.shape[0] > 0
-    before = log_length(osc.gap.lam, motion.V, motion.growth) if vectors else 0.0
+    before = log_length(osc.gap.metric, motion.V, motion.growth) if vectors else 0.0
     while not over(batch, r):
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             return
         k = batch.done[r]
         if vectors:
-            length = log_length(osc.gap.lam, motion.V, motion.growth)
+            length = log_length(osc.gap.metric, motion.V, motion.growth)
             add_growth(batch.levels[r], batch.weighted[r], length - before, k, batch.periods[r])
             before = length
         keep_section(batch.motions.h, r, k, batch.periods[r], batch.sections)
@@ -186,24 +200,26 @@ def go_alone(batch, r):
 
 
 @kernel
-def run_batch(batch, cells, enough, lanes, oscillates, modes):
+def run_batch(batch, cells, enough, lanes, oscillates):
     """Advance these cells of a batch by their periods, or to where their motion or their work ends.
 
     Changes the arrays of the batch, see there. At most ``lanes`` <= LANES cells are under way at a time; once fewer
-    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped;
-    modes is a tuple with one entry per block.
+    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
     """
     # Taken out once: a field of a record costs a reference count at every use.
-    head, blocks, periods, done, sections = batch.head, batch.blocks, batch.periods, batch.done, batch.sections
+    head, blocks, harmonics, periods, done, sections = (
+        batch.head, batch.blocks, batch.harmonics, batch.periods, batch.done, batch.sections
+    )  # fmt: skip
     h, V, growth, tally, contact = (
         batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.contact
     )  # fmt: skip
     impacts, levels, weighted = batch.motions.impacts, batch.levels, batch.weighted
     n, m = h.shape[1], V.shape[1]
-    vectors = LANE_SIZE + n * BLOCK_SIZE
-    growing = vectors + m * n * 2 * STRIDE
+    wide = padded_blocks(n)
+    vectors = LANE_SIZE + wide * BLOCK_SIZE + harmonics.shape[1] * HARMONIC_SIZE
+    growing = vectors + m * wide * 2 * STRIDE
     a = np.zeros(growing + m * STRIDE)
-    frames, growths = a[vectors:growing].reshape((m, 2 * n * STRIDE)), a[growing:].reshape((m, STRIDE))
+    frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
     gathered, chosen = np.zeros(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
     space = workspace(m, n)
     for i in range(LANES):
@@ -219,19 +235,21 @@ def run_batch(batch, cells, enough, lanes, oscillates, modes):
             if contact[r, 0] != FREE:
                 go_alone(batch, r)
             if not over(batch, r):
-                load(a, active, r, head, blocks, h, tally)
+                load(a, active, r, head, blocks, harmonics, h, tally)
                 give_frame(V[r], growth[r], frames, growths, active)
                 begun = True
                 active += 1
         if active == 0:
             return
         if m > 0 and begun:
-            measure_pass(a, frames[0], growths[0], modes, padded(active))
+            measure_pass(a, frames[0], growths[0], space.partial, padded(active))
         ending = active < enough
-        stopping, renewing = take_round(a, n, oscillates, begun or renewing > 0, padded(active), chosen, gathered)
+        stopping, renewing = take_round(
+            a, n, harmonics.shape[1], oscillates, begun or renewing > 0, padded(active), chosen, gathered
+        )
         begun = False
         if m > 0:
-            move_frames(a, padded(active), blocks, frames, growths, space, modes)
+            move_frames(a, padded(active), blocks, frames, growths, space)
         if impacts.shape[1] > 0:
             for i in range(active):
                 if abs(a[LANE.event + i]) == 1.0:
@@ -239,7 +257,7 @@ def run_batch(batch, cells, enough, lanes, oscillates, modes):
         if stopping == 0:
             continue
         if m > 0:
-            measure_pass(a, frames[0], growths[0], modes, padded(active))
+            measure_pass(a, frames[0], growths[0], space.partial, padded(active))
         count = list_lanes(a, LANE.stops, active, chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
             i = chosen[e]
@@ -247,7 +265,7 @@ def run_batch(batch, cells, enough, lanes, oscillates, modes):
             if a[LANE.event + i] == LEFT:
                 go_alone(batch, r)
                 if not over(batch, r):
-                    load(a, i, r, head, blocks, h, tally)
+                    load(a, i, r, head, blocks, harmonics, h, tally)
                     give_frame(V[r], growth[r], frames, growths, i)
                     begun = True
             else:

@@ -1,0 +1,33 @@
+"""Oscillators of one machine, from matrices."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from workers.model.build import build_one
+from workers.model.oscillator import Machines, Oscillator
+
+
+def mass_spring(
+    *,
+    mass: ArrayLike,
+    damping: ArrayLike,
+    stiffness: ArrayLike,
+    gap_row: ArrayLike,
+    force: ArrayLike,
+    omega: float,
+    tau: float,
+    b_upper: float,
+    b_lower: float,
+    R: float,
+    load: ArrayLike | None = None,
+) -> Oscillator:
+    """M x'' + C x' + K x = force sin(omega t + tau) + load with stops at b_upper and -b_lower on gap_row . x."""
+    row = np.asarray(gap_row, dtype=np.float64)
+    force = np.asarray(force, dtype=np.float64)[None]
+    fields: tuple[Any, ...] = (
+        mass, damping, stiffness, row, force, np.zeros_like(force), np.zeros(len(row)) if load is None else load,
+        omega, tau, b_upper, -b_lower, R,
+    )  # fmt: skip
+    return build_one(Machines(*(np.asarray(field, dtype=np.float64)[None] for field in fields)))

@@ -1,0 +1,197 @@
+"""Blocks h'' + 2 eta h' + lam h of linear oscillators M x'' + C x' + K x: classical modes, or invariant planes.
+
+Damping is classical where the undamped modes stay modes: then they are the blocks. Else the real Schur form splits the
+state space into planes, one for each pair of eigenvalues.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import schur
+from scipy.linalg.lapack import dtrsen
+
+Array = NDArray[np.float64]
+
+COUPLED = 1e-9
+"""Coupling of the modes by the damping, relative to the largest damping, from which on it is not classical."""
+
+FREE = 8.0 * np.finfo(np.float64).eps
+"""Squared frequency, relative to the largest one and for each coordinate, below which a mode is rigid."""
+
+SINGULAR = 1e-10
+"""Determinant, relative to its size, below which a plane's coordinates are no h and h'; its inverse bounds how much
+larger than its eigenvalues' the entries of the transformation may be."""
+
+
+class Modes(NamedTuple):
+    """N oscillators of n coordinates as blocks.
+
+    eta, lam (N, n); to_blocks and to_physical (N, 2n, 2n) between (x, x') and (h_1, h_1', h_2, ...).
+    rigid (N,): how many modes have no stiffness. unstable, inseparable (N,): where there are no such blocks, because
+    motion grows, or because their planes nearly coincide.
+    """
+
+    eta: Array
+    lam: Array
+    to_blocks: Array
+    to_physical: Array
+    rigid: NDArray[np.int64]
+    unstable: NDArray[np.bool_]
+    inseparable: NDArray[np.bool_]
+
+
+def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
+    """The blocks of these oscillators (N, n, n); each depends on its own matrices only, to the bit."""
+    N, n = mass.shape[:2]
+    if n == 0:
+        none, nothing = np.zeros((N, 0)), np.zeros(N, dtype=np.bool_)
+        matrix = np.zeros((N, 0, 0))
+        return Modes(none, none, matrix, matrix, np.zeros(N, dtype=np.int64), nothing, nothing)
+    lam, modes = undamped_modes(mass, stiffness)
+    largest = np.max(np.abs(lam), axis=1)
+    lam = np.where(np.abs(lam) <= FREE * n * largest[:, None], 0.0, lam)
+    modal = np.ascontiguousarray(modes.swapaxes(1, 2)) @ damping @ modes
+    eta = np.diagonal(modal, axis1=1, axis2=2) / 2.0
+    size = np.max(np.abs(modal), axis=(1, 2))
+    beside = np.abs(modal) * (1.0 - np.eye(n))
+    coupled = np.max(beside, axis=(1, 2)) > COUPLED * size
+    unstable = np.any(lam < 0.0, axis=1) | np.any(eta < -COUPLED * size[:, None], axis=1)
+    weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
+    found = Modes(
+        eta=np.maximum(eta, 0.0),
+        lam=lam,
+        to_blocks=_interleaved(weighted),
+        to_physical=np.ascontiguousarray(_interleaved(modes.swapaxes(1, 2)).swapaxes(1, 2)),
+        rigid=np.sum(lam == 0.0, axis=1),
+        unstable=unstable,
+        inseparable=np.zeros(N, dtype=np.bool_),
+    )
+    for r in np.flatnonzero(coupled & ~unstable & np.isfinite(modal).all(axis=(1, 2))).tolist():
+        _split_planes(found, r, lam[r], modal[r], modes[r], weighted[r])
+    return found
+
+
+def stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Array) -> Any:
+    """numpy.linalg's function of many matrices; NaN (of this shape) for those that alone it refuses."""
+    try:
+        return act(*matrices)
+    except np.linalg.LinAlgError:
+        pass
+    found = np.full(shape, np.nan)
+    for k, one in enumerate(zip(*matrices, strict=True)):
+        try:
+            found[k] = act(*one)
+        except np.linalg.LinAlgError:
+            continue
+    return found
+
+
+def undamped_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Squared frequencies and mass-normalised modes: modes.T M modes = I, modes.T K modes = diag(lam)."""
+    shape = mass.shape
+    half = stacked(np.linalg.cholesky, shape, mass)
+    scaled = stacked(np.linalg.solve, shape, half, stiffness).swapaxes(1, 2)
+    both = stacked(_values_and_vectors, (shape[0], shape[1] + 1, shape[1]),
+                   stacked(np.linalg.solve, shape, half, np.ascontiguousarray(scaled)))  # fmt: skip
+    modes = stacked(np.linalg.solve, shape, half.swapaxes(1, 2), np.ascontiguousarray(both[:, 1:]))
+    return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(modes)
+
+
+def _values_and_vectors(matrix: Array) -> Array:
+    """Eigenvalues and, below them, eigenvectors of symmetric matrices."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.concatenate([values[..., None, :], vectors], axis=-2)
+
+
+def _interleaved(rows: Array) -> Array:
+    """Rows (N, n, n) for displacements and for velocities alike, as rows (h_1, h_1', ...) of (x, x')."""
+    N, n = rows.shape[:2]
+    both = np.zeros((N, 2 * n, 2 * n))
+    both[:, 0::2, :n] = both[:, 1::2, n:] = rows
+    return both
+
+
+def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array, weighted: Array) -> None:
+    """Write the blocks of oscillator r, whose damping (n, n) couples its undamped modes.
+
+    A rigid mode that no damping reaches is split off first: its double eigenvalue zero has one eigenvector only.
+    """
+    n = len(lam)
+    size = np.max(np.abs(damping))
+    idle = int(lam[0] == 0.0 and np.max(np.abs(damping[0])) <= COUPLED * size)
+    inner, coupled = lam[idle:], damping[idle:, idle:]
+    k = n - idle
+    A = np.zeros((2 * k, 2 * k))
+    A[:k, k:] = np.eye(k)
+    A[k:, :k], A[k:, k:] = -np.diag(inner), -coupled
+    eta, stiffness, planes = _planes(A)
+    to_blocks = np.zeros((2 * n, 2 * n))  # of modal displacements and velocities
+    for j in range(idle):
+        to_blocks[2 * j, j] = to_blocks[2 * j + 1, n + j] = 1.0
+    to_blocks[2 * idle :, idle:n], to_blocks[2 * idle :, n + idle :] = planes[:, :k], planes[:, k:]
+    if inner[0] == 0.0:
+        stiffness[np.argmin(stiffness)] = 0.0
+    modal = np.zeros((2 * n, 2 * n))
+    modal[:n, :n] = modal[n:, n:] = weighted
+    found.eta[r, :idle], found.lam[r, :idle] = 0.0, 0.0
+    found.eta[r, idle:], found.lam[r, idle:] = np.maximum(eta, 0.0), stiffness
+    whole = to_blocks @ modal
+    found.to_blocks[r] = whole
+    condition = np.linalg.cond(to_blocks) if np.isfinite(to_blocks).all() else np.inf
+    found.inseparable[r] = not condition < 1.0 / SINGULAR
+    found.unstable[r] |= bool(np.any(eta < -COUPLED * size) or np.any(stiffness < 0.0))
+    if not found.inseparable[r]:
+        found.to_physical[r] = np.linalg.inv(whole)
+
+
+def _planes(A: Array) -> tuple[Array, Array, Array]:
+    """eta and lam (n,) of the planes of z' = A z and the rows (2n, 2n) that take z to their coordinates (h, h').
+
+    The rows W of a plane, orthonormal, satisfy W A = B W; h = alpha W z with the unit vector alpha that makes
+    h and h' = alpha B W z most independent, scaled so that h' has a velocity row of unit length.
+    """
+    T, Q = schur(A.T, output="real")
+    n = len(A) // 2
+    eta, lam, rows = np.empty(n), np.empty(n), np.full((2 * n, 2 * n), np.nan)
+    for j, pair in enumerate(_pairs(T)):
+        select = np.zeros(2 * n, dtype=np.int32)
+        select[list(pair)] = 1
+        moved, vectors = dtrsen(select, T, Q, job="N")[:2]
+        W, B = vectors[:, :2].T, moved[:2, :2].T
+        eta[j], lam[j] = -0.5 * np.trace(B), np.linalg.det(B)
+        mixed = 0.5 * (B[1, 1] - B[0, 0])
+        values, vectors = np.linalg.eigh(np.array([[B[0, 1], mixed], [mixed, -B[1, 0]]]))
+        best = int(np.argmax(np.abs(values)))
+        if not abs(values[best]) > SINGULAR * np.max(np.abs(B)):
+            continue  # twice the same eigenvalue with a plane of eigenvectors
+        alpha = vectors[:, best]
+        h, rate = alpha @ W, alpha @ B @ W
+        scale = 1.0 / np.linalg.norm(rate[n:])
+        rows[2 * j], rows[2 * j + 1] = scale * h, scale * rate
+    return eta, lam, rows
+
+
+def _pairs(T: Array) -> list[tuple[int, int]]:
+    """Positions on the diagonal of a real Schur form of the eigenvalues of each plane.
+
+    Complex pairs; real ones sorted, neighbours of the smallest relative gap first, since nearly equal ones have to stay
+    together.
+    """
+    pairs, reals, i = [], [], 0
+    while i < len(T):
+        if i + 1 < len(T) and T[i + 1, i] != 0.0:
+            pairs.append((i, i + 1))
+            i += 2
+        else:
+            reals.append(i)
+            i += 1
+    reals.sort(key=lambda position: T[position, position])
+    while reals:
+        values = np.array([T[position, position] for position in reals])
+        gaps = np.diff(values) / np.maximum(np.maximum(np.abs(values[1:]), np.abs(values[:-1])), 1e-300)
+        k = int(np.argmin(gaps))
+        pairs.append((reals[k], reals[k + 1]))
+        del reals[k : k + 2]
+    return pairs
