@@ -81,9 +81,7 @@ def grazing_ratio(
     return _ratios(system, fixed, points).reshape(xs.shape)
 
 
-def _ratios(
-    system: System, fixed: dict[str, float], points: dict[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _ratios(system: System, fixed: dict[str, float], points: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
     count = len(next(iter(points.values())))
     found = np.full(count, np.nan)
