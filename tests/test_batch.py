@@ -205,6 +205,7 @@ def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
     assert np.all(batch.done == 3)
 
 
+@pytest.mark.slow
 def test_a_mass_at_rest_but_for_rounding_is_given_up_for_its_cost_not_failed() -> None:
     """R = 1 and an overdamped mode: the bounces die away to speeds of 1e-17, where no certain step leads ahead."""
     cell = {

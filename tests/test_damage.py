@@ -70,7 +70,8 @@ def overview_faults(header: store.Header) -> list[str]:
 def test_sound_overviews_are_read_whole_and_found_sound(whole: store.Header) -> None:
     report = verify(whole.path, sample=0)
     files = [path for path in (whole.path / "overviews").rglob("*") if path.is_file() and "c" in path.parts]
-    axes = [path for path in files if path.relative_to(whole.path).parts[2] in coordinates_of(whole)]
+    coordinates = coordinates_of(whole)
+    axes = [path for path in files if path.relative_to(whole.path).parts[2] in coordinates]
     assert overview_faults(whole) == []
     assert report.overview_chunks == len(files) - len(axes)
 

@@ -1,5 +1,6 @@
 """Solving cells of finished tiles again: failed ones, and others with a larger budget or a longer survival."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +41,17 @@ def plane_of_few(max_periods: int = FEW) -> atlas.Spec:
     )
 
 
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    path = tmp_path_factory.mktemp("retry") / "few.zarr"
+    atlas.run(plane_of_few(), path, client=client)
+    return path
+
+
 @pytest.fixture
-def store(tmp_path: Path, client: Client) -> Path:
-    atlas.run(plane_of_few(), tmp_path / "out.zarr", client=client)
-    return tmp_path / "out.zarr"
+def store(solved: Path, tmp_path: Path) -> Path:
+    """A store with undetermined cells of its own for each test."""
+    return Path(shutil.copytree(solved, tmp_path / "out.zarr"))
 
 
 def whole(store: Path) -> dict[str, np.ndarray]:

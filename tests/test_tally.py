@@ -1,5 +1,6 @@
 """The tally of a store: what status and shares of an unfinished atlas read, and that no kill makes it wrong."""
 
+import shutil
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -26,12 +27,12 @@ from tests.planes import plane_of
 from tests.synthetic import complete, indices, keep, results, spec_of
 from workers.results import FAILED, GAVE_UP, REGIMES
 
-TILES = 17 * 19
+TILES = 11 * 13
 
 
-def half_done(path: Path, tile: tuple[int, int] = (8, 8), **axis: object) -> Header:
-    """150 x 130 cells of which every other tile is done, so that no overview is."""
-    header = complete(path, tile, spec_of(150, 130, **axis))
+def half_done(path: Path) -> Header:
+    """104 x 88 cells of which every other tile is done, so that no overview is."""
+    header = complete(path, (8, 8), spec_of(104, 88), side=32)
     missing = [index for index in indices(header) if sum(index) % 2]
     drop(header, missing)
     for index in missing:
@@ -50,6 +51,31 @@ def header(tmp_path_factory: pytest.TempPathFactory) -> Header:
     made = half_done(tmp_path_factory.mktemp("tally") / "half.zarr")
     keep_tally(made)
     return made
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return complete(tmp_path_factory.mktemp("tally") / "whole.zarr", (16, 16)).path
+
+
+@pytest.fixture
+def whole(made: Path, tmp_path: Path) -> Header:
+    """A whole atlas in 9 tiles without a tally, of its own for each test."""
+    return read_header(shutil.copytree(made, tmp_path / "whole.zarr"))
+
+
+@pytest.fixture
+def sound(made: Path, tmp_path: Path) -> Header:
+    """A whole atlas in 9 tiles and its tally, of its own for each test."""
+    header = read_header(shutil.copytree(made, tmp_path / "whole.zarr"))
+    keep_tally(header)
+    return header
+
+
+@pytest.fixture
+def copy(header: Header, tmp_path: Path) -> Header:
+    """The half-done atlas and its tally, of its own for each test."""
+    return read_header(shutil.copytree(header.path, tmp_path / "half.zarr"))
 
 
 @pytest.fixture
@@ -96,7 +122,7 @@ def test_shares_of_a_half_done_atlas_read_no_cell(header: Header, keys: list[str
     assert found == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
 
 
-@pytest.mark.parametrize("part", [(3, 147, 2, 128), (8, 144, 16, 120), (17, 18, 5, 120), (0, 150, 16, 32)])
+@pytest.mark.parametrize("part", [(3, 101, 2, 86), (8, 96, 16, 80), (17, 18, 5, 80), (0, 104, 16, 32)])
 def test_shares_in_a_window_of_a_half_done_atlas_read_its_border_alone(
     header: Header, keys: list[str], part: tuple[int, int, int, int]
 ) -> None:
@@ -110,10 +136,10 @@ def test_shares_in_a_window_of_a_half_done_atlas_read_its_border_alone(
     assert found == pytest.approx(fractions(block.load().copy()), rel=1e-12)
 
 
-@pytest.mark.parametrize("values", [np.geomspace(1.0, 50.0, 150), np.linspace(1.0, 4.0, 150) ** 2])
+@pytest.mark.parametrize("values", [np.geomspace(1.0, 50.0, 80), np.linspace(1.0, 4.0, 80) ** 2])
 def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np.ndarray) -> None:
-    spec = atlas.Spec("two-mass", axes={"omega": values, "b": np.geomspace(0.1, 5.0, 60)})
-    header = complete(tmp_path / "a.zarr", (8, 8), spec)
+    spec = atlas.Spec("two-mass", axes={"omega": values, "b": np.geomspace(0.1, 5.0, 40)})
+    header = complete(tmp_path / "a.zarr", (8, 8), spec, side=32)
     drop_tile(header, (3, 4))
     drop(header, [(3, 4)])
     keep_tally(header)
@@ -124,27 +150,23 @@ def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np
     assert found == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
 
 
-def test_tiles_that_came_after_the_tally_are_read_and_no_others(tmp_path: Path, keys: list[str]) -> None:
-    header = half_done(tmp_path / "half.zarr")
-    keep_tally(header)
+def test_tiles_that_came_after_the_tally_are_read_and_no_others(copy: Header, keys: list[str]) -> None:
     for index in ((0, 1), (5, 4)):
-        write_tile(header, index, results(header, index, seed=1))
+        write_tile(copy, index, results(copy, index, seed=1))
     keys.clear()
-    status = read_status(header)
+    status = read_status(copy)
     assert set(keys) == {"regime/c/0/1", "regime/c/5/4"}
-    assert_true(status, header.path)
+    assert_true(status, copy.path)
     keys.clear()
-    found = fractions(atlas.open(header.path))
+    found = fractions(atlas.open(copy.path))
     assert set(keys) == {"regime/c/0/1", "regime/c/5/4"}
-    assert found == pytest.approx(fractions(atlas.open(header.path).load().copy()), rel=1e-12)
+    assert found == pytest.approx(fractions(atlas.open(copy.path).load().copy()), rel=1e-12)
 
 
-def test_tiles_in_the_tally_that_are_no_longer_done_do_not_count(tmp_path: Path) -> None:
-    header = half_done(tmp_path / "half.zarr")
-    keep_tally(header)
-    drop_tile(header, (4, 4))
-    assert_true(read_status(header), header.path)
-    ds = atlas.open(header.path)
+def test_tiles_in_the_tally_that_are_no_longer_done_do_not_count(copy: Header) -> None:
+    drop_tile(copy, (4, 4))
+    assert_true(read_status(copy), copy.path)
+    ds = atlas.open(copy.path)
     assert fractions(ds) == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
 
 
@@ -165,43 +187,37 @@ def flip(path: Path) -> None:
 @pytest.mark.parametrize("name", ["c/0/0/0", "zarr.json"])
 @pytest.mark.parametrize("harm", [remove, tear, flip])
 def test_a_tally_that_is_missing_or_damaged_is_counted_again(
-    tmp_path: Path, harm: Callable[[Path], None], name: str, keys: list[str]
+    sound: Header, harm: Callable[[Path], None], name: str, keys: list[str]
 ) -> None:
-    header = complete(tmp_path / "a.zarr", (16, 16))
-    keep_tally(header)
-    harm(header.path / "tally" / "tiles" / name)
-    assert_true(read_status(header), header.path)
-    keep_tally(header)
+    harm(sound.path / "tally" / "tiles" / name)
+    assert_true(read_status(sound), sound.path)
+    keep_tally(sound)
     keys.clear()
-    assert_true(read_status(header), header.path)
+    assert_true(read_status(sound), sound.path)
     assert len(keys) == 9  # by the comparison alone
 
 
 def test_a_tally_from_before_there_was_a_regime_or_a_reason_is_read_and_made_anew_by_a_run(
-    tmp_path: Path, keys: list[str]
+    sound: Header, keys: list[str]
 ) -> None:
-    header = complete(tmp_path / "a.zarr", (16, 16))
-    keep_tally(header)
-    group = zarr.open_group(header.path, mode="r+", use_consolidated=False)["tally"]
+    group = zarr.open_group(sound.path, mode="r+", use_consolidated=False)["tally"]
     whole, attributes = group["tiles"][...], dict(group["tiles"].attrs)
     older = [name for name in tally.COLUMNS if not name.endswith(("aperiodic", "not_relaxed", "not_stationary"))]
     assert len(older) == len(tally.COLUMNS) - 4
     kept = whole[..., [tally.COLUMNS.index(name) for name in older]]
     group.create_array("tiles", data=kept, attributes=attributes | {"columns": older}, overwrite=True)
     keys.clear()
-    status = read_status(header)
+    status = read_status(sound)
     assert keys == []
-    assert_true(status, header.path)
-    keep_tally(header)
+    assert_true(status, sound.path)
+    keep_tally(sound)
     np.testing.assert_array_equal(group["tiles"][...], whole)
 
 
-def test_a_tally_of_a_newer_version_is_counted_again(tmp_path: Path) -> None:
-    header = complete(tmp_path / "a.zarr", (16, 16))
-    keep_tally(header)
-    array = zarr.open_group(header.path, mode="r+", use_consolidated=False)["tally/tiles"]
+def test_a_tally_of_a_newer_version_is_counted_again(sound: Header) -> None:
+    array = zarr.open_group(sound.path, mode="r+", use_consolidated=False)["tally/tiles"]
     array.update_attributes({"columns": [*tally.COLUMNS[:-1], "reason tired"]})
-    assert_true(read_status(header), header.path)
+    assert_true(read_status(sound), sound.path)
 
 
 def test_a_run_keeps_the_tally_of_its_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
@@ -214,10 +230,9 @@ def test_a_run_keeps_the_tally_of_its_tiles(tmp_path: Path, client: Client, keys
 
 
 def test_the_next_run_counts_what_an_earlier_one_left_uncounted(
-    tmp_path: Path, client: Client, keys: list[str]
+    finished: Path, client: Client, keys: list[str]
 ) -> None:
-    spec, path = plane_of(), tmp_path / "out.zarr"
-    atlas.run(spec, path, client=client)
+    spec, path = plane_of(), finished
     header = read_header(path)
     entries = zarr.open_group(path, mode="r+", use_consolidated=False)["tally/tiles"]
     before = entries[...]
@@ -227,9 +242,8 @@ def test_the_next_run_counts_what_an_earlier_one_left_uncounted(
     np.testing.assert_array_equal(entries[...], before)
 
 
-def test_a_retry_leaves_the_tally_true(tmp_path: Path, client: Client, keys: list[str]) -> None:
-    spec, path = plane_of(), tmp_path / "out.zarr"
-    atlas.run(spec, path, client=client)
+def test_a_retry_leaves_the_tally_true(finished: Path, client: Client, keys: list[str]) -> None:
+    spec, path = plane_of(), finished
     before = read_status(read_header(path))
     fail(read_header(path), (1, 1))
     assert read_status(read_header(path)).regimes["failed"] == 2
@@ -250,11 +264,10 @@ def fail(header: Header, index: tuple[int, ...]) -> None:
 
 
 def test_a_coordinator_killed_after_a_retried_tile_leaves_no_wrong_entry(
-    tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The tile is written, its receipt lost: its old entry must not count."""
-    spec, path = plane_of(), tmp_path / "out.zarr"
-    atlas.run(spec, path, client=client)
+    spec, path = plane_of(), finished
     header = read_header(path)
     fail(header, (1, 1))
 
@@ -272,24 +285,21 @@ def test_a_coordinator_killed_after_a_retried_tile_leaves_no_wrong_entry(
     assert_true(read_status(header), path)
 
 
-def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(tmp_path: Path, client: Client) -> None:
-    spec, path = plane_of(), tmp_path / "out.zarr"
-    atlas.run(spec, path, client=client)
-    header = read_header(path)
+def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(finished: Path) -> None:
+    header = read_header(finished)
     fail(header, (1, 1))
     drop_tile(header, (1, 1))
     with TallyKeeper(header):  # as every run begins
-        run_job(Job((1, 1), str(path), header.run_id, header.solver_version))
-    assert_true(read_status(header), path)
+        run_job(Job((1, 1), str(finished), header.run_id, header.solver_version))
+    assert_true(read_status(header), finished)
 
 
-def test_a_run_that_fails_leaves_a_tally_that_may_be_another_runs_alone(tmp_path: Path) -> None:
-    header = complete(tmp_path / "a.zarr", (16, 16))
-    with pytest.raises(RuntimeError), TallyKeeper(header) as keeper:
+def test_a_run_that_fails_leaves_a_tally_that_may_be_another_runs_alone(whole: Header) -> None:
+    with pytest.raises(RuntimeError), TallyKeeper(whole) as keeper:
         keeper.finish()
         keeper.add((0, 0), np.ones(len(tally.COLUMNS)))
         raise RuntimeError
-    assert_true(read_status(header), header.path)
+    assert_true(read_status(whole), whole.path)
 
 
 def test_plain_xarray_does_not_see_the_tally(header: Header) -> None:

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from atlas.errors import InputError
 from atlas.render import axes, maps, style
 from workers.model.system import System
-from workers.results import LARGEST, PENDING
+from workers.results import LARGEST, NO_REASON, PENDING
 
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is a small one."""
@@ -40,6 +40,9 @@ FINER = 4
 """Times as many along both axes where the line runs."""
 _REACH = 3.0
 """Logarithm of the ratio up to which a crest between points may still cross zero."""
+
+AT_ONCE = 4096
+"""So many points whose oscillators are made at a time: together they take some megabytes."""
 
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are drawn solid: dashes side by side look like a bar code."""
@@ -73,15 +76,23 @@ def grazing_ratio(
     narrower gap. Zero on the grazing line; NaN where there is no such response.
     """
 
-    def at(xv: float, yv: float) -> float:
-        try:
-            osc = system.build(fixed | {x[0]: xv, y[0]: yv})
-        except (ValueError, ArithmeticError):
-            return np.nan
-        gap = min(osc.b_upper, osc.b_lower)
-        return float(np.log(osc.gap.amplitude / gap)) if osc.gap.amplitude > 0.0 and gap > 0.0 else np.nan
+    xs, ys = np.meshgrid(x[1], y[1])
+    points = {x[0]: xs.ravel(), y[0]: ys.ravel()}
+    return _ratios(system, fixed, points).reshape(xs.shape)
 
-    return np.array([[at(float(xv), float(yv)) for xv in x[1]] for yv in y[1]])
+
+def _ratios(system: System, fixed: dict[str, float], points: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
+    count = len(next(iter(points.values())))
+    found = np.full(count, np.nan)
+    for low in range(0, count, AT_ONCE):
+        part = slice(low, min(low + AT_ONCE, count))
+        given = {name: np.full(part.stop - low, value) for name, value in fixed.items()}
+        osc, reasons = system.build_many(given | {name: values[part] for name, values in points.items()})
+        gap = np.minimum(osc.b_upper, osc.b_lower)
+        there = (reasons == NO_REASON) & (osc.gap.amplitude > 0.0) & (gap > 0.0)
+        found[part][there] = np.log(osc.gap.amplitude[there] / gap[there])
+    return found
 
 
 def grazing_grid(
@@ -108,10 +119,8 @@ def grazing_grid(
     fine_xs, fine_ys = _between(xs), _between(ys)
     fine = np.stack([np.interp(fine_ys, ys, column) for column in coarse.T], axis=1)
     fine = np.stack([np.interp(fine_xs, xs, row) for row in fine])
-    for row, column in np.argwhere(np.repeat(np.repeat(_near_zero(coarse), FINER, 0), FINER, 1)):
-        fine[row, column] = grazing_ratio(
-            system, fixed, (x.name, fine_xs[column : column + 1]), (y.name, fine_ys[row : row + 1])
-        )[0, 0]
+    rows, columns = np.nonzero(np.repeat(np.repeat(_near_zero(coarse), FINER, 0), FINER, 1))
+    fine[rows, columns] = _ratios(system, fixed, {x.name: fine_xs[columns], y.name: fine_ys[rows]})
     return fine_xs, fine_ys, fine
 
 
