@@ -74,7 +74,7 @@ class _Flights:
         return np.isin(self.start[Y], list(self.stops.values()))
 
     def blocks(self, horizon: float) -> Iterator[tuple[int, Array]]:
-        """Index of the first sample and all samples (BLOCK + 1, states, flights) of a block; blocks share their ends."""
+        """Index of the first sample, and the samples (BLOCK + 1, states, flights) of a block; they share their ends."""
         fine = expm(self.B * self.step * np.arange(BLOCK + 1)[:, None, None])
         for first in range(0, int(np.ceil(horizon / self.step)), BLOCK):
             yield first, fine @ (expm(self.B * self.step * first) @ self.start)

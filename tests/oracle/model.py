@@ -14,8 +14,12 @@ from typing import Any
 
 import numpy as np
 from mpmath import mp
+from numpy.typing import NDArray
 
 from tests.oracle.linear import LinearSystem, Number, Row
+
+Vector = Sequence[Number] | NDArray[np.float64]
+Rows = Sequence[Sequence[Number]] | NDArray[np.float64]
 
 Y = 0  # index of the gap coordinate in q
 
@@ -32,19 +36,19 @@ class Machine:
     displacements, then velocities, empty for rest at zero.
     """
 
-    mass: Sequence[Sequence[Number]]
-    damping: Sequence[Sequence[Number]]
-    stiffness: Sequence[Sequence[Number]]
-    gap_row: Sequence[Number]
-    force_sin: Sequence[Sequence[Number]]
-    force_cos: Sequence[Sequence[Number]]
-    load: Sequence[Number]
+    mass: Rows
+    damping: Rows
+    stiffness: Rows
+    gap_row: Vector
+    force_sin: Rows
+    force_cos: Rows
+    load: Vector
     omega: Number
     tau: Number
     upper: Number
     lower: Number
     R: Number
-    start: Sequence[Number] = ()
+    start: Vector = ()
 
 
 Cell = Machine | Mapping[str, Any]
@@ -173,11 +177,11 @@ def model(cell: Cell) -> Model:
     )
 
 
-def _vector(values: Sequence[Number]) -> Any:
+def _vector(values: Vector) -> Any:
     return mp.matrix([mp.mpf(value) for value in values])
 
 
-def _matrix(rows: Sequence[Sequence[Number]]) -> Any:
+def _matrix(rows: Rows) -> Any:
     return mp.matrix([[mp.mpf(value) for value in row] for row in rows])
 
 

@@ -57,8 +57,13 @@ def simulate(cell: Cell, periods: int, digits: int = 40, rest: float = 1e-10) ->
 
     A sequence of impacts that is bound to end at rest is followed hop by hop until what is left of it lasts less than
     ``rest`` times the system's fastest time scale; the state's error is then of the order of the cube of that.
-    Raises ValueError for a state beyond a stop, ArithmeticError after MAX_IMPACTS impacts in one period.
+    Raises ValueError for a state beyond a stop and for fewer digits than the last hops need, whose height is about
+    rest^2; ArithmeticError after MAX_IMPACTS impacts in one period.
     """
+    if rest < 10.0 ** (2 - digits / 2):
+        raise ValueError(
+            f"{digits} digits do not resolve hops of {rest:.0e} of a time scale: more digits, or more rest"
+        )
     with mp.workdps(digits):
         made = model(cell)
         motion = _Motion(made, made.start, mp.mpf(rest))
