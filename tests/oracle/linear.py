@@ -28,7 +28,7 @@ class LinearSystem:
 
     def derivative(self, z: Sequence[Number]) -> list[Number]:
         """B z."""
-        return [sum((entry * z[j] for j, entry in row.items()), mp.zero) for row in self.rows]
+        return [mp.fdot((entry, z[j]) for j, entry in row.items()) for row in self.rows]
 
     def norm(self, z: Sequence[Number]) -> Number:
         """Weighted maximum norm."""
@@ -66,5 +66,5 @@ class Series:
 
     def of(self, functional: Mapping[int, Number]) -> tuple[list[Number], Number]:
         """Coefficients of a linear functional of z(u), and the bound on its truncation error."""
-        polynomial = [sum((f * row[i] for i, f in functional.items()), mp.zero) for row in self.coefficients]
+        polynomial = [mp.fdot((f, row[i]) for i, f in functional.items()) for row in self.coefficients]
         return polynomial, sum(abs(f) * self.remainder[i] for i, f in functional.items())
