@@ -1,5 +1,6 @@
 """Commands about one cell, and about the systems that there are."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, text, to_json
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
-from atlas.spec.spec import checked_parameters, checked_settings, checked_system, example_names
+from atlas.spec.spec import checked_parameters, checked_settings, example_names
+from atlas.spec.system import checked_system
 from atlas.task.compile import warming
-from workers.model.system import SYSTEMS
+from workers.model.system import System, find_system, system_names
 
 
 @click.command()
@@ -64,9 +66,34 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> 
 
 
 @click.command()
-def systems() -> None:
-    """The systems that can be solved, with their parameters, and the examples in the package."""
-    for record in SYSTEMS.values():
-        rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
-        print_table(f"{record.name}: {record.title}", ["parameter", "meaning", "unit", "default", "valid"], rows)
+@click.argument("name", required=False)
+@json_option
+def systems(name: str | None, as_json: bool) -> None:
+    """The systems that can be solved; of one, NAME or the path of a .toml file, all that there is to know."""
+    if name is not None:
+        found = checked_system(name)
+        click.echo(to_json(found.table())) if as_json else _print_system(found)
+        return
+    records = [find_system(each) for each in system_names()]
+    if as_json:
+        titles = {record.name: record.title for record in records}
+        click.echo(to_json({"systems": titles, "examples": example_names()}))
+        return
+    print_table("", ["system", ""], [(record.name, record.title) for record in records])
     click.echo(f"\nexamples: {', '.join(example_names())}")
+    click.echo("more of one: atlas systems NAME")
+
+
+def _print_system(record: System) -> None:
+    """Title, equation, picture, parameters, source and usual axes."""
+    click.echo(f"{record.name}: {record.title}")
+    for part in (record.equation, record.picture):
+        if part.strip():
+            click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
+    click.echo()
+    rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
+    print_table("", ["parameter", "meaning", "unit", "default", "valid"], rows)
+    if record.source:
+        click.echo(f"\nsource: {record.source}")
+    if record.axes:
+        click.echo(f"usual axes: {', '.join(f'{name} {low:g} to {high:g}' for name, low, high in record.axes)}")

@@ -31,6 +31,7 @@ from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.task import Job, Receipt
 from atlas.text import plural
+from workers.model.system import DEFAULT
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -236,7 +237,7 @@ def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOpti
     """The work after the kernels are compiled, where this machine needs them, and its cost probed, where asked for."""
     if client is None or options.probe:
         options.report(Progress(warming()))
-        compile_once(spec.system, spec.settings)
+        compile_once(DEFAULT, spec.settings)
     if not options.probe:
         return work
     options.report(Progress("probing a few cells"))

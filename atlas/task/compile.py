@@ -54,7 +54,8 @@ def main() -> None:
 def warm_up(system: str, settings: Settings) -> None:
     """Compile the kernels, or load them, by one period of the system's default cell: every kernel is called for it.
 
-    What a kernel is compiled for does not depend on the settings: they make arrays longer or empty.
+    What a kernel is compiled for depends neither on the settings nor on the system: they make arrays longer or empty.
+    The package's own system is one whose default cell can be solved.
     """
     from workers.tile import solve_cells
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from workers.results import (
     COUPLED_DAMPING,
     LONG_PERIOD,
+    NO_OSCILLATOR,
     NO_REASON,
     OUT_OF_DOUBLES,
     RESONANCE,
@@ -140,20 +141,29 @@ class Oscillator(NamedTuple):
 
 
 class Machines(NamedTuple):
-    """Oscillators M x'' + C x' + K x = force sin(omega t + tau) with stops on y = gap_row . x, N of them.
+    """Oscillators M x'' + C x' + K x = load + force with stops on y = gap_row . x, N of them, each with n coordinates.
 
-    mass, damping, stiffness (N, n, n), gap_row and force (N, n), all else (N,).
+    mass, damping, stiffness    (N, n, n)
+    gap_row                     (N, n)
+    force_sin, force_cos        (N, H, n): the force is the sum over k = 1, ..., H of
+                                force_sin[:, k - 1] sin(k phi) + force_cos[:, k - 1] cos(k phi), phi = omega t + tau
+    load                        (N, n)
+    omega, tau                  (N,)
+    upper, lower                (N,): lower <= y <= upper; an infinite one is no stop
+    R                           (N,)
     """
 
     mass: Array
     damping: Array
     stiffness: Array
     gap_row: Array
-    force: Array
+    force_sin: Array
+    force_cos: Array
+    load: Array
     omega: Array
     tau: Array
-    b_upper: Array
-    b_lower: Array
+    upper: Array
+    lower: Array
     R: Array
 
 
@@ -192,7 +202,8 @@ def mass_spring(
 
     Raises InvalidError, a ValueError in one line, for what ``build`` has a reason for.
     """
-    fields = (mass, damping, stiffness, gap_row, force, omega, tau, b_upper, b_lower, R)
+    force, none = np.atleast_2d(force), np.zeros_like(force)
+    fields = (mass, damping, stiffness, gap_row, force, 0.0 * force, none, omega, tau, b_upper, -b_lower, R)
     return build_one(Machines(*(np.asarray(field, dtype=np.float64)[None] for field in fields)))
 
 
@@ -217,8 +228,10 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
 
 
 def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
-    mass, damping, stiffness, gap_row, force, omega, tau, b_upper, b_lower, R = machines
+    mass, damping, stiffness, gap_row, force_sin, force_cos, load, omega, tau, b_upper, lower, R = machines
     N, n = gap_row.shape
+    force, b_lower = np.ascontiguousarray(force_sin[:, 0]), -lower
+    beyond = np.any(force_cos != 0.0, axis=(1, 2)) | np.any(force_sin[:, 1:] != 0.0, axis=(1, 2)) | load.any(axis=1)
     lam, modes = _modes(mass, stiffness)
     eta, coupled = _modal_damping(modes, damping)
     accelerance = _stacked(np.linalg.solve, (N, n, 1), mass, gap_row[..., None])[..., 0]
@@ -276,6 +289,7 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         (RESONANCE, resonant | held_resonant),
         (COUPLED_DAMPING, coupled | held_coupled),
         (RIGID_MODE, rigid),
+        (NO_OSCILLATOR, beyond),
     ):
         reasons[holds] = reason
     return each(oscillators, lambda field: np.array(field, order="C")), reasons
