@@ -37,7 +37,7 @@ class CellOrbit:
     settings    how it was solved
     cell        every result of solve_tile, by name; ``regime`` is a code
     period      forcing period T
-    stops       gap coordinate at the lower and at the upper stop
+    stops       gap coordinate at the lower and at the upper stop; infinite where there is none
     times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
     states      (N, 2n)  physical states along the path (displacements, then velocities)
     impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path

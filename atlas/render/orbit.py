@@ -113,7 +113,8 @@ def _label(orbit: CellOrbit, i: int) -> str:
 def _stops_of(orbit: CellOrbit, i: int) -> tuple[float, ...]:
     """The stops as values of a displacement, where it is the one that they stop."""
     row = np.array(orbit.system.build(orbit.parameters).gap_row)
-    return orbit.stops if row[i] == 1.0 and np.count_nonzero(row) == 1 else ()
+    stops = tuple(stop for stop in orbit.stops if np.isfinite(stop))
+    return stops if row[i] == 1.0 and np.count_nonzero(row) == 1 else ()
 
 
 def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:

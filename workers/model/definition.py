@@ -126,17 +126,11 @@ def faults(machines: Machines) -> NDArray[np.int8]:
         reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
     ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
     reasons[~ranges] = OUT_OF_RANGE
-    known = np.logical_and.reduce(
-        [
-            np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
-            for field in machines._replace(upper=_ZERO, lower=_ZERO)
-        ]
-    )
-    reasons[~known | np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES
+    unknown = np.isnan(machines.upper) | np.isnan(machines.lower)
+    for field in machines._replace(upper=machines.omega, lower=machines.omega):  # a stop may be infinitely far away
+        unknown |= ~np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
+    reasons[unknown] = OUT_OF_DOUBLES
     return reasons
-
-
-_ZERO = np.zeros(1)
 
 
 def _entry(expression: Expression) -> float | str:

@@ -155,7 +155,7 @@ def _tokens(text: str) -> list[str]:
     while place < len(text):
         match = _TOKEN.match(text, place)
         if match is None:
-            sign = text[place:].lstrip()[0]
+            sign = text[place:].lstrip(" \t\r\n")[0]
             raise ExpressionError(f"found {sign!r}, must be numbers, names, + - * / **, parentheses and commas")
         found.append(match.group(match.lastindex or 0))
         place = match.end()
