@@ -44,7 +44,8 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     if as_json:
         click.echo(to_json(found))
     else:
-        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+        shown = found | {"system": checked_system(system).name}
+        print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
 
 
 @click.command()
