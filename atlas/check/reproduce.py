@@ -10,7 +10,6 @@ import numpy as np
 from atlas.spec.spec import Spec
 from atlas.store.schema import ALLOWANCES
 from atlas.task.compile import compile_once
-from workers.model.system import DEFAULT
 from workers.results import CHAOTIC, PERIODIC, REGIME, REGIMES
 
 ERRORS = 5.0
@@ -44,7 +43,7 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
     block = tuple(slice(i, i + 1) for i in sample.cell)
     given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
     settings = replace(spec.settings, **given)
-    compile_once(DEFAULT, settings)
+    compile_once(spec.record, settings)
     return solve_cells(spec.record, spec.cell_params(block), settings).arrays
 
 

@@ -37,14 +37,15 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     from atlas.cell.point import point as solve_point
 
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
-    checked_parameters(checked_system(system), pairs)
+    record = checked_system(system)
+    checked_parameters(record, pairs)
     if not as_json:
-        say(f"{warming()}, solving")
-    found = solve_point(pairs, system=system, settings=settings)
+        say(f"{warming(record)}, solving")
+    found = solve_point(pairs, system=record, settings=settings)
     if as_json:
         click.echo(to_json(found))
     else:
-        shown = found | {"system": checked_system(system).name}
+        shown = found | {"system": record.name}
         print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
 
 
@@ -59,10 +60,11 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> 
     check_path(out)
     look = {name: options.pop(name) for name in LOOK if name in options}
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(options)
-    checked_parameters(checked_system(system), pairs)
-    say(f"{warming()}, solving, drawing")
+    record = checked_system(system)
+    checked_parameters(record, pairs)
+    say(f"{warming(record)}, solving, drawing")
     with input_errors():
-        draw_portrait(pairs, system=system, settings=settings, path=out, **look)
+        draw_portrait(pairs, system=record, settings=settings, path=out, **look)
     click.echo(str(out))
 
 

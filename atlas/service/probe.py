@@ -13,7 +13,6 @@ from atlas.service.plan import Probe
 from atlas.spec.spec import Spec
 from atlas.task.compile import warm_up
 from workers import Settings
-from workers.model.system import DEFAULT
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
     not count. Cells that are continued are measured in short parts of lines.
     """
-    warm_up(DEFAULT, spec.settings)
+    warm_up(spec.record, spec.settings)
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))

@@ -23,7 +23,6 @@ from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
 from atlas.task.reuse import fill_tile
 from workers import SOLVER_VERSION
-from workers.model.system import DEFAULT
 from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts, result_variables
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -87,7 +86,7 @@ def solve_and_write(job: Job) -> Receipt:
     with file_errors(job.store):
         header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
         spec, tile = header.spec, header.tiling.at(job.index)
-        compile_once(DEFAULT, spec.settings)
+        compile_once(spec.record, spec.settings)
         stored = stored_tile(header, job.index) if job.retry is not None else {}
         begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:
