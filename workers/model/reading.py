@@ -75,6 +75,12 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
         built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", f"initial displacement {name}", 0.0)
     for name, of in zip(velocities, coordinates, strict=True):
         built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", f"initial velocity {name}", 0.0)
+    for name in (*coordinates, *velocities):
+        for key in ("low", "high"):
+            if isinstance(given.get(name), Mapping) and key in given[name]:
+                raise DefinitionError(
+                    f"system.parameters.{name}.{key}: an initial value has no range; the stops alone bound it"
+                )
     own = {name: _read_parameter(name, one, built_in.get(name)) for name, one in given.items()}
     order = [OMEGA, *(name for name in own if name not in built_in), TAU, *coordinates, *velocities]
     return tuple(own.get(name) or built_in[name] for name in order)
@@ -90,9 +96,9 @@ def _read_parameter(name: str, given: object, base: Parameter | None) -> Paramet
     known = base or Parameter(name, symbol_of(name), "1", name, 0.0)
     found = Parameter(
         name,
-        symbol=read_text(f"{where}.symbol", table.get("symbol"), known.symbol),
-        unit=read_text(f"{where}.unit", table.get("unit"), known.unit),
-        meaning=read_text(f"{where}.meaning", table.get("meaning"), known.meaning),
+        symbol=_read_words(f"{where}.symbol", table.get("symbol"), known.symbol),
+        unit=_read_words(f"{where}.unit", table.get("unit"), known.unit),
+        meaning=_read_words(f"{where}.meaning", table.get("meaning"), known.meaning),
         default=read_number(f"{where}.default", table.get("default", known.default)),
         low=read_number(f"{where}.low", table.get("low", known.low), infinite=True),
         high=read_number(f"{where}.high", table.get("high", known.high), infinite=True),
@@ -304,6 +310,14 @@ def _check_name(where: str, name: object) -> None:
         raise _found(where, name, "must be a name of letters, digits and underscores, 40 at most")
     if name in RESERVED or name in _TAKEN:
         raise DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
+
+
+def _read_words(where: str, value: object, default: str) -> str:
+    """Words on one line that can stand beside a formula."""
+    found = read_text(where, value, default)
+    if not found.isprintable() or "$" in found or len(found) > 200:
+        raise _found(where, value, "must be one line of at most 200 characters without a dollar")
+    return found
 
 
 def _read_flag(where: str, given: object) -> bool:
