@@ -153,7 +153,7 @@ def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
     machine = {key: value for key, value in given.items() if key not in PROSE}
     machine["parameters"] = {
         name: {key: value for key, value in table.items() if key not in _PARAMETER_PROSE}
-        for name, table in given["parameters"].items()
+        for name, table in given.get("parameters", {}).items()
     }
     return {"system": machine}
 
