@@ -18,8 +18,8 @@ from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
 from atlas.render import LOOK, check_path, compared_figure, figure, portrait, side_by_side
+from atlas.spec.system import resolved_system
 from workers import Settings
-from workers.model.system import find_system
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -136,10 +136,12 @@ class AtlasAccessor:
         cell = query.at(self._ds, options)
         try:
             spec = json.loads(self._ds.attrs["spec"])
-            system, settings = spec["system"], Settings(**spec["solve"])
+            system, settings = resolved_system(spec), Settings(**spec["solve"])
+        except InputError:
+            raise
         except (KeyError, TypeError, ValueError):
             raise InputError("this dataset does not say how it was solved: it lacks the spec of its atlas") from None
-        known = [parameter.name for parameter in find_system(system).parameters]
+        known = [parameter.name for parameter in system.parameters]
         given = {
             name: float(cell[name] if name in cell else self._ds[name]) for name in known if name in self._ds.coords
         }

@@ -3,7 +3,7 @@
 import reprlib
 from collections.abc import Iterable, Mapping
 
-from workers.model.system import unknown_name
+from workers.model.parameter import unknown_name
 
 LONGEST_LINE = 500
 """Characters of a message; of a longer one the middle is left out."""

@@ -143,7 +143,7 @@ def _differences(store: Path) -> tuple[str, ...]:
     spec, found = header.spec, set()
     for tile in header.tiling.tiles():
         stored = read_tile(header, tile.index)
-        for name, values in solve_cells(spec.system, spec.cell_params(tile.slices), spec.settings).arrays.items():
+        for name, values in solve_cells(spec.record, spec.cell_params(tile.slices), spec.settings).arrays.items():
             if stored[name].dtype != values.dtype or stored[name].tobytes() != np.ascontiguousarray(values).tobytes():
                 found.add(name)
     return tuple(sorted(found))

@@ -13,8 +13,10 @@ from PIL import Image
 from atlas.cell.orbit import CellOrbit
 from atlas.render import style
 from workers import Settings
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, UNDETERMINED
+
+TWO_MASS = find_system("two-mass")
 
 NAN = float("nan")
 EVERY = [PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED]

@@ -12,10 +12,12 @@ from workers.kernel.batch.run import Batch
 from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
 from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from
 from workers.model.oscillator import Oscillator, each
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.results import NO_REASON, UNDETERMINED
 from workers.stretch import batch_of, ended, run
 from workers.tile import solve_cells
+
+TWO_MASS = find_system("two-mass")
 
 KEPT = 5
 

@@ -17,11 +17,13 @@ from workers.kernel.cells import scale_of
 from workers.kernel.motion import FREE, motion_at
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from
 from workers.model.oscillator import Oscillator
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.orbit.map import FixedPoint
 from workers.orbit.newton import newton
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
 from workers.tile import solve_tile
+
+TWO_MASS = find_system("two-mass")
 
 
 @dataclass(frozen=True)

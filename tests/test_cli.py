@@ -148,7 +148,7 @@ def test_point_gives_every_result_of_one_cell() -> None:
 
 
 def test_systems_lists_parameters_with_their_ranges() -> None:
-    assert "0 <= R <= 1" in call("systems").stdout
+    assert "0 <= R <= 1" in call("systems", "two-mass").stdout
 
 
 def test_json_writes_infinity_as_text_and_nan_as_null() -> None:

@@ -1,7 +1,8 @@
 """The claim that every command and every script of README.md and docs/ does what it is shown to do, as it stands.
 
 All blocks of a page run in order in one folder, but those after a comment ``<!-- not run by tests: why -->``. What they
-start from lies there: small specs under the names of the pages' own, and a store of one of them.
+start from lies there: small specs under the names of the pages' own, a store of one of them, and the files that the
+page itself shows.
 """
 
 import os
@@ -15,7 +16,7 @@ import pytest
 from PIL import Image
 
 from tests.faults import ATLAS
-from tests.test_docs import PAGES, ROOT, script_calls
+from tests.test_docs import PAGES, ROOT, files, script_calls
 
 pytestmark = pytest.mark.slow
 
@@ -96,6 +97,8 @@ def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, folder: Path) -> 
         if name in page.read_text():
             (folder / "another.toml").write_text(PLANE.replace("[axes.omega]", f"[parameters]\nR = {R}\n[axes.omega]"))
             run(["atlas", "run", "another.toml", "-o", name], folder)
+    for name, text in files(page).items():
+        (folder / name).write_text(text)
     for number, (language, text) in enumerate(runnable(page)):
         if language == "sh":
             run(["sh", "-eu", "-c", text], folder)

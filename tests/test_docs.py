@@ -12,7 +12,7 @@ import pytest
 from atlas.cli.main import main
 from atlas.spec.spec import Spec
 from atlas.store.schema import ALLOWANCES
-from workers import Settings
+from workers import Settings, System
 from workers.results import REASONS, REGIMES, result_variables
 
 ROOT = Path(__file__).parent.parent
@@ -155,12 +155,21 @@ def test_code_in_python_is_python(page: Path) -> None:
         ast.parse(block)
 
 
+def files(page: Path) -> dict[str, str]:
+    """The blocks of a page that are whole files, which say so in their first line, by the files' names."""
+    return {found[1]: block for block in blocks(page, "toml") if (found := re.match(r"# ([\w-]+\.toml)\n", block))}
+
+
 @each_page
-def test_whole_specs_are_specs_and_parts_of_them_toml(page: Path) -> None:
+def test_whole_specs_are_specs_whole_systems_systems_and_parts_of_them_toml(page: Path, tmp_path: Path) -> None:
+    for name, text in files(page).items():
+        (tmp_path / name).write_text(text)
     for block in blocks(page, "toml"):
         given = tomllib.loads(block)
-        if "system" in given:
-            Spec.from_mapping(given)
+        if "axes" in given and "system" in given:
+            Spec.from_mapping(given, tmp_path)
+        elif "system" in given:
+            System.from_toml(block)
 
 
 @each_page

@@ -14,7 +14,8 @@ from tests.oracle import Machine, section_jacobian, simulate
 from tests.oracle.machines import random_machine
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate, reset_frame
-from workers.model.oscillator import Machines, Oscillator, build_one
+from workers.model.build import build_one
+from workers.model.oscillator import Machines, Oscillator
 
 EPS = float(np.finfo(np.float64).eps)
 COMPARABLE = 1e-4

@@ -22,7 +22,9 @@ from atlas.store.location import place_of
 from atlas.store.store import create
 from tests.fuzzing import fuzz
 from tests.synthetic import fill, spec_of
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
+
+TWO_MASS = find_system("two-mass")
 
 pytestmark = pytest.mark.slow
 

@@ -14,8 +14,10 @@ from atlas.query.queries import boundary
 from atlas.render import combined, error, impacts, maps, overlays, period, scalar, sticking, symmetry
 from tests.pictures import NAN, atlas, colour, labels, pixel, plane
 from workers import solve_tile
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+
+TWO_MASS = find_system("two-mass")
 
 
 def rgb(color: str) -> tuple[int, ...]:

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from tests import naive
 from tests.fuzzing import fuzz
 from workers import Settings, solve_tile, trace
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.results import ARITHMETIC, CHAOTIC, INVALID
 from workers.tile import solve_cells
+
+TWO_MASS = find_system("two-mass")
 
 QUICK = Settings(exponents="none", max_periods=20)
 WAYS = [

@@ -1,5 +1,6 @@
 """Claims about the portrait of a cell: its path is the solver's motion, and each panel shows what it says."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from atlas.errors import InputError
 from tests import naive
 from tests.pictures import orbit
 from workers import Settings, trace
+from workers.model.system import find_system
 from workers.results import CHAOTIC, PERIODIC, QUASIPERIODIC, UNDETERMINED
 
 
@@ -181,6 +183,24 @@ def test_the_title_names_the_parameters_and_the_motion(page: Figure) -> None:
     title = page.get_suptitle()
     assert r"$\omega = 4$" in title
     assert "period 1, impacts 1 above and 0 below" in title
+
+
+def test_a_portrait_shows_the_mass_that_is_stopped_and_its_stop() -> None:
+    """A chain's is the last: of three masses the first and the third are shown; a stop at infinity is not."""
+    chain = find_system("chain-3")
+    states = orbit().states[:, [0, 1, 0, 2, 3, 2]]
+    found = replace(
+        orbit(),
+        system=chain,
+        parameters={p.name: p.default for p in chain.parameters},
+        states=states,
+        section=states[:1],
+        stops=(-math.inf, 1.0),
+    )
+    axes = render.orbit_figure(found).axes
+    assert [ax.get_ylabel() for ax in axes[:2]] == ["$x_{1}$ [–]", "$x_{3}$ [–]"]
+    heights = [[line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == "--"] for ax in axes[:2]]
+    assert heights == [[], [1.0]]
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from atlas.task import compile as warm
-from workers import Settings
+from tests.test_systems import MACHINE
+from workers import Settings, System, solve_tile
 from workers.kernel import jit
+from workers.model.system import find_system, system_names
 
 COMPILING, LOADING = "compiling the kernels (kept for the next run)", "loading the kernels"
 
@@ -41,6 +43,25 @@ def test_all_exponents_take_the_same_kernels(compiled: list[str]) -> None:
     for exponents in ("largest", "spectrum", "none"):
         warm.compile_once("two-mass", Settings(exponents=exponents))
     assert compiled == ["largest"]
+
+
+def test_kernels_are_compiled_once_for_each_number_of_coordinates(compiled: list[str]) -> None:
+    """A system of one's own takes those of the packaged one with as many, whatever its default cell is."""
+    for system in ("two-mass", "impact-damper", System.from_toml(MACHINE), "chain-3", "bouncing-ball", "impact-pair"):
+        warm.compile_once(system, Settings())
+    assert len(compiled) == 3
+
+
+@pytest.mark.parametrize("name", system_names())
+def test_the_system_that_stands_in_has_as_many_coordinates(name: str) -> None:
+    assert len(find_system(warm.stand_in(name)).states) == len(find_system(name).states)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted({warm.stand_in(name) for name in system_names()}))
+def test_the_default_cell_of_a_system_that_stands_in_has_impacts(name: str) -> None:
+    """Compiled anew for each number of coordinates, which takes its time."""
+    assert solve_tile(name, {}, Settings(max_periods=200, survival=0))["impacts_per_period"] > 0.0
 
 
 def test_who_is_stopped_while_compiling_leaves_it_to_the_next(

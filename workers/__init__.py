@@ -1,6 +1,7 @@
 """The numerics of impact-atlas: what Dask's workers run. Depends on numpy, scipy and numba only.
 
-Two functions: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history.
+Two functions: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history. Both take the
+name of a packaged system, or a ``System`` of one's own, ``System.from_toml``.
 """
 
 from importlib import import_module
@@ -10,18 +11,19 @@ from workers.settings import Settings
 
 if TYPE_CHECKING:
     from workers.history import trace
+    from workers.model.system import System
     from workers.tile import solve_tile
 
 SOLVER_VERSION = 7
 """Raised whenever any number that solve_tile returns may change."""
 
-__all__ = ["SOLVER_VERSION", "Settings", "solve_tile", "trace"]
+__all__ = ["SOLVER_VERSION", "Settings", "System", "solve_tile", "trace"]
 
-_HOMES = {"solve_tile": "workers.tile", "trace": "workers.history"}
+_HOMES = {"solve_tile": "workers.tile", "trace": "workers.history", "System": "workers.model.system"}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a function at its first use, so that reading a spec does not wait for numba."""
+    """Import a name at its first use, so that reading a spec does not wait for numba."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def solve_lines(
-    system: str,
+    system: str | System,
     params: Mapping[str, ArrayLike],
     settings: Settings | None = None,
     *,

@@ -10,7 +10,7 @@ from workers.kernel.cells import physical_states, reset_frames, start_motions
 from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, motions_at
 from workers.kernel.stroboscopic import OVERDRAFT
 from workers.model.oscillator import each, many_of
-from workers.model.system import find_system
+from workers.model.system import System, find_system
 from workers.outcome import REASON_OF
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
 from workers.settings import Settings, check_whole
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
     exponents: Array
 
 
-def trace(system: str, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
+def trace(system: str | System, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
     """The history of one cell from its initial state over so many forcing periods, 0 to a million, nothing dropped.
 
     Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.model.system import find_system
+from workers.model.system import System, find_system
 from workers.results import REASON, empty_results, reason_counts, result_variables
 from workers.settings import Settings
 from workers.solve import solve
@@ -28,11 +28,11 @@ class Solution(NamedTuple):
 
 
 def solve_tile(
-    system: str, params: Mapping[str, ArrayLike], settings: Settings | None = None
+    system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None
 ) -> dict[str, NDArray[Any]]:
     """Exponents, regime and periodicity of every cell, as arrays of the parameters' broadcast shape.
 
-    system    name of the system, "two-mass"
+    system    name of a system in the package, such as "two-mass", or a System
     params    parameter name -> float or array; what is left out has its default. The arrays broadcast to the
               shape of every result; "spectrum" and "state" have one more axis (2n), "section" two (K, 2n).
     settings  see Settings
@@ -50,7 +50,7 @@ def solve_tile(
     return solve_cells(system, params, settings).arrays
 
 
-def solve_cells(system: str, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Solution:
+def solve_cells(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Solution:
     """As solve_tile, as a Solution."""
     record = find_system(system)
     settings = settings or Settings()

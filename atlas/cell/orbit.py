@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.spec.spec import checked_parameters, checked_system, digest_of
+from atlas.spec.spec import checked_parameters, digest_of
+from atlas.spec.system import checked_system
 from workers import Settings
-from workers.model.system import System
+from workers.model.system import DEFAULT, System, identity
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME, REGIMES
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ class CellOrbit:
     settings    how it was solved
     cell        every result of solve_tile, by name; ``regime`` is a code
     period      forcing period T
-    stops       gap coordinate at the lower and at the upper stop
+    stops       gap coordinate at the lower and at the upper stop; infinite where there is none
     times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
     states      (N, 2n)  physical states along the path (displacements, then velocities)
     impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path
@@ -65,10 +66,15 @@ class CellOrbit:
     def digest(self) -> str:
         """Digest of all that decides these numbers, made as a spec's."""
         solve = asdict(self.settings)
-        return digest_of({"system": self.system.name, "parameters": dict(self.parameters), "axes": [], "solve": solve})
+        others = {"parameters": dict(self.parameters), "axes": [], "solve": solve}
+        return digest_of(identity(self.system.resolved()) | others)
 
 
-def cell_orbit(given: Mapping[str, Any], system: str = "two-mass", settings: Settings | None = None) -> CellOrbit:
+def cell_orbit(
+    given: Mapping[str, Any],
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+) -> CellOrbit:
     """The orbit of one cell; ``given`` are the parameters that differ from the defaults.
 
     All exponents and the section are computed whatever ``settings`` say of them; a section with fewer samples than
@@ -84,7 +90,7 @@ def cell_orbit(given: Mapping[str, Any], system: str = "two-mass", settings: Set
         exponents="spectrum",
         section_samples=max(SECTION_STATES, (settings or Settings()).section_samples),
     )
-    solution = solve_cells(record.name, parameters, asked)
+    solution = solve_cells(record, parameters, asked)
     cell: dict[str, Any] = {name: array[()] for name, array in solution.arrays.items()}
     start = cell["state"]
     if not np.all(np.isfinite(start)):
@@ -134,7 +140,7 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
     reason = ""
     for periods in CONVERGENCE:
         try:
-            return trace(system.name, parameters, periods, settings).exponents
+            return trace(system, parameters, periods, settings).exponents
         except ValueError as error:
             reason = str(error)
     raise InputError(f"this cell cannot be followed: {reason}")

@@ -4,28 +4,34 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from atlas.spec.spec import checked_parameters, checked_system
+from atlas.spec.spec import checked_parameters
+from atlas.spec.system import checked_system
 from workers import Settings
+from workers.model.system import DEFAULT, System
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
 
 
 def point(
-    given: Mapping[str, Any] | None = None, *, system: str = "two-mass", settings: Settings | None = None
+    given: Mapping[str, Any] | None = None,
+    *,
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
 ) -> dict[str, Any]:
     """Results of one cell by name (``regime`` by its name), with ``system``, ``parameters`` and ``solve`` in full.
 
-    ``given`` are the parameters that differ from the defaults. ``reason`` is there where the cell could not be solved.
+    ``given`` are the parameters that differ from the defaults; ``system`` is a name, the path of a .toml file, or a
+    System. ``reason`` is there where the cell could not be solved.
     Raises InputError for a parameter that does not exist or is out of range.
     """
     from workers.tile import solve_cells
 
     record, settings = checked_system(system), settings or Settings()
     parameters = checked_parameters(record, given or {})
-    arrays = solve_cells(record.name, parameters, settings).arrays
+    arrays = solve_cells(record, parameters, settings).arrays
     names = {regime.code: regime.name for regime in REGIMES}
     found = {variable.name: arrays[variable.name].tolist() for variable in result_variables(settings)}
     found[REGIME.name] = names[found[REGIME.name]]
     reason = REASONS[found.pop(REASON.name)]
     if reason.code != NO_REASON:
         found[REASON.name] = reason.text
-    return {"system": record.name, "parameters": parameters, "solve": asdict(settings)} | found
+    return record.resolved() | {"parameters": parameters, "solve": asdict(settings)} | found

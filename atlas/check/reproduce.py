@@ -38,7 +38,7 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
     block = tuple(slice(i, i + 1) for i in sample.cell)
     given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
     settings = replace(spec.settings, **given)
-    return solve_cells(spec.system, spec.cell_params(block), settings).arrays
+    return solve_cells(spec.record, spec.cell_params(block), settings).arrays
 
 
 def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:

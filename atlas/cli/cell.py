@@ -1,5 +1,6 @@
 """Commands about one cell, and about the systems that there are."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, text, to_json
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
-from atlas.spec.spec import checked_parameters, checked_settings, checked_system, example_names
+from atlas.spec.spec import checked_parameters, checked_settings, example_names
+from atlas.spec.system import checked_system
 from atlas.task.compile import warming
-from workers.model.system import SYSTEMS
+from workers.model.system import System, find_system, system_names
 
 
 @click.command()
@@ -35,14 +37,16 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     from atlas.cell.point import point as solve_point
 
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
-    checked_parameters(checked_system(system), pairs)
+    record = checked_system(system)
+    checked_parameters(record, pairs)
     if not as_json:
-        say(f"{warming()}, solving")
-    found = solve_point(pairs, system=system, settings=settings)
+        say(f"{warming(record)}, solving")
+    found = solve_point(pairs, system=record, settings=settings)
     if as_json:
         click.echo(to_json(found))
     else:
-        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+        shown = found | {"system": record.name}
+        print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
 
 
 @click.command()
@@ -56,17 +60,43 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> 
     check_path(out)
     look = {name: options.pop(name) for name in LOOK if name in options}
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(options)
-    checked_parameters(checked_system(system), pairs)
-    say(f"{warming()}, solving, drawing")
+    record = checked_system(system)
+    checked_parameters(record, pairs)
+    say(f"{warming(record)}, solving, drawing")
     with input_errors():
-        draw_portrait(pairs, system=system, settings=settings, path=out, **look)
+        draw_portrait(pairs, system=record, settings=settings, path=out, **look)
     click.echo(str(out))
 
 
 @click.command()
-def systems() -> None:
-    """The systems that can be solved, with their parameters, and the examples in the package."""
-    for record in SYSTEMS.values():
-        rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
-        print_table(f"{record.name}: {record.title}", ["parameter", "meaning", "unit", "default", "valid"], rows)
+@click.argument("name", required=False)
+@json_option
+def systems(name: str | None, as_json: bool) -> None:
+    """The systems that can be solved; of one, NAME or the path of a .toml file, all that there is to know."""
+    if name is not None:
+        found = checked_system(name)
+        click.echo(to_json(found.table())) if as_json else _print_system(found)
+        return
+    records = [find_system(each) for each in system_names()]
+    if as_json:
+        titles = {record.name: record.title for record in records}
+        click.echo(to_json({"systems": titles, "examples": example_names()}))
+        return
+    print_table("", ["system", ""], [(record.name, record.title) for record in records])
     click.echo(f"\nexamples: {', '.join(example_names())}")
+    click.echo("more of one: atlas systems NAME")
+
+
+def _print_system(record: System) -> None:
+    """Title, equation, picture, parameters, source and usual axes."""
+    click.echo(f"{record.name}: {record.title}")
+    for part in (record.equation, record.picture):
+        if part.strip():
+            click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
+    click.echo()
+    rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
+    print_table("", ["parameter", "meaning", "unit", "default", "valid"], rows)
+    if record.source:
+        click.echo(f"\nsource: {record.source}")
+    if record.axes:
+        click.echo(f"usual axes: {', '.join(f'{name} {low:g} to {high:g}' for name, low, high in record.axes)}")

@@ -14,7 +14,7 @@ import click
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.timing import TIMING, Timing
 from workers import Settings
-from workers.model.system import SYSTEMS
+from workers.model.system import DEFAULT
 from workers.settings import EXPONENTS, METHODS
 
 INTERRUPTED = 130
@@ -33,7 +33,9 @@ store_argument = click.argument("store")  # a path or a URL
 set_option = click.option(
     "--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default."
 )
-system_option = click.option("--system", default=next(iter(SYSTEMS)), show_default=True, help="See: atlas systems.")
+system_option = click.option(
+    "--system", default=DEFAULT, show_default=True, help="A name, see: atlas systems; or the path of a .toml file."
+)
 picture_option = click.option(
     "-o",
     "--out",

@@ -1,6 +1,5 @@
 """Two atlases of the same cells, held against each other: exponents by their difference, regimes by a table."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,8 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, shown
 from atlas.query.resample import view
 from atlas.query.window import Window, axis_names, axis_values, cell_widths, inside, within
+from atlas.spec.system import stored_name, stored_system
+from workers.model.system import identity
 from workers.results import CHAOTIC, LARGEST, NO_IMPACT, REGIME, REGIMES
 
 if TYPE_CHECKING:
@@ -195,9 +196,13 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
     names, others = axis_names(one), axis_names(other)
     if names != others:
         raise InputError(f"the axes differ: {', '.join(names)} here, {', '.join(others)} there")
-    systems = [_system(ds) for ds in (one, other)]
+    systems = [stored_name(ds.attrs) for ds in (one, other)]
     if systems[0] != systems[1]:
         raise InputError(f"the systems differ: {systems[0]} here, {systems[1]} there")
+    here_and_there = [stored_system(ds.attrs) for ds in (one, other)]
+    definitions = [identity(system.resolved()) for system in here_and_there if system]
+    if len(definitions) == 2 and definitions[0] != definitions[1]:
+        raise InputError(f"the systems differ: both are called {systems[0]}, but they are not defined alike")
     for name in names:
         here, there = axis_values(one, name), axis_values(other, name)
         if here.size != there.size or here[0] != there[0] or here[-1] != there[-1]:
@@ -210,10 +215,3 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
         units = [ds[LARGEST.name].attrs.get("units", LARGEST.units) for ds in (one, other)]
         if units[0] != units[1]:
             raise InputError(f"the units of exponents differ: {shown(units[0])} here, {shown(units[1])} there")
-
-
-def _system(ds: "xr.Dataset") -> str:
-    try:
-        return str(json.loads(ds.attrs["spec"])["system"])
-    except (KeyError, TypeError, ValueError):
-        return ""

@@ -26,7 +26,7 @@ from atlas.query.window import (
     within,
 )
 from atlas.spec.cells import is_uniform
-from workers.model.system import SYSTEMS
+from workers.model.parameter import OMEGA
 from workers.results import (
     AVERAGE,
     ERROR,
@@ -209,12 +209,10 @@ def codes_of(regimes: Iterable[str]) -> list[int]:
 
 
 def _frequency(ds: "xr.Dataset") -> str:
-    """The name of the forcing frequency, as the systems name it."""
-    meant = {p.name for system in SYSTEMS.values() for p in system.parameters if p.meaning == "forcing frequency"}
-    found = [name for name in meant if name in ds.coords]
-    if len(found) != 1:
+    """The name of the forcing frequency, which all systems call alike."""
+    if OMEGA not in ds.coords:
         raise InputError("the forcing frequency of this atlas is not known: exponents per unit time need it")
-    return found[0]
+    return OMEGA
 
 
 def _areas_of_cells(

@@ -17,6 +17,7 @@ from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from workers import Settings
+from workers.model.system import DEFAULT, System
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
 
 if TYPE_CHECKING:
@@ -310,7 +311,7 @@ def _orbit_page(look: "Look") -> "Page":
 def portrait(
     given: Mapping[str, Any] | None = None,
     *,
-    system: str = "two-mass",
+    system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
     path: str | Path | None = None,
     **look: "Unpack[Look]",

@@ -28,7 +28,7 @@ _LINE, _UPPER, _LOWER, _STOP = "#3a6ea5", "#cc3311", "#e08a00", "#6f6f6f"
 def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page."""
     n = len(orbit.system.states) // 2
-    masses = range(min(n, 2))
+    masses = shown_coordinates(orbit)
     with page.context():
         drawn = page.figure(_height(page, n, _chatter(orbit) is not None))
         drawn.set_layout_engine("constrained", hspace=0.06 if page.wide else 0.02, wspace=0.06 if page.wide else 0.02)
@@ -39,16 +39,16 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
         chatter = _chatter(orbit)
         if page.wide:
             grid = drawn.add_gridspec(len(masses) + 2, 6, height_ratios=[*(0.72 for _ in masses), 1.25, 1.25])
-            histories = [grid[i, :4] if chatter else grid[i, :] for i in masses]
+            histories = [grid[k, :4] if chatter else grid[k, :] for k in range(len(masses))]
             enlarged, rest = grid[: len(masses), 4:], len(masses)
         else:
             heights = [*(0.72 for _ in masses), *([0.72] * bool(chatter)), *([1.0] * (2 + (n > 1))), 0.55]
             grid = drawn.add_gridspec(len(heights), 2, height_ratios=heights)
-            histories = [grid[i, :] for i in masses]
+            histories = [grid[k, :] for k in range(len(masses))]
             enlarged, rest = grid[len(masses), :], len(masses) + bool(chatter)
         above: Axes | None = None
-        for i in masses:
-            ax = above = drawn.add_subplot(histories[i], sharex=above)
+        for i, place in zip(masses, histories, strict=True):
+            ax = above = drawn.add_subplot(place, sharex=above)
             _history(ax, orbit, i)
             ax.tick_params(labelbottom=i == masses[-1])
         if chatter:
@@ -67,13 +67,13 @@ def _height(page: Page, n: int, chatter: bool) -> float:
 
 def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
     """Phase planes side by side; below them the section beside the exponents."""
-    n = len(orbit.system.states) // 2
-    width = 6 // (min(n, 2) + (n > 1))
-    for i in range(min(n, 2)):
-        _phase_plane(drawn.add_subplot(grid[row, i * width : (i + 1) * width]), orbit, i, n + i)
+    n, masses = len(orbit.system.states) // 2, shown_coordinates(orbit)
+    width = 6 // (len(masses) + (n > 1))
+    for k, i in enumerate(masses):
+        _phase_plane(drawn.add_subplot(grid[row, k * width : (k + 1) * width]), orbit, i, n + i)
     if n > 1:
-        _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, 0, 1)
-    _section(drawn.add_subplot(grid[row + 1, :2]), orbit, 0, n)
+        _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, *masses)
+    _section(drawn.add_subplot(grid[row + 1, :2]), orbit, _stopped(orbit)[0], n + _stopped(orbit)[0])
     exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.15])
     _convergence(drawn.add_subplot(exponents[0]), orbit)
     _write_values(drawn.add_subplot(exponents[1]), orbit, 1)
@@ -81,16 +81,27 @@ def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) 
 
 def _planes_in_pairs(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
     """The same on a narrow page: two in a row, the numbers under the exponents."""
-    n = len(orbit.system.states) // 2
+    n, masses = len(orbit.system.states) // 2, shown_coordinates(orbit)
     places = [grid[row, 0], grid[row, 1], *([grid[row + 1, 0], grid[row + 1, 1]] if n > 1 else [])]
-    for i in range(min(n, 2)):
-        _phase_plane(drawn.add_subplot(places[i]), orbit, i, n + i)
+    for i, place in zip(masses, places, strict=False):
+        _phase_plane(drawn.add_subplot(place), orbit, i, n + i)
     if n > 1:
-        _phase_plane(drawn.add_subplot(places[2]), orbit, 0, 1)
-    _section(drawn.add_subplot(places[-1]), orbit, 0, n)
+        _phase_plane(drawn.add_subplot(places[2]), orbit, *masses)
+    _section(drawn.add_subplot(places[-1]), orbit, _stopped(orbit)[0], n + _stopped(orbit)[0])
     row += 1 + (n > 1)
     _convergence(drawn.add_subplot(grid[row, :]), orbit)
     _write_values(drawn.add_subplot(grid[row + 1, :]), orbit, 2)
+
+
+def shown_coordinates(orbit: CellOrbit) -> list[int]:
+    """The two coordinates, or the only one, that a portrait shows: first of all those that the stops concern."""
+    first = _stopped(orbit)
+    return sorted([*first, *(i for i in range(len(orbit.system.states) // 2) if i not in first)][:2])
+
+
+def _stopped(orbit: CellOrbit) -> list[int]:
+    """The coordinates that the gap coordinate consists of."""
+    return [int(i) for i in np.flatnonzero(orbit.system.build(orbit.parameters).gap_row)]
 
 
 def provenance(orbit: CellOrbit) -> style.Provenance:
@@ -113,7 +124,8 @@ def _label(orbit: CellOrbit, i: int) -> str:
 def _stops_of(orbit: CellOrbit, i: int) -> tuple[float, ...]:
     """The stops as values of a displacement, where it is the one that they stop."""
     row = np.array(orbit.system.build(orbit.parameters).gap_row)
-    return orbit.stops if row[i] == 1.0 and np.count_nonzero(row) == 1 else ()
+    stops = tuple(stop for stop in orbit.stops if np.isfinite(stop))
+    return stops if row[i] == 1.0 and np.count_nonzero(row) == 1 else ()
 
 
 def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:
@@ -130,7 +142,7 @@ def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:
     ax.set_xlim(0.0, shown)
     ax.margins(y=0.12)
     ax.set_ylabel(_label(orbit, i))
-    if i == min(len(orbit.system.states) // 2, 2) - 1:
+    if i == shown_coordinates(orbit)[-1]:
         ax.set_xlabel("time $t/T$ [forcing periods]")
 
 

@@ -1,6 +1,5 @@
 """How every picture looks and what every file carries: type, colours, the title line, metadata."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -17,7 +16,9 @@ from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from atlas.query.window import axis_names
-from workers.model.system import SYSTEMS, Parameter, System
+from atlas.spec.system import stored_name, stored_system
+from workers.model.parameter import Parameter
+from workers.model.system import System
 from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 DPI = 300.0
@@ -100,18 +101,18 @@ def ink_on(color: ColorType) -> str:
 
 def parameter_of(ds: xr.Dataset, name: str) -> Parameter | None:
     """What the atlas's system says of a parameter, or None where system or parameter is unknown."""
-    system = SYSTEMS.get(_system_name(ds))
+    system = system_of(ds)
     return next((p for p in system.parameters if p.name == name), None) if system else None
 
 
 def system_of(ds: xr.Dataset) -> System | None:
     """The atlas's system, or None where it names none that is known."""
-    return SYSTEMS.get(_system_name(ds))
+    return stored_system(ds.attrs)
 
 
 def first_state(ds: xr.Dataset) -> str:
     """The name of the first component of the state."""
-    system = SYSTEMS.get(_system_name(ds))
+    system = system_of(ds)
     return system.states[0] if system else "first state"
 
 
@@ -141,7 +142,7 @@ def title_line(ds: xr.Dataset) -> str:
 
     They stand in the system's own order.
     """
-    system = SYSTEMS.get(_system_name(ds))
+    system = system_of(ds)
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
     fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
     states = system.states if system else ()
@@ -221,10 +222,7 @@ def save(figure: Figure, path: Path, suffix: str, provenance: Provenance) -> Non
 
 
 def _system_name(ds: xr.Dataset) -> str:
-    try:
-        return str(json.loads(ds.attrs["spec"])["system"])
-    except (KeyError, TypeError, ValueError):
-        return "unknown system"
+    return stored_name(ds.attrs) or "unknown system"
 
 
 def own_version() -> str:

@@ -52,7 +52,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
     not count. Cells that are continued are measured in short parts of lines.
     """
-    warm_up(spec.system, spec.settings)
+    warm_up(spec.record, spec.settings)
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
@@ -136,8 +136,8 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
-        return solve_cells(spec.system, params, settings)
-    return solve_lines(spec.system, params, settings, backward=spec.continuation[1])
+        return solve_cells(spec.record, params, settings)
+    return solve_lines(spec.record, params, settings, backward=spec.continuation[1])
 
 
 def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> tuple[Array, Array]:

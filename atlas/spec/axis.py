@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError, check_names, shown
-from workers.model.system import Parameter
+from workers.model.parameter import Parameter
 
 KEYS = ("start", "stop", "num", "values", "scale", "continuation")
 SCALES = ("linear", "log")

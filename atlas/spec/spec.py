@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-import re
-import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -14,20 +12,17 @@ import numpy as np
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import Axis, admitted, read_axis
+from atlas.spec.system import checked_system, resolved_system
 from workers import Settings
-from workers.model.system import System, find_system, unknown_name
+from workers.model.parameter import unknown_name
+from workers.model.system import System, identity
+from workers.model.toml_text import TomlError, parse_toml, read_toml
 
 SECTIONS = ("system", "parameters", "axes", "solve", "store")
 FIRST_SETTINGS = (
     "exponents", "tolerance", "max_periods", "method", "transient_periods", "periods", "max_period", "section_samples",
 )  # fmt: skip
 """Those of the first version, which enter every digest. A setting added since does not belong here."""
-MAX_FILE = 1_000_000
-"""Bytes of a spec file: far more than a spec needs, and nothing that could fill the memory."""
-
-_DEEP_KEY = re.compile(r"""^[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""", re.MULTILINE)
-"""A dotted key of a hundred parts: the time that tomllib takes for one grows as the square of their number."""
-
 Slices = tuple[slice, ...]
 
 
@@ -39,6 +34,8 @@ class Spec:
     TOML file has in its tables; an axis may also be a sequence of values. The first axis is x, the last dimension
     of every array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a
     whole line of cells is in one tile. ``tile`` is the (y, x) shape asked for, or None; it does not change a number.
+    ``system`` is the name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``;
+    the spec has its name as ``system`` and all of it as ``record``.
     Raises InputError for anything that cannot be solved.
     """
 
@@ -47,10 +44,11 @@ class Spec:
     axes: tuple[Axis, ...]
     settings: Settings
     tile: tuple[int, ...] | None
+    record: System = field(repr=False)
 
     def __init__(
         self,
-        system: str,
+        system: str | Mapping[str, Any] | System,
         axes: Mapping[str, Any],
         parameters: Mapping[str, Any] | None = None,
         solve: Mapping[str, Any] | Settings | None = None,
@@ -70,6 +68,7 @@ class Spec:
                 raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
         put = object.__setattr__
         put(self, "system", record.name)
+        put(self, "record", record)
         put(self, "axes", tuple(read_axis(record.parameter(name), given) for name, given in axes.items()))
         _check_continuation(self.axes, record)
         fixed = checked_parameters(record, parameters)
@@ -79,25 +78,23 @@ class Spec:
         _check_whole_lines(self)
 
     @classmethod
-    def from_mapping(cls, given: Mapping[str, Any]) -> "Spec":
-        """The spec of a mapping that has the form of the TOML file."""
+    def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
+        """The spec of a mapping that has the form of the TOML file; a system's file is looked for in the folder."""
         check_names("key", given, SECTIONS)
         for key in ("system", "axes"):
             if key not in given:
                 raise InputError(f"{key} missing" + ("; one or two tables [axes.NAME]" if key == "axes" else ""))
-        return cls(**given)
+        return cls(**{**given, "system": checked_system(given["system"], folder)})
 
     @classmethod
     def from_toml(cls, source: str | Path) -> "Spec":
         """The spec of a TOML file, or of the packaged example of that name where there is no such file."""
         path, where = Path(source), str(source) or "''"
         try:
-            text = _text_of(path) if path.exists() else _example(str(source))
-            return cls.from_mapping(_parsed(text))
-        except InputError as error:
+            given = read_toml(path) if path.exists() else parse_toml(_example(str(source)))
+            return cls.from_mapping(given, path.parent)
+        except (InputError, TomlError) as error:
             raise InputError(f"{where}: {error}") from None
-        except RecursionError:
-            raise InputError(f"{where}: nested too deeply; a spec has no more than tables in tables") from None
         except OSError as error:
             raise InputError(f"{where}: cannot be read: {error.strerror}") from None
 
@@ -119,11 +116,6 @@ class Spec:
                 return place, axis.continuation == "backward"
         return None
 
-    @property
-    def record(self) -> System:
-        """The system's own record: its parameters with their units and meanings."""
-        return find_system(self.system)
-
     def resolved(self) -> dict[str, Any]:
         """The spec as plain JSON: what the store keeps, and enough to build an equal spec with ``from_resolved``."""
         axes = [
@@ -131,7 +123,8 @@ class Spec:
             | ({"continuation": axis.continuation} if axis.continuation else {})
             for axis in self.axes
         ]
-        return {"system": self.system, "parameters": self.parameters, "axes": axes, "solve": asdict(self.settings)}
+        others = {"parameters": self.parameters, "axes": axes, "solve": asdict(self.settings)}
+        return self.record.resolved() | others
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
@@ -140,7 +133,7 @@ class Spec:
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
         }
-        return cls(resolved["system"], axes, resolved["parameters"], resolved["solve"])
+        return cls(resolved_system(resolved), axes, resolved["parameters"], resolved["solve"])
 
     @property
     def digest(self) -> str:
@@ -160,6 +153,8 @@ class Spec:
 def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
     """SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
 
+    A packaged system enters it by its name, and from its second version on by that; another one by its definition,
+    without the words in it.
     Settings added since the first version enter it only where they are not at their default, so that a spec from
     before keeps its digest. ``table`` has the defaults.
     """
@@ -173,7 +168,7 @@ def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Setting
         for name, value in resolved["solve"].items()
         if name in FIRST_SETTINGS or value != defaults.get(name, MISSING)
     }
-    return digest_of({**resolved, "axes": axes, "solve": settings})
+    return digest_of({**resolved, **identity(resolved), "axes": axes, "solve": settings})
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
@@ -186,6 +181,8 @@ def differences(stored: Spec, given: Spec) -> list[str]:
     found = []
     if stored.system != given.system:
         found.append(f"system {stored.system} in the store, {given.system} in the spec")
+    elif identity(stored.record.resolved()) != identity(given.record.resolved()):
+        found.append(f"system {stored.system} is defined otherwise in the store: {_defined_otherwise(stored, given)}")
     names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
     if names != wanted:
         what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
@@ -210,14 +207,12 @@ def differences(stored: Spec, given: Spec) -> list[str]:
     return found
 
 
-def checked_system(name: object) -> System:
-    """The system of that name; InputError with the nearest known name otherwise."""
-    if not isinstance(name, str):
-        raise InputError(f"system: found {shown(name)}, must be the name of a system")
-    try:
-        return find_system(name)
-    except KeyError as error:
-        raise InputError(error.args[0]) from None
+def _defined_otherwise(stored: Spec, given: Spec) -> str:
+    """In which entries two systems of one name differ."""
+    if stored.record.packaged or given.record.packaged:
+        return "only one of the two is in the package"
+    one, other = (identity(spec.record.resolved())["system"] for spec in (stored, given))
+    return ", ".join(key for key in one | other if one.get(key) != other.get(key))
 
 
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
@@ -259,34 +254,6 @@ def _example(name: str) -> str:
     if name.endswith(".toml") or "/" in name:
         raise InputError("no such file")
     raise InputError(f"no such file, and {unknown_name('example', name, names)}")
-
-
-def _text_of(path: Path) -> str:
-    """The text of a spec file; anything but a regular file of bounded size could keep its reader for ever."""
-    if path.is_dir():
-        raise InputError("cannot be read: is a folder")
-    if not path.is_file():
-        raise InputError("cannot be read: not a regular file")
-    with path.open("rb") as file:
-        content = file.read(MAX_FILE + 1)
-    if len(content) > MAX_FILE:
-        raise InputError(f"too large for a spec: more than {MAX_FILE} bytes")
-    try:
-        text = content.decode()
-    except UnicodeDecodeError as error:
-        raise InputError(f"not a TOML file: byte {error.start} is not UTF-8 text") from None
-    if text.startswith("\ufeff"):
-        raise InputError("not a TOML file: it begins with a byte order mark; save it as UTF-8 without one")
-    return text
-
-
-def _parsed(text: str) -> dict[str, Any]:
-    if _DEEP_KEY.search(text):
-        raise RecursionError
-    try:
-        return tomllib.loads(text)
-    except ValueError as error:  # besides its own, those of numbers with too many digits
-        raise InputError(f"not a TOML file: {error}") from None
 
 
 def _settings_of(solve: Mapping[str, Any] | Settings | None) -> Settings:

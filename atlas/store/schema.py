@@ -11,7 +11,7 @@ import numpy as np
 from atlas.spec.spec import Spec
 from atlas.store.machine import package_version
 from workers import SOLVER_VERSION
-from workers.model.system import Parameter
+from workers.model.parameter import Parameter
 from workers.results import REASON, REASONS, REGIME, REGIMES, Variable
 
 FORMAT = "impact-atlas"

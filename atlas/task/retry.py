@@ -105,7 +105,7 @@ def solve_again(
         amount = dict(zip(ALLOWANCES, amounts, strict=True))
         settings: dict[str, Any] = {each.setting: n for each, n in amount.items()}
         params = {name: values[chosen] for name, values in cells.items()}
-        for name, values in solve_cells(spec.system, params, replace(spec.settings, **settings)).arrays.items():
+        for name, values in solve_cells(spec.record, params, replace(spec.settings, **settings)).arrays.items():
             arrays[name][chosen] = values
         for each, n in amount.items():
             arrays[each.name][chosen] = n

@@ -49,7 +49,7 @@ def fill_tile(header: Header, slices: Slices) -> Filled:
         return Filled(solution.arrays, unknown)
     params = spec.cell_params(slices)
     cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
-    solution = solve_cells(spec.system, cells, spec.settings)
+    solution = solve_cells(spec.record, cells, spec.settings)
     for name, values in solution.arrays.items():
         arrays[name][unknown] = values
     return Filled(arrays, unknown)

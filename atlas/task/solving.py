@@ -19,10 +19,10 @@ def solve_block(spec: Spec, slices: Slices) -> "Solution":
     if spec.continuation is None:
         from workers.tile import solve_cells
 
-        return solve_cells(spec.system, params, spec.settings)
+        return solve_cells(spec.record, params, spec.settings)
     axis, backward = spec.continuation
     if slices[axis].indices(spec.shape[axis]) != (0, spec.shape[axis], 1):
         raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
     from workers.continuation import solve_lines
 
-    return solve_lines(spec.system, params, spec.settings, axis=axis, backward=backward)
+    return solve_lines(spec.record, params, spec.settings, axis=axis, backward=backward)

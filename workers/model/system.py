@@ -1,77 +1,109 @@
-"""The systems that can be solved: each is one frozen record, and only this file names a parameter."""
+"""The systems that can be solved: those in the package, and what a user defines in the same form."""
 
-import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.build import build, build_one
-from workers.model.oscillator import Machines, Oscillator
-from workers.results import OUT_OF_RANGE
+from workers.model.chain import CHAINS, chain
+from workers.model.definition import Definition, faults
+from workers.model.oscillator import Oscillator
+from workers.model.parameter import Parameter, unknown_name
+from workers.model.reading import (
+    DefinitionError,
+    check_keys,
+    read_coordinates,
+    read_definition,
+    read_list,
+    read_number,
+    read_parameters,
+    read_table,
+    read_text,
+)
+from workers.model.soundness import check_at_defaults
+from workers.model.toml_text import parse_toml, read_toml
+from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number that a system takes: its name, symbol (mathtext), unit, meaning, default and valid range.
-
-    The range is low <= value <= high; an open end excludes its bound.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    meaning: str
-    default: float
-    low: float = -math.inf
-    high: float = math.inf
-    low_open: bool = False
-    high_open: bool = False
-
-    @property
-    def range(self) -> str:
-        """The valid range in words, such as ``0 < b`` or ``0 <= R <= 1``."""
-        below = f"{self.low:g} {'<' if self.low_open else '<='} " if math.isfinite(self.low) else ""
-        above = f" {'<' if self.high_open else '<='} {self.high:g}" if math.isfinite(self.high) else ""
-        return f"{below}{self.name}{above}" if below or above else "any finite number"
-
-    def admits(self, value: Any) -> Any:
-        """Whether a value, or each of many, is finite and inside the valid range."""
-        above_low = value > self.low if self.low_open else value >= self.low
-        below_high = value < self.high if self.high_open else value <= self.high
-        return np.isfinite(value) & above_low & below_high
+MACHINE_KEYS = (
+    "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase", "harmonics", "load", "gap", "upper",
+    "lower", "restitution", "let",
+)  # fmt: skip
+PROSE = ("title", "source", "equation", "picture", "axes")
+"""Keys that no number depends on."""
+KEYS = ("name", "version", *PROSE, *MACHINE_KEYS, "parameters")
+_PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec has all values, and needs no default
 
 
 @dataclass(frozen=True)
 class System:
-    """A vibro-impact system: its parameters, the names of its physical state and its factory.
+    """A vibro-impact system: its parameters, the names of its physical state, and what its motion is made of.
 
-    ``states`` names the components of the physical section state in order (displacements, then velocities);
-    each is also a parameter, the initial value at t = 0. ``machines`` makes many of all parameters, each an array (N,).
+    states      components of the physical section state in order, displacements, then velocities; each is also a
+                parameter, the initial value at t = 0
+    version     of the definition: raised where a packaged one changes a number
+    packaged    whether its name alone says which it is
+    source      where it comes from; ``equation`` and ``picture`` in text; ``axes`` are usual ones, (name, low, high)
     """
 
     name: str
     title: str
     parameters: tuple[Parameter, ...]
-    states: tuple[str, ...]
-    machines: Callable[[Mapping[str, Array]], Machines]
+    definition: Definition
+    version: int = 1
+    packaged: bool = False
+    source: str = ""
+    equation: str = ""
+    picture: str = ""
+    axes: tuple[tuple[str, float, float], ...] = ()
+
+    @classmethod
+    def from_mapping(cls, given: Mapping[str, Any]) -> "System":
+        """The system of a table [system]; DefinitionError, a ValueError, in one line for whatever is wrong with it."""
+        return _read(given, packaged=False)
+
+    @classmethod
+    def from_toml(cls, source: str | Path) -> "System":
+        """The system of a TOML file with one table [system], by the file's path or by its text.
+
+        Raises ValueError in one line that names the file and the entry.
+        """
+        if isinstance(source, str) and ("\n" in source or "=" in source):
+            return cls.from_mapping(_only_system(parse_toml(source)))
+        try:
+            return cls.from_mapping(_only_system(read_toml(Path(source))))
+        except ValueError as error:
+            raise DefinitionError(f"{source}: {error}") from None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the components of the physical state: displacements, then velocities."""
+        return (*self.definition.coordinates, *self.definition.velocities)
 
     def build(self, values: Mapping[str, float]) -> Oscillator:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
         with np.errstate(all="ignore"):
-            machine = self.machines({name: np.array([value], dtype=np.float64) for name, value in values.items()})
+            machine = self.definition.machines({k: np.array([v], dtype=np.float64) for k, v in values.items()})
+            reason = int(faults(machine)[0])
+        if reason != NO_REASON:
+            raise InvalidError(reason)
         return build_one(machine)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
         """The oscillators of many values (N,) of each parameter, and the reason of each why there is none."""
         with np.errstate(all="ignore"):
-            machines = self.machines(values)
+            machines = self.definition.machines(values)
+            wrong = faults(machines)
         oscillators, reasons = build(machines)
+        reasons[wrong != NO_REASON] = wrong[wrong != NO_REASON]
         admitted = np.logical_and.reduce([p.admits(values[p.name]) for p in self.parameters])
         reasons[~admitted] = OUT_OF_RANGE
         return oscillators, reasons
@@ -81,68 +113,147 @@ class System:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        known = [parameter.name for parameter in self.parameters]
-        raise KeyError(unknown_name("parameter", name, known))
+        raise KeyError(unknown_name("parameter", name, [parameter.name for parameter in self.parameters]))
+
+    def table(self) -> dict[str, Any]:
+        """The whole system as plain JSON, in one spelling: ``from_mapping`` makes an equal one of it."""
+        prose = {"title": self.title, "source": self.source, "equation": self.equation, "picture": self.picture}
+        found: dict[str, Any] = {"name": self.name, "version": self.version}
+        found |= {key: text for key, text in prose.items() if text} | self.definition.table()
+        if self.axes:
+            found["axes"] = {name: [low, high] for name, low, high in self.axes}
+        return found | {"parameters": {p.name: _parameter_table(p) for p in self.parameters}}
+
+    def resolved(self) -> dict[str, Any]:
+        """What a store keeps, enough for ``from_resolved``: the name of a packaged system, the whole of another.
+
+        A packaged system's version is named from the second on.
+        """
+        if not self.packaged:
+            return {"system": self.table()}
+        return {"system": self.name} | ({"system_version": self.version} if self.version > 1 else {})
+
+    @classmethod
+    def from_resolved(cls, resolved: Mapping[str, Any]) -> "System":
+        """The system that ``resolved`` is of; DefinitionError, or KeyError, where this program has no such system."""
+        given = resolved["system"]
+        found = packaged_system(given) if isinstance(given, str) else cls.from_mapping(given)
+        version = resolved.get("system_version", 1)
+        if found.packaged and found.version != version:
+            raise DefinitionError(f"system {found.name} is of version {version} there, of {found.version} here")
+        return found
 
 
-def unknown_name(kind: str, name: str, known: list[str]) -> str:
-    """One line for a name that does not exist: the nearest known one, or all of them."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-    return f"unknown {kind} {name!r}; {hint}"
+def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """What of ``System.resolved`` decides numbers, for a digest: a name, or a definition without its words."""
+    given = resolved["system"]
+    if isinstance(given, str):
+        return {"system": given} | (
+            {"system_version": resolved["system_version"]} if "system_version" in resolved else {}
+        )
+    machine = {key: value for key, value in given.items() if key not in PROSE}
+    machine["parameters"] = {
+        name: {key: value for key, value in table.items() if key not in _PARAMETER_PROSE}
+        for name, table in given.get("parameters", {}).items()
+    }
+    return {"system": machine}
 
 
-def _two_mass(p: Mapping[str, Array]) -> Machines:
-    """Li & Tan (2011): M x'' + 2 zeta K x' + K x = (1 - f2, f2) sin(omega t + tau), |x1| < b."""
-    one, none = np.ones_like(p["omega"]), np.zeros_like(p["omega"])
-    stiffness = _matrices([[one, -one], [-one, 1.0 + p["mu_k"]]])
-    return Machines(
-        mass=_matrices([[one, none], [none, p["mu_m"]]]),
-        damping=2.0 * p["zeta"][:, None, None] * stiffness,
-        stiffness=stiffness,
-        gap_row=np.stack([one, none], axis=-1),
-        force_sin=np.stack([1.0 - p["f2"], p["f2"]], axis=-1)[:, None],
-        force_cos=np.zeros((len(one), 1, 2)),
-        load=np.zeros((len(one), 2)),
-        omega=p["omega"],
-        tau=p["tau"],
-        upper=p["b"],
-        lower=-p["b"],
-        R=p["R"],
+def find_system(system: object) -> System:
+    """The system of that name, path of a .toml file, or table; a System is itself.
+
+    KeyError with the nearest known name for another name, ValueError for a definition that is wrong.
+    """
+    if isinstance(system, System):
+        return system
+    if isinstance(system, Mapping):
+        return System.from_mapping(system)
+    if not isinstance(system, str):
+        raise DefinitionError(f"system: found {system!r}, must be the name of a system, a path or a table")
+    if system.endswith(".toml"):
+        return System.from_toml(Path(system))
+    return packaged_system(system)
+
+
+def packaged_system(name: str) -> System:
+    """The system of that name; KeyError with the nearest known name otherwise."""
+    if name not in system_names():
+        raise KeyError(unknown_name("system", name, system_names()))
+    return _packaged(name)
+
+
+@cache
+def system_names() -> tuple[str, ...]:
+    """Names of the packaged systems, the first one the default."""
+    files = [item.name.removesuffix(".toml") for item in _folder().iterdir() if item.name.endswith(".toml")]
+    return (DEFAULT, *sorted({*files, *CHAINS} - {DEFAULT, "chain"}))
+
+
+DEFAULT = "two-mass"
+
+
+@cache
+def _packaged(name: str) -> System:
+    file = "chain" if name in CHAINS else name
+    table = _only_system(parse_toml(_folder().joinpath(f"{file}.toml").read_text(encoding="utf-8")))
+    return _read(chain(table, CHAINS[name]) if name in CHAINS else table, packaged=True)
+
+
+def _folder() -> Any:
+    return resources.files("workers.model").joinpath("systems")
+
+
+def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
+    if "system" not in tables or len(tables) > 1:
+        found = ", ".join(tables) or "none"
+        raise DefinitionError(f"found {found[:60]}, must be one table [system]")
+    return read_table("system", tables["system"])
+
+
+def _read(given: Mapping[str, Any], packaged: bool) -> System:
+    table = read_table("system", given)
+    check_keys("system", table, KEYS)
+    name = read_text("system.name", table.get("name"))
+    if not name or len(name) > 40 or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
+        raise DefinitionError(f"system.name: found {name[:60]!r}, must be letters, digits and hyphens, 40 at most")
+    version = table.get("version", 1)
+    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
+        raise DefinitionError(f"system.version: found {version!r}, must be a whole number, 1 or more")
+    coordinates, velocities = read_coordinates(table)
+    parameters = read_parameters(table.get("parameters", {}), coordinates, velocities)
+    names = [parameter.name for parameter in parameters]
+    definition = read_definition(table, names, coordinates, velocities)
+    check_at_defaults(definition, parameters)
+    texts = {key: read_text(f"system.{key}", table.get(key), "") for key in ("source", "equation", "picture")}
+    return System(
+        name=name,
+        title=read_text("system.title", table.get("title"), name),
+        parameters=parameters,
+        definition=definition,
+        version=version,
+        packaged=packaged,
+        axes=_read_axes(table.get("axes", {}), names),
+        **texts,
     )
 
 
-def _matrices(rows: list[list[Array]]) -> Array:
-    """Matrices (N, n, n) of rows of entries (N,)."""
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:
+    """Usual axes, ``{ omega = [1.0, 4.0] }``."""
+    found = []
+    for name, ends in read_table("system.axes", given).items():
+        where = f"system.axes.{name}"
+        if name not in names:
+            raise DefinitionError(unknown_name("parameter in system.axes", name, names))
+        low, high = (read_number(where, end) for end in read_list(where, ends, 2, "numbers", ""))
+        if not low < high:
+            raise DefinitionError(f"{where}: found {low:g} and {high:g}, must rise")
+        found.append((name, low, high))
+    return tuple(found)
 
 
-TWO_MASS = System(
-    name="two-mass",
-    title="two-mass oscillator with symmetric rigid stops (Li & Tan 2011)",
-    parameters=(
-        Parameter("omega", r"\omega", "1", "forcing frequency", 4.0, low=0.0, low_open=True),
-        Parameter("b", "b", "1", "clearance: half the gap between the stops", 0.15, low=0.0, low_open=True),
-        Parameter("R", "R", "1", "coefficient of restitution", 0.8, low=0.0, high=1.0),
-        Parameter("zeta", r"\zeta", "1", "damping ratio", 0.05, low=0.0),
-        Parameter("mu_m", r"\mu_m", "1", "mass ratio m2/m1", 2.0, low=0.0, low_open=True),
-        Parameter("mu_k", r"\mu_k", "1", "stiffness ratio k2/k1", 5.0, low=0.0, low_open=True),
-        Parameter("f2", "f_2", "1", "share of the force on mass 2", 0.0),
-        Parameter("tau", r"\tau", "rad", "phase of the force at t = 0", math.pi),
-        Parameter("x1", "x_1(0)", "1", "initial displacement of mass 1", 0.0),
-        Parameter("x2", "x_2(0)", "1", "initial displacement of mass 2", 0.0),
-        Parameter("v1", r"\dot x_1(0)", "1", "initial velocity of mass 1", 0.0),
-        Parameter("v2", r"\dot x_2(0)", "1", "initial velocity of mass 2", 0.0),
-    ),
-    states=("x1", "x2", "v1", "v2"),
-    machines=_two_mass,
-)
-
-SYSTEMS: dict[str, System] = {system.name: system for system in (TWO_MASS,)}
-
-
-def find_system(name: str) -> System:
-    """The system of that name; KeyError with the nearest known name otherwise."""
-    if name in SYSTEMS:
-        return SYSTEMS[name]
-    raise KeyError(unknown_name("system", name, list(SYSTEMS)))
+def _parameter_table(p: Parameter) -> dict[str, Any]:
+    found: dict[str, Any] = {"default": p.default, "symbol": p.symbol, "unit": p.unit, "meaning": p.meaning}
+    for key, end, is_open in (("low", p.low, p.low_open), ("high", p.high, p.high_open)):
+        if math.isfinite(end):
+            found |= {key: end} | ({f"{key}_open": True} if is_open else {})
+    return found

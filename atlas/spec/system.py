@@ -1,0 +1,60 @@
+"""The system of a spec, of a store, or of a command: by its name, by its file, or in full."""
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from atlas.errors import InputError, shown
+from workers.model.system import System, find_system
+
+
+def checked_system(system: object, folder: Path | None = None) -> System:
+    """The system of that name, of that .toml file (in the folder, if any), or of a table; a System is itself.
+
+    InputError with the nearest known name for another name, and for a definition that is wrong.
+    """
+    if not isinstance(system, str | Mapping | System):
+        raise InputError(f"system: found {shown(system)}, must be the name of a system, a .toml file or a table")
+    if folder is not None and isinstance(system, str) and system.endswith(".toml"):
+        system = str(folder / system)
+    try:
+        return find_system(system)
+    except KeyError as error:
+        raise InputError(error.args[0]) from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def resolved_system(resolved: Mapping[str, Any]) -> System:
+    """The system of a resolved spec; InputError where this program cannot make it."""
+    try:
+        return System.from_resolved(resolved)
+    except KeyError as error:
+        raise InputError(error.args[0]) from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def stored_system(attributes: Mapping[Any, Any]) -> System | None:
+    """The system of the store with these root attributes, or None where they name none that is known."""
+    return _of_text(str(attributes.get("spec", "")))
+
+
+def stored_name(attributes: Mapping[Any, Any]) -> str:
+    """The name that a store has for its system, whether it is known or not; an empty one where it has none."""
+    try:
+        system = json.loads(attributes["spec"])["system"]
+        return str(system["name"] if isinstance(system, Mapping) else system)
+    except (KeyError, TypeError, ValueError):
+        return ""
+
+
+@lru_cache(maxsize=16)
+def _of_text(text: str) -> System | None:
+    """A picture asks for the same system at every label."""
+    try:
+        return resolved_system(json.loads(text))
+    except (InputError, KeyError, TypeError, ValueError):
+        return None

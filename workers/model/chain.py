@@ -1,0 +1,36 @@
+"""Chains of 3 to 8 equal masses: what of their definition depends on how many there are."""
+
+from collections.abc import Mapping
+from typing import Any
+
+CHAINS = {f"chain-{n}": n for n in range(3, 9)}
+"""How many masses each has, by its name."""
+
+
+def chain(common: Mapping[str, Any], n: int) -> dict[str, Any]:
+    """The definition of n masses on springs in a row, the first tied to the ground, from what all have in common.
+
+    M = I, K = [[2, -1], [-1, 2, -1], ..., [-1, 1]], C = 2 zeta K; the force on the first mass, the stop at the last.
+    """
+    stiffness = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        stiffness[i][i] = 2.0 if i < n - 1 else 1.0
+        if i:
+            stiffness[i][i - 1] = stiffness[i - 1][i] = -1.0
+    unit = [[float(i == k) for k in range(n)] for i in range(n)]
+    parameters = dict(common["parameters"])
+    for i in range(n):
+        parameters[f"x{i + 1}"] = {"meaning": f"initial displacement of mass {i + 1}"}
+        parameters[f"v{i + 1}"] = {"meaning": f"initial velocity of mass {i + 1}"}
+    return {
+        **common,
+        "name": f"chain-{n}",
+        "title": f"{n} {common['title']}",
+        "coordinates": [f"x{i + 1}" for i in range(n)],
+        "mass": unit,
+        "damping": [[f"{2.0 * entry} * zeta" if entry else 0.0 for entry in row] for row in stiffness],
+        "stiffness": stiffness,
+        "force": ["F", *([0.0] * (n - 1))],
+        "gap": unit[-1],
+        "parameters": parameters,
+    }

@@ -1,0 +1,51 @@
+"""One number that a system takes, and how an unknown name is answered."""
+
+import difflib
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+OMEGA, TAU = "omega", "tau"
+"""The forcing frequency and the phase of the force at t = 0: every system has these two parameters."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that a system takes: its name, symbol (mathtext), unit, meaning, default and valid range.
+
+    The range is low <= value <= high; an open end excludes its bound.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+    default: float
+    low: float = -math.inf
+    high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
+
+    @property
+    def range(self) -> str:
+        """The valid range in words, such as ``0 < b`` or ``0 <= R <= 1``."""
+        below = f"{self.low:g} {'<' if self.low_open else '<='} " if math.isfinite(self.low) else ""
+        above = f" {'<' if self.high_open else '<='} {self.high:g}" if math.isfinite(self.high) else ""
+        return f"{below}{self.name}{above}" if below or above else "any finite number"
+
+    def admits(self, value: Any) -> Any:
+        """Whether a value, or each of many, is finite and inside the valid range."""
+        above_low = value > self.low if self.low_open else value >= self.low
+        below_high = value < self.high if self.high_open else value <= self.high
+        return np.isfinite(value) & above_low & below_high
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """One line for a name that does not exist: the nearest known one, or all of them."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names)}"
+    return f"unknown {kind} {name!r}; {hint}"

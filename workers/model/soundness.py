@@ -1,0 +1,79 @@
+"""Whether a definition makes a machine at the defaults of its parameters: what no machine can be is refused at once."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.definition import Definition
+from workers.model.parameter import Parameter
+from workers.model.reading import DefinitionError
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-12
+"""Relative size of an eigenvalue that counts as zero."""
+
+
+def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
+    """DefinitionError in one line unless the machine of the defaults is one.
+
+    M symmetric and positive definite; C and K symmetric and positive semidefinite; 0 <= R <= 1; the lower stop below
+    the upper one; a gap row other than zero, which sees every free motion, K x = 0.
+    """
+    with np.errstate(all="ignore"):
+        machine = definition.machines({p.name: np.array([p.default]) for p in parameters})
+    mass, stiffness, gap = machine.mass[0], machine.stiffness[0], machine.gap_row[0]
+    for name, entries in (
+        ("mass", mass), ("damping", machine.damping[0]), ("stiffness", stiffness), ("gap", gap),
+        ("load", machine.load[0]), ("restitution", machine.R[0]),
+        *((f"force of order {k + 1}", amplitude[0, k]) for amplitude in (machine.force_sin, machine.force_cos)
+          for k in range(amplitude.shape[1])),
+    ):  # fmt: skip
+        if not np.isfinite(entries).all():
+            raise DefinitionError(f"system.{name}: found {_shown(entries)} at the defaults, must be finite numbers")
+    for name, matrix in (("mass", mass), ("damping", machine.damping[0]), ("stiffness", stiffness)):
+        _check_matrix(f"system.{name}", matrix, definite=name == "mass")
+    if not 0.0 <= machine.R[0] <= 1.0:
+        raise DefinitionError(f"system.restitution: found {machine.R[0]:g} at the defaults, must be 0 to 1")
+    if not machine.lower[0] < machine.upper[0]:
+        raise DefinitionError(
+            f"system.upper: found {machine.upper[0]:g}, lower {machine.lower[0]:g} at the defaults, "
+            "must be above lower; stops are positions of the gap coordinate"
+        )
+    if not gap.any():
+        raise DefinitionError("system.gap: found zeros only; give the row that makes y of the coordinates")
+    _check_free_motions(mass, stiffness, gap)
+
+
+def _check_matrix(where: str, matrix: Array, definite: bool) -> None:
+    unequal = np.argwhere(matrix != matrix.T)
+    if unequal.size:
+        i, k = map(int, unequal[0])
+        raise DefinitionError(
+            f"{where}: found [{i}][{k}] = {matrix[i, k]:.17g} and [{k}][{i}] = {matrix[k, i]:.17g} at the defaults, "
+            "must be symmetric"
+        )
+    values = np.linalg.eigvalsh(matrix)
+    least, size = float(values[0]), float(np.max(np.abs(values)))
+    if definite and not least > ROUNDING * size:
+        raise DefinitionError(f"{where}: its least eigenvalue is {least:g} at the defaults, must be positive definite")
+    if least < -ROUNDING * size:
+        raise DefinitionError(f"{where}: its least eigenvalue is {least:g} at the defaults, must be 0 or more")
+
+
+def _check_free_motions(mass: Array, stiffness: Array, gap: Array) -> None:
+    """The gap sees one free motion at most: of two, some combination leaves y as it is."""
+    half = np.linalg.inv(np.linalg.cholesky(mass))
+    values, vectors = np.linalg.eigh(half @ stiffness @ half.T)
+    free = half.T @ vectors[:, values <= ROUNDING * max(float(values[-1]), 1e-300)]
+    seen = np.abs(gap @ free)
+    if free.shape[1] > 1 or np.any(seen <= ROUNDING * np.abs(gap) @ np.abs(free)):
+        raise DefinitionError(
+            "system.stiffness: leaves a free motion that the gap does not see; tie it down by a spring, or take the "
+            "relative displacement as the coordinate"
+        )
+
+
+def _shown(entries: Array) -> str:
+    return str(np.asarray(entries).tolist())

@@ -1,0 +1,55 @@
+"""TOML from a file or a text that may be anybody's: bounded in size and depth, its faults in one line."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+MAX_FILE = 1_000_000
+"""Bytes of a file: far more than a spec or a system needs, and nothing that could fill the memory."""
+
+_DEEP_KEY = re.compile(r"""^[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""", re.MULTILINE)
+"""A dotted key of a hundred parts: the time that tomllib takes for one grows as the square of their number."""
+
+
+class TomlError(ValueError):
+    """What is wrong with a TOML file, in one line without its name."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; TomlError where it cannot be read or is none."""
+    try:
+        return parse_toml(_text_of(path))
+    except OSError as error:
+        raise TomlError(f"cannot be read: {error.strerror}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a text; TomlError where it is not TOML."""
+    try:
+        if _DEEP_KEY.search(text):
+            raise RecursionError
+        return tomllib.loads(text)
+    except RecursionError:
+        raise TomlError("nested too deeply; there is no more to write than tables in tables") from None
+    except ValueError as error:  # besides its own, those of numbers with too many digits
+        raise TomlError(f"not a TOML file: {error}") from None
+
+
+def _text_of(path: Path) -> str:
+    """The text of a file; anything but a regular file of bounded size could keep its reader for ever."""
+    if path.is_dir():
+        raise TomlError("cannot be read: is a folder")
+    if path.exists() and not path.is_file():
+        raise TomlError("cannot be read: not a regular file")
+    with path.open("rb") as file:
+        content = file.read(MAX_FILE + 1)
+    if len(content) > MAX_FILE:
+        raise TomlError(f"too large: more than {MAX_FILE} bytes")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise TomlError(f"not a TOML file: byte {error.start} is not UTF-8 text") from None
+    if text.startswith("\ufeff"):
+        raise TomlError("not a TOML file: it begins with a byte order mark; save it as UTF-8 without one")
+    return text
