@@ -7,10 +7,13 @@ from pathlib import Path
 import pytest
 
 from atlas.task import compile as warm
-from tests.test_systems import MACHINE
-from workers import Settings, System, solve_tile
-from workers.kernel import jit
-from workers.model.system import find_system, system_names
+from workers import Settings, solve_tile
+from workers.kernel import cells, jit
+from workers.kernel.batch import run
+from workers.orbit import newton
+
+KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
+"""What Python calls, among others."""
 
 COMPILING, LOADING = "compiling the kernels (kept for the next run)", "loading the kernels"
 
@@ -20,7 +23,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What has been compiled, into a folder that holds nothing at first."""
     done: list[str] = []
 
-    def slowly(system: str, settings: Settings) -> bool:
+    def slowly(settings: Settings) -> bool:
         time.sleep(0.2)
         done.append(settings.exponents)
         return True
@@ -31,7 +34,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) -> None:
-    asking = [threading.Thread(target=warm.compile_once, args=("two-mass", Settings())) for _ in range(8)]
+    asking = [threading.Thread(target=warm.compile_once, args=(Settings(),)) for _ in range(8)]
     for one in asking:
         one.start()
     for one in asking:
@@ -41,46 +44,36 @@ def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) ->
 
 def test_all_exponents_take_the_same_kernels(compiled: list[str]) -> None:
     for exponents in ("largest", "spectrum", "none"):
-        warm.compile_once("two-mass", Settings(exponents=exponents))
+        warm.compile_once(Settings(exponents=exponents))
     assert compiled == ["largest"]
 
 
-def test_kernels_are_compiled_once_for_each_number_of_coordinates(compiled: list[str]) -> None:
-    """A system of one's own takes those of the packaged one with as many, whatever its default cell is."""
-    for system in ("two-mass", "impact-damper", System.from_toml(MACHINE), "chain-3", "bouncing-ball", "impact-pair"):
-        warm.compile_once(system, Settings())
-    assert len(compiled) == 3
-
-
-@pytest.mark.parametrize("name", system_names())
-def test_the_system_that_stands_in_has_as_many_coordinates(name: str) -> None:
-    assert len(find_system(warm.stand_in(name)).states) == len(find_system(name).states)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted({warm.stand_in(name) for name in system_names()}))
-def test_the_default_cell_of_a_system_that_stands_in_has_impacts(name: str) -> None:
-    """Compiled anew for each number of coordinates, which takes its time."""
-    assert solve_tile(name, {}, Settings(max_periods=200, survival=0))["impacts_per_period"] > 0.0
+@pytest.mark.parametrize("name", ["bouncing-ball", "impact-damper", "chain-3", "chain-8"])
+def test_no_system_has_kernels_of_its_own(name: str) -> None:
+    """Of one, two and more coordinates, with rigid modes and loads: none compiles what others have compiled."""
+    solve_tile("two-mass", {}, Settings(exponents="spectrum", survival=0))
+    before = {kernel: len(kernel.alone.signatures) for kernel in KERNELS}
+    solve_tile(name, {}, Settings(exponents="spectrum", survival=0, max_periods=500))
+    assert {kernel: len(kernel.alone.signatures) for kernel in KERNELS} == before
 
 
 def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(system: str, settings: Settings) -> bool:
+    def stopped(settings: Settings) -> bool:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(warm, "warm_up_in_child", stopped)
-        warm.compile_once("two-mass", Settings())
+        warm.compile_once(Settings())
     assert warm.warming() == COMPILING
-    warm.compile_once("two-mass", Settings())
+    warm.compile_once(Settings())
     assert compiled == ["largest"]
 
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
     assert warm.warming() == COMPILING
-    warm.compile_once("two-mass", Settings())
+    warm.compile_once(Settings())
     assert warm.warming() == LOADING
 
 
@@ -88,11 +81,13 @@ def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(jit, "CACHE", None)
-    warm.compile_once("two-mass", Settings())
+    warm.compile_once(Settings())
     assert compiled == []
 
 
 def test_the_child_compiles_what_it_is_given() -> None:
     """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
-    assert warm.warm_up_in_child("two-mass", Settings(max_period=8))
-    assert not warm.warm_up_in_child("three-mass", Settings())
+    assert warm.warm_up_in_child(Settings(max_period=8))
+    wrong = Settings()
+    object.__setattr__(wrong, "exponents", "some")
+    assert not warm.warm_up_in_child(wrong)

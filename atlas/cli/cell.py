@@ -40,7 +40,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
     record = checked_system(system)
     checked_parameters(record, pairs)
     if not as_json:
-        say(f"{warming(record)}, solving")
+        say(f"{warming()}, solving")
     found = solve_point(pairs, system=record, settings=settings)
     if as_json:
         click.echo(to_json(found))
@@ -62,7 +62,7 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> 
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(options)
     record = checked_system(system)
     checked_parameters(record, pairs)
-    say(f"{warming(record)}, solving, drawing")
+    say(f"{warming()}, solving, drawing")
     with input_errors():
         draw_portrait(pairs, system=record, settings=settings, path=out, **look)
     click.echo(str(out))

@@ -59,8 +59,8 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
     if place.local is not None:
         check_disk(made, place.local)
     if probe:
-        say(f"{warming(read.record)}, probing a few cells")
-        compile_once(read.record, read.settings)
+        say(f"{warming()}, probing a few cells")
+        compile_once(read.settings)
         made = replace(made, probe=measure(read, made.tiling.tile))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 

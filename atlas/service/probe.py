@@ -52,7 +52,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
     not count. Cells that are continued are measured in short parts of lines.
     """
-    warm_up(spec.record, spec.settings)
+    warm_up(spec.settings)
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
