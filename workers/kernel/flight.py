@@ -382,11 +382,16 @@ def meets(g, v, a, j3, M3, M4, tol, H):
 
 
 @kernel
-def _first_step(kind, j3, a, M3, M4):
-    """A time for which a start on a stop at rest certainly leaves it: 3|a|/M3, after a release 4|j|/M4."""
-    if kind == ON_STOP_AT_REST:
-        return 3.0 * abs(a) / max(M3, TINY)
-    return 4.0 * abs(j3) / max(M4, TINY)
+def _first_step(kind, side, a, j3, M3, M4):
+    """A time for which a start at rest on stop ``side`` certainly leaves it: 3|a|/M3, after a release 4|j|/M4.
+
+    The longer of both where it is about to leave and the jerk points inward too: a may be zero but for rounding.
+    """
+    by_jerk = 4.0 * abs(j3) / max(M4, TINY)
+    if kind == ON_STOP_RELEASED:
+        return by_jerk
+    by_acceleration = 3.0 * abs(a) / max(M3, TINY)
+    return max(by_acceleration, by_jerk) if side * j3 < 0.0 else by_acceleration
 
 
 @kernel
@@ -415,7 +420,7 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
             if count == 1 and own == side:
                 g = 0.0
                 if kind != ON_STOP_MOVING:
-                    step = min(step, _first_step(kind, j3, a, M3, M4))
+                    step = min(step, _first_step(kind, side, a, j3, M3, M4))
                     continue
             contact = meets(g, approach, push, side * j3, M3, M4, GAP_ROUNDING * (scale + abs(stop)), H - s)
             if contact < np.inf:

@@ -60,6 +60,10 @@ from workers.model.oscillator import COLUMN, Oscillator
 OVERDRAFT = 1_000_000
 """Evaluations by which a period may exceed what is left, so that motions can end at a section."""
 
+AT_THE_END = 1e-9
+"""Share of its duration before which a motion that is released from a stop ends at rest on it: in so short a time the
+cube of it, which the mass would move by, is far below rounding."""
+
 NOWHERE = (0.0, 0.0, 0.0, 0.0)
 """In place of an arrival where a flight ends at no stop."""
 
@@ -283,6 +287,9 @@ def propagate(osc, motion, duration):
             t += s
             phase += osc.gap.omega * s
             own, kind = contact, ON_STOP_RELEASED
+            if duration - t <= AT_THE_END * duration:
+                motion.contact[0] = contact * AT_REST
+                return
         s, side, evaluations = next_crossing(
             osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
         )
