@@ -125,9 +125,9 @@ class Extended:
         J[: self.states, self.states : N - self.free] = 0.0
         return found[0], J
 
-    def follow(self, X: Array) -> None:
+    def follow(self, X: Array, lin: Linear | None = None) -> None:
         """Border with the null vectors at X, in the directions of the former ones; watch the pair found there."""
-        lin = self.family.linear(self.values(X)[None])
+        lin = self.family.linear(self.values(X)[None]) if lin is None else lin
         points = self.points(X[None])
         for i, condition in enumerate(self.conditions):
             if condition.kind in (UNIT, MINUS_ONE):
@@ -164,7 +164,7 @@ class Extended:
                 total, product = pair_near(values, np.full(len(X), self.totals[i]))
                 parts.append((product - 1.0 if condition.kind == PAIR else total - 2.0 * condition.kappa)[:, None])
             elif condition.kind == CUSP:
-                parts.append(self._curvature(lin, points)[:, None])
+                parts.append(self.curvature(lin, points)[:, None])
             else:
                 parts.append(self._solved(i, lin, points)[:, -1:])
         return np.concatenate(parts, axis=1)
@@ -187,7 +187,7 @@ class Extended:
         right[:, -1] = 1.0
         return np.asarray(np.linalg.solve(matrix, right)[..., 0])
 
-    def _curvature(self, lin: Linear, points: Impacts) -> Array:
+    def curvature(self, lin: Linear, points: Impacts) -> Array:
         """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
         w = self._solved(fold, lin, points)[:, :-1] * self.scale[: self.states]
