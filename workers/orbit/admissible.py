@@ -4,6 +4,7 @@ Decided by the certified crossing of the kernel, without sampling.
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +22,10 @@ CONTACT, LOST, ORDER = "contact", "impact_lost", "order"
 
 
 class Fault(NamedTuple):
-    """Why an orbit is not admissible: CONTACT at a time on a side; impact ``index`` LOST or out of ORDER."""
+    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST or out of ORDER."""
 
     reason: str
-    index: int = -1
+    impact: int = -1
     time: float = math.nan
     side: int = 0
 
@@ -56,16 +57,14 @@ def first_fault(
     first = contacts[0]
     sign = itinerary.sign
     contacts.append(first._replace(time=first.time + span, side=sign * first.side, v=sign * first.v, a=sign * first.a))
-    for here, there in zip(contacts[:-1], contacts[1:], strict=True):
+    for here, there in pairwise(contacts):
         fault = _next_contact(signal, lin, itinerary, points, here, there.time - here.time, there)
         if fault:
             return fault
     return None
 
 
-def _contacts(
-    lin: Linear, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int
-) -> list[_Contact] | Fault:
+def _contacts(lin: Linear, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
     span, t = float(itinerary.span(lin)[0]), points.t[0]
     _, v, a = (field[0] for field in at_impacts(lin, itinerary, points))

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.orbit.equations import Itinerary, Orbit
+from workers.orbit.events import Event
 from workers.orbit.extended import MINUS_ONE, Condition, Extended, solve
-from workers.orbit.follow import Event, Way, follow, window_of
+from workers.orbit.follow import Way, follow, window_of
 from workers.orbit.linear import Family
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     square.follow(X)
     w = square.null_vector(0) * square.scale[: len(square.null_vector(0))]
     m, sign = len(itinerary.sides), itinerary.sign
-    span = float(itinerary.span(family.linear(point.values[None]))[0])
+    span = float(itinerary.span(square.model(point.values)[0])[0])
     sides = itinerary.sides + tuple(sign * side for side in itinerary.sides)
     periods = itinerary.periods if itinerary.symmetric else 2 * itinerary.periods
     t, v = point.orbit.times, point.orbit.speeds

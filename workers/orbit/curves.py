@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.orbit.branches import BUDGET, RESOLUTION
+from workers.orbit.events import Event
 from workers.orbit.extended import PAIR, Extended, solve
-from workers.orbit.follow import Event, Way, follow, window_of
+from workers.orbit.follow import Way, follow, window_of
 from workers.orbit.linear import Family
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""A periodic orbit with m impacts as 2m equations for their times and speeds, exact to rounding, and their linearisation.
+"""A periodic orbit with m impacts as 2m equations for their times and speeds, and these linearised.
 
     y(t_i) = +upper or -lower,  y'(t_i^-) = v_i,  with  y(t) = Y(t) - (1 + R) sum_j v_j g(t - t_j)
 
@@ -7,7 +7,7 @@ the impacts of one half are unknown: a turn is half the orbit, and kicks change 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from workers.orbit.green import answer, green
 from workers.orbit.linear import Linear, forced, rigid_mode
 
 Array = NDArray[np.float64]
+Table = NDArray[Any]
+"""Real numbers, complex ones where z is."""
 
 
 class Itinerary(NamedTuple):
@@ -70,7 +72,9 @@ def impacts_of(orbit: Orbit) -> Impacts:
 def check_orbits(lin: Linear, itinerary: Itinerary) -> None:
     """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry."""
     if np.any(lin.R <= 0.0):
-        raise ValueError("R = 0: an impact without rebound may rest on its stop, which these orbits exclude; take R > 0")
+        raise ValueError(
+            "R = 0: an impact without rebound may rest on its stop, which these orbits exclude; take R > 0"
+        )
     for side, name, stop in ((1, "upper", lin.upper), (-1, "lower", lin.lower)):
         if side in itinerary.sides and not np.all(np.isfinite(stop)):
             raise ValueError(f"an impact at the {name} stop, which is not there: b_{name} = {stop[0]}")
@@ -100,7 +104,7 @@ def since(span: Array, t: Array) -> tuple[Array, NDArray[np.bool_]]:
     return t[:, :, None] - t[:, None, :] + span[:, None, None] * before, before
 
 
-def pair_answers(lin: Linear, itinerary: Itinerary, t: Array, z: complex) -> list[NDArray]:
+def pair_answers(lin: Linear, itinerary: Itinerary, t: Array, z: complex) -> list[Table]:
     """g, g', g'' (N, m, m) at impact i of the kicks at impact j, those growing by z from turn to turn."""
     N, m = t.shape
     span, zeta = itinerary.span(lin), itinerary.sign * z
@@ -134,7 +138,7 @@ def stops(lin: Linear, itinerary: Itinerary) -> Array:
     return np.stack([lin.upper if side > 0 else -lin.lower for side in itinerary.sides], axis=1)
 
 
-def linearised(lin: Linear, itinerary: Itinerary, points: Impacts, z: complex = 1) -> NDArray:
+def linearised(lin: Linear, itinerary: Itinerary, points: Impacts, z: complex = 1) -> Table:
     """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
 
     z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Without a rigid mode at z = 1

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.model.oscillator import Signal, each
 from workers.orbit.equations import (
     Impacts,
-    Itinerary,
     Orbit,
     check_orbits,
     linearised,
@@ -33,6 +33,9 @@ DIFFERENCE = 6e-6
 CURVED = 1e-4
 """The same where a second derivative is differenced."""
 
+REMEMBERED = 8
+"""Oscillators that are kept, since one point is asked several things."""
+
 UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP = "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp"
 """Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
 time; v_i = 0; a fold without curvature."""
@@ -43,7 +46,7 @@ class Condition(NamedTuple):
 
     kind: str
     side: int = 0
-    index: int = 0
+    impact: int = 0
     kappa: float = 0.0
 
 
@@ -58,7 +61,8 @@ class Extended:
         self, family: Family, orbit: Orbit, conditions: tuple[Condition, ...], values: Array, width: Array
     ) -> None:
         self.family, self.itinerary, self.conditions = family, orbit.itinerary, conditions
-        lin = family.linear(np.asarray(values, dtype=np.float64)[None])
+        self.known: dict[bytes, tuple[Linear, Signal | None]] = {}
+        lin = self.model(np.asarray(values, dtype=np.float64))[0]
         check_orbits(lin, orbit.itinerary)
         self.m, self.free = len(orbit.itinerary.sides), len(family.free)
         self.shift = int(unknown_offset(lin, orbit.itinerary))
@@ -69,6 +73,17 @@ class Extended:
         self.scale = np.concatenate([*parts, np.full(self.grazes, time), np.asarray(width, dtype=np.float64)])
         self.totals = [2.0 * condition.kappa for condition in conditions]
         self.borders: list[tuple[Array, Array] | None] = [None] * len(conditions)
+
+    def model(self, values: Array) -> tuple[Linear, Signal | None]:
+        """The oscillator, as the only one of a record of many, and its gap signal at parameters (free,)."""
+        key = values.tobytes()
+        if key not in self.known:
+            lin, signals = self.family.model(values[None])
+            if len(self.known) >= REMEMBERED:
+                self.known.pop(next(iter(self.known)))
+            signal = None if signals is None else each(signals, lambda field: field[0])
+            self.known[key] = (lin, signal)
+        return self.known[key]
 
     @property
     def states(self) -> int:
@@ -100,7 +115,7 @@ class Extended:
 
     def residual(self, X: Array) -> Array:
         """All equations (equations,) at unknowns (N,), exact."""
-        return self._all(X[None], self.family.linear(self.values(X)[None]))[0]
+        return self._all(X[None], self.model(self.values(X))[0])[0]
 
     def with_jacobian(self, X: Array) -> tuple[Array, Array]:
         """All equations (equations,) and their derivatives (equations, N) at unknowns (N,)."""
@@ -116,7 +131,7 @@ class Extended:
         of_build = np.concatenate([[0], 1 + moved, 1 + len(columns) + moved])
         which = np.zeros(len(rows), dtype=np.int64)
         which[of_build] = np.arange(len(of_build))
-        lin = taken(self.family.linear(self.values(rows[of_build])), which)
+        lin = taken(self.family.model(self.values(rows[of_build]))[0], which)
         found = self._all(rows, lin)
         J = np.zeros((found.shape[1], N))
         J[:, first:] = ((found[1 : 1 + len(columns)] - found[1 + len(columns) :]) / (2.0 * step[:, None])).T
@@ -125,9 +140,9 @@ class Extended:
         J[: self.states, self.states : N - self.free] = 0.0
         return found[0], J
 
-    def follow(self, X: Array, lin: Linear | None = None) -> None:
+    def follow(self, X: Array) -> None:
         """Border with the null vectors at X, in the directions of the former ones; watch the pair found there."""
-        lin = self.family.linear(self.values(X)[None]) if lin is None else lin
+        lin = self.model(self.values(X))[0]
         points = self.points(X[None])
         for i, condition in enumerate(self.conditions):
             if condition.kind in (UNIT, MINUS_ONE):
@@ -158,7 +173,7 @@ class Extended:
                 parts += [y - (lin.upper if condition.side > 0 else -lin.lower)[:, None], v]
                 graze += 1
             elif condition.kind == SPEED:
-                parts.append(points.v[:, condition.index, None])
+                parts.append(points.v[:, condition.impact, None])
             elif condition.kind in (PAIR, ANGLE):
                 values = multipliers(lin, self.itinerary, points) if values is None else values
                 total, product = pair_near(values, np.full(len(X), self.totals[i]))
@@ -194,9 +209,7 @@ class Extended:
         m, found = self.m, []
         for sign in (1.0, -1.0):
             offset = points.offset + (sign * CURVED * w[:, 2 * m] if self.shift else 0.0)
-            moved = Impacts(
-                points.t + sign * CURVED * w[:, :m], points.v + sign * CURVED * w[:, m : 2 * m], offset
-            )
+            moved = Impacts(points.t + sign * CURVED * w[:, :m], points.v + sign * CURVED * w[:, m : 2 * m], offset)
             found.append(self._solved(fold, lin, moved)[:, -1])
         return np.asarray((found[0] - found[1]) / (2.0 * CURVED))
 

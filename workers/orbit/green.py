@@ -7,6 +7,7 @@ after the other, zeta = -1; growing perturbations of orbits others.
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 from workers.orbit.linear import Linear, flow_entries
 
 Array = NDArray[np.float64]
+Table = NDArray[Any]
+"""Real numbers, complex ones where z is."""
 
 TERMS = 24
 """Terms of the series for a rigid mode of little damping: 2 (2 eta span / 2 pi)^24 is below rounding."""
 
 
-def answer(lin: Linear, span: Array, zeta: complex, s: Array) -> tuple[NDArray, NDArray]:
+def answer(lin: Linear, span: Array, zeta: complex, s: Array) -> tuple[Table, Table]:
     """Block coordinates h and h' (N, n, K) a time s (N, K) after a kick, turn after turn of length span (N,).
 
     A rigid mode under kicks of zeta = 1 answers to them and to the constant load that balances them, with mean zero.
@@ -37,7 +40,7 @@ def answer(lin: Linear, span: Array, zeta: complex, s: Array) -> tuple[NDArray, 
     return h, rate
 
 
-def green(lin: Linear, span: Array, zeta: complex, s: Array) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def green(lin: Linear, span: Array, zeta: complex, s: Array) -> tuple[Table, Table, Table, Table]:
     """g(s) = c . u(s), the answer of the gap coordinate, and its first three derivatives, at s (N, K)."""
     h, rate = answer(lin, span, zeta, s)
     eta, lam = lin.eta[..., None], lin.lam[..., None]
@@ -54,7 +57,7 @@ def green(lin: Linear, span: Array, zeta: complex, s: Array) -> tuple[NDArray, N
     return q0.sum(1), q1.sum(1), q2.sum(1), q3.sum(1)
 
 
-def _repeated(lin: Linear, span: Array, zeta: complex) -> tuple[NDArray, NDArray]:
+def _repeated(lin: Linear, span: Array, zeta: complex) -> tuple[Table, Table]:
     """(I - e^(A span) / zeta)^-1 k, block by block, each (N, n, 1); of a rigid mode with zeta = 1 zero."""
     e11, e12, e21, e22 = (entry / zeta for entry in flow_entries(lin.eta, lin.lam, span[:, None]))
     det = (1.0 - e11) * (1.0 - e22) - e12 * e21

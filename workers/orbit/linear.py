@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import Oscillator, Signal, one_of
+from workers.model.oscillator import Oscillator, Signal
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
 
@@ -42,15 +42,14 @@ class Linear(NamedTuple):
 
 
 class Family(NamedTuple):
-    """Oscillators over some free parameters, by name: of the rows of values (N, free) as one record.
+    """Oscillators over some free parameters, by name: ``model`` makes them of rows of values (N, free).
 
-    ``signal`` is the gap signal of one row of values, for certified crossings; None where there is no such signal: then
-    whether orbits are admissible is not asked.
+    It returns N linear oscillators and their N gap signals, for certified crossings; None where the kernel has no such
+    signals: then whether orbits are admissible is not asked.
     """
 
     free: tuple[str, ...]
-    linear: Callable[[Array], Linear]
-    signal: Callable[[Array], Signal] | None = None
+    model: Callable[[Array], tuple[Linear, Signal | None]]
 
 
 def linear_of(oscillators: Oscillator) -> Linear:
@@ -76,13 +75,13 @@ def linear_of(oscillators: Oscillator) -> Linear:
 def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Family:
     """A system over some of its parameters, the others fixed at ``values`` or at their defaults.
 
-    Raises KeyError for unknown names; its functions raise ValueError, in one line, where there is no oscillator.
+    Raises KeyError for unknown names; its model raises ValueError, in one line, where there is no oscillator.
     """
     for name in (*values, *free):
         system.parameter(name)
     fixed = {p.name: float(values.get(p.name, p.default)) for p in system.parameters}
 
-    def build(rows: Array) -> Oscillator:
+    def model(rows: Array) -> tuple[Linear, Signal | None]:
         given = {name: np.full(len(rows), value) for name, value in fixed.items()}
         given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
         oscillators, reasons = system.build_many(given)
@@ -90,12 +89,9 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
             bad = int(np.flatnonzero(reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
             raise ValueError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
-        return oscillators
+        return linear_of(oscillators), oscillators.gap
 
-    def signal(values: Array) -> Signal:
-        return one_of(build(values[None]), 0).gap
-
-    return Family(free, lambda rows: linear_of(build(rows)), signal)
+    return Family(free, model)
 
 
 def taken(lin: Linear, rows: NDArray[np.int64]) -> Linear:
@@ -173,4 +169,6 @@ def forced(lin: Linear, t: Array) -> tuple[Array, Array, Array, Array]:
 def rest_position(lin: Linear) -> Array:
     """Where y (N,) rests under the constant load: sum_j c_j load_j / lam_j over the elastic modes."""
     elastic = lin.lam > 0.0
-    return np.asarray(np.sum(np.where(elastic, lin.c[..., 0] * lin.load / np.where(elastic, lin.lam, 1.0), 0.0), axis=1))
+    return np.asarray(
+        np.sum(np.where(elastic, lin.c[..., 0] * lin.load / np.where(elastic, lin.lam, 1.0), 0.0), axis=1)
+    )

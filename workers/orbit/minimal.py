@@ -48,9 +48,7 @@ def difference(itinerary: Itinerary, points: Impacts, span: float, omega: float,
 
 def is_minimal(itinerary: Itinerary, points: Impacts, span: float, omega: float) -> bool:
     """Whether one orbit is none of those repeated that its itinerary allows."""
-    return all(
-        np.max(np.abs(difference(itinerary, points, span, omega, to))) > SAME for to in reductions(itinerary)
-    )
+    return all(np.max(np.abs(difference(itinerary, points, span, omega, to))) > SAME for to in reductions(itinerary))
 
 
 def reduced(orbit: Orbit, to: Reduction) -> Orbit:

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
 from workers.kernel.stroboscopic import motion_from, propagate
+from workers.model.oscillator import many_of
 from workers.model.system import System
 from workers.orbit.equations import Itinerary, Orbit, block_state, impacts_of
 from workers.orbit.extended import Extended, solve
 from workers.orbit.linear import Family, family_of, linear_of
-from workers.model.oscillator import many_of
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def orbit_from_state(
 
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
-    fixed = Family((), lambda rows: family.linear(np.repeat(values[None], len(rows), axis=0)))
+    fixed = Family((), lambda rows: family.model(np.repeat(values[None], len(rows), axis=0)))
     equations = Extended(fixed, orbit, (), np.zeros(0), np.zeros(0))
     found = solve(equations, equations.pack(orbit, np.zeros(0), np.zeros(0)))
     if not found.converged:

@@ -51,7 +51,7 @@ def pieces(lin: Linear, itinerary: Itinerary, points: Impacts) -> Array:
 
 
 def turn_map(lin: Linear, itinerary: Itinerary, points: Impacts) -> Array:
-    """DP (N, 2n, 2n) over a turn; of symmetric orbits D_G = -DP over half the orbit, whose square is DP of the whole."""
+    """DP (N, 2n, 2n) over a turn; of symmetric orbits D_G = -DP over half the orbit: its square is DP."""
     factors = pieces(lin, itinerary, points)
     total = factors[:, 0]
     for i in range(1, factors.shape[1]):

@@ -13,7 +13,12 @@ from workers.orbit.stability import multipliers
 
 Array = NDArray[np.float64]
 
-FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = "fold", "symmetry_breaking", "period_doubling", "neimark_sacker"
+FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
+    "fold",
+    "symmetry_breaking",
+    "period_doubling",
+    "neimark_sacker",
+)
 GRAZING, IMPACT_LOST = "graze", "impact_lost"
 """Kinds of events with one condition."""
 
@@ -40,9 +45,9 @@ class View(NamedTuple):
 
 def view(equations: Extended, X: Array) -> View:
     """What unknowns X (N,) show."""
-    lin = equations.family.linear(equations.values(X)[None])
+    lin = equations.model(equations.values(X))[0]
     points, itinerary = equations.points(X[None]), equations.itinerary
-    equations.follow(X, lin)
+    equations.follow(X)
     mu = multipliers(lin, itinerary, points)[0]
     others = without_own(mu, equations.conditions, equations.totals)
     dets = {}
@@ -57,9 +62,9 @@ def view(equations: Extended, X: Array) -> View:
             found[name] = Watched(sign, log, (*own, Condition(name)))
     if kind == UNIT:
         found[CUSP] = Watched(*_size(float(equations.curvature(lin, points)[0])), (*own, Condition(CUSP)))
-        found["double"] = Watched(*_size(np.prod(1.0 - others).real), _resonance(1.0))
+        found["double"] = Watched(*_size(float(np.prod(1.0 - others).real)), _resonance(1.0))
     if kind == MINUS_ONE:
-        found["double"] = Watched(*_size(np.prod(1.0 + others).real), _resonance(-1.0))
+        found["double"] = Watched(*_size(float(np.prod(1.0 + others).real)), _resonance(-1.0))
     if kind == PAIR:
         kappa = 0.5 * equations.totals[0]
         for angle, name in ANGLES.items():
@@ -71,20 +76,18 @@ def view(equations: Extended, X: Array) -> View:
             pairs = np.prod(others[i] * others[j] - 1.0).real if len(i) else 1.0
         nearest = int(np.argmin(np.abs(products - 1.0))) if len(i) else 0
         kappa = 0.5 * float((others[i] + others[j])[nearest].real) if len(i) else 0.0
-        found[PAIR] = Watched(*_size(pairs), (*own, Condition(PAIR, kappa=kappa)))
+        found[PAIR] = Watched(*_size(float(pairs)), (*own, Condition(PAIR, kappa=kappa)))
     return View(mu, int(np.sum(np.abs(others) > 1.0)), found, fault(equations, X))
 
 
 def fault(equations: Extended, X: Array) -> Fault | None:
     """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
-    family = equations.family
-    if family.signal is None:
+    lin, signal = equations.model(equations.values(X))
+    if signal is None:
         return None
-    values = equations.values(X)
-    lost = next((c.index for c in equations.conditions if c.kind == SPEED), -1)
+    lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
     grazes = equations.contacts(X[None])[0]
-    lin = family.linear(values[None])
-    return first_fault(family.signal(values), lin, equations.itinerary, equations.points(X[None]), grazes, lost)
+    return first_fault(signal, lin, equations.itinerary, equations.points(X[None]), grazes, lost)
 
 
 def without_own(

@@ -48,7 +48,9 @@ class Walker:
                     self.former = (self.X, self.tangent, self.length)
                     self.X, self.tangent = found.X, tangent
                     grow = min(2.0, max(0.5, TURN / max(angle, 1e-6)))
-                    self.length = min(self.length * (grow if found.steps <= FEW_STEPS else min(grow, 0.7)), self.longest)
+                    self.length = min(
+                        self.length * (grow if found.steps <= FEW_STEPS else min(grow, 0.7)), self.longest
+                    )
                     return True
             self.length *= 0.5
         return False
