@@ -64,19 +64,19 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     square = Extended(family, point.orbit, event.conditions, point.values, np.array([width]))
     X = square.pack(point.orbit, np.zeros(0), point.values)
     square.follow(X)
-    w = square.null_vector(0) * square.scale[: len(square.null_vector(0))]
+    w = square.null_vector(0) * square.unit[: len(square.null_vector(0))]
     m, sign = len(itinerary.sides), itinerary.sign
     span = float(itinerary.span(square.model(point.values)[0])[0])
     sides = itinerary.sides + tuple(sign * side for side in itinerary.sides)
     periods = itinerary.periods if itinerary.symmetric else 2 * itinerary.periods
     t, v = point.orbit.times, point.orbit.speeds
     times, speeds = np.concatenate([t, t + span]), np.concatenate([v, sign * v])
-    ways = np.concatenate([w[:m], -w[:m], w[m:], -sign * w[m:]])
+    ways = np.concatenate([w[:m], -w[:m], w[m : 2 * m], -sign * w[m : 2 * m], w[2 * m :]])
     whole = Orbit(Itinerary(sides, periods), times, speeds, point.orbit.offset)
     equations = Extended(family, whole, (), point.values, np.array([width]))
     X = equations.pack(whole, np.zeros(0), point.values)
     direction = np.zeros(len(X))
-    direction[: 4 * m] = ways
+    direction[: len(ways)] = ways
     unit = direction / equations.scale
     unit /= np.linalg.norm(unit)
     found = solve(equations, X + amplitude * unit * equations.scale, unit / equations.scale)

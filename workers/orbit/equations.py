@@ -141,13 +141,17 @@ def stops(lin: Linear, itinerary: Itinerary) -> Array:
 def linearised(lin: Linear, itinerary: Itinerary, points: Impacts, z: complex = 1) -> Table:
     """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
 
-    z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Without a rigid mode at z = 1
-    det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)): zero where z is a multiplier, and without poles.
+    z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Where perturbed kicks are the same each
+    turn, a rigid mode adds the perturbed offset and the balance of the kicks; without that
+
+        det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)):
+
+    zero where z is a multiplier, and without poles.
     """
     q, m = 1.0 + lin.R[:, None, None], points.t.shape[1]
     _, v, a = at_impacts(lin, itinerary, points)
     g0, g1, g2 = pair_answers(lin, itinerary, points.t, z)
-    bordered = z == 1 and unknown_offset(lin, itinerary)
+    bordered = itinerary.sign * z == 1 and rigid_mode(lin) is not None
     size = 2 * m + bordered
     J = np.zeros((len(v), size, size), dtype=g0.dtype)
     i = np.arange(m)

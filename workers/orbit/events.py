@@ -167,13 +167,18 @@ def halves_between(equations: Extended, here: Array, there: Array) -> Reduction 
 
 
 def origin(equations: Extended, here: Array, there: Array, to: Reduction) -> Placed | None:
-    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn."""
+    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
+    grazes too. None on other curves, and where it is not found.
+    """
+    own = tuple(condition for condition in equations.conditions if condition.kind == GRAZE)
+    if own != equations.conditions:
+        return None
     a, b = (np.linalg.norm(_difference(equations, X, to)) for X in (here, there))
     share = float(a / (a + b))
     guess = here + share * (there - here)
     orbit, values = reduced(equations.orbit(guess), to), equations.values(guess)
-    square = Extended(equations.family, orbit, (Condition(MINUS_ONE),), values, _width(equations))
-    X = square.pack(orbit, np.zeros(0), values)
+    square = Extended(equations.family, orbit, (*own, Condition(MINUS_ONE)), values, _width(equations))
+    X = square.pack(orbit, equations.contacts(guess[None])[0], values)
     square.follow(X)
     found = solve(square, X)
     if not found.converged:

@@ -53,7 +53,7 @@ class Condition(NamedTuple):
 class Extended:
     """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
 
-    ``scale`` (unknowns,) makes unknowns comparable; ``width`` (free,) is that of the parameters. ``follow`` takes the
+    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2m + 1,) perturbations of times, speeds and offset; ``width`` (free,) is that of the parameters. ``follow`` takes the
     vectors that border singular matrices from a solution, and the sum of the pair that is watched.
     """
 
@@ -71,6 +71,7 @@ class Extended:
         many = math.sqrt(max(1, self.m))
         parts = [np.full(self.m, many * time), np.full(self.m, many * speed), np.full(self.shift, speed * time)]
         self.scale = np.concatenate([*parts, np.full(self.grazes, time), np.asarray(width, dtype=np.float64)])
+        self.unit = np.concatenate([self.scale[: 2 * self.m], [speed * time]])
         self.totals = [2.0 * condition.kappa for condition in conditions]
         self.borders: list[tuple[Array, Array] | None] = [None] * len(conditions)
 
@@ -187,7 +188,7 @@ class Extended:
     def _bordered_matrix(self, condition: Condition, lin: Linear, points: Impacts) -> Array:
         """J_z of a condition on a multiplier, in units of the scale of the unknowns."""
         J = linearised(lin, self.itinerary, points, 1 if condition.kind == UNIT else -1)
-        unit = self.scale[: J.shape[2]]
+        unit = self.unit[: J.shape[2]]
         return np.asarray(J * unit / unit[:, None])
 
     def _solved(self, i: int, lin: Linear, points: Impacts) -> Array:

@@ -169,7 +169,7 @@ class _OneWay:
 
     def _become_shorter(self, here: Array, there: Array, to: Reduction) -> None:
         """End where a branch meets the orbit that it left."""
-        placed = None if self.equations.conditions else origin(self.equations, here, there, to)
+        placed = origin(self.equations, here, there, to)
         self.end = SHORTER
         if placed is not None:
             self.events.append(placed.event)
