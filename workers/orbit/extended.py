@@ -53,8 +53,9 @@ class Condition(NamedTuple):
 class Extended:
     """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
 
-    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2m + 1,) perturbations of times, speeds and offset; ``width`` (free,) is that of the parameters. ``follow`` takes the
-    vectors that border singular matrices from a solution, and the sum of the pair that is watched.
+    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2m + 1,) perturbations of times, speeds and offset;
+    ``width`` (free,) is the scale of the parameters. ``follow`` takes the vectors that border singular matrices from a
+    solution, and the sum of the pair that is watched.
     """
 
     def __init__(
@@ -225,7 +226,7 @@ class Solved(NamedTuple):
 
 
 NEWTON_STEPS = 12
-DONE = 1e-13
+DONE = 1e-14
 """Expected distance from the solution, in units of the scale, at which Newton's method ends."""
 
 
