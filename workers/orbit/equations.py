@@ -64,6 +64,19 @@ class Impacts(NamedTuple):
     offset: Array
 
 
+def in_one_turn(orbit: Orbit, span: float) -> Orbit:
+    """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
+    if not len(orbit.times):
+        return orbit
+    turns = np.floor(orbit.times / span)
+    flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
+    times = orbit.times - turns * span
+    order = np.argsort(times, kind="stable")
+    sides = (flips * np.array(orbit.itinerary.sides))[order]
+    itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
+    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order], orbit.offset)
+
+
 def impacts_of(orbit: Orbit) -> Impacts:
     """One orbit as one of many."""
     return Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))

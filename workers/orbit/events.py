@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from workers.orbit.admissible import LOST, ORDER, Fault
 from workers.orbit.equations import Orbit, motion_at
 from workers.orbit.extended import GRAZE, MINUS_ONE, PAIR, SPEED, Condition, Extended, solve
+from workers.orbit.linear import NoOscillatorError
 from workers.orbit.minimal import Reduction, difference, is_minimal, reduced, reductions
 from workers.orbit.stability import multipliers
 from workers.orbit.view import View, fault, name_of, view, without_own
@@ -62,8 +63,14 @@ class Change(NamedTuple):
     conditions: tuple[Condition, ...]
 
 
-def point_at(equations: Extended, X: Array) -> Point:
-    """The point of unknowns X (N,)."""
+def point_of(equations: Extended, X: Array, seen: View) -> Point:
+    """The point of unknowns X (N,) and their view."""
+    contacts = equations.contacts(X[None])[0].copy()
+    return Point(equations.values(X).copy(), equations.orbit(X), contacts, seen.multipliers, seen.unstable)
+
+
+def _event_point(equations: Extended, X: Array) -> Point:
+    """The point of unknowns X (N,) that solve the conditions of an event."""
     lin = equations.model(equations.values(X))[0]
     mu = multipliers(lin, equations.itinerary, equations.points(X[None]))[0]
     others = without_own(mu, equations.conditions, equations.totals)
@@ -119,7 +126,7 @@ def solved(
     try:
         square.follow(X)
         found = solve(square, X)
-    except (ValueError, np.linalg.LinAlgError):
+    except (NoOscillatorError, np.linalg.LinAlgError):
         return None
     share = _share(equations, square, found.X, here, there) if found.converged else None
     if share is None:
@@ -134,7 +141,7 @@ def solved(
     if (len(conditions) == 1 and abs(kappa) >= 1.0) or abs(kappa) > 1.0 + 1e-9:
         return None
     kind = name_of(conditions, square.itinerary.symmetric)
-    return Placed(share, Event(kind, conditions, point_at(square, found.X), kappa))
+    return Placed(share, Event(kind, conditions, _event_point(square, found.X), kappa))
 
 
 def leaving(equations: Extended, here: Array, there: Array, why: Fault) -> Placed | None:
@@ -184,7 +191,7 @@ def origin(equations: Extended, here: Array, there: Array, to: Reduction) -> Pla
     if not found.converged:
         return None
     kind = name_of(square.conditions, orbit.itinerary.symmetric)
-    return Placed(share, Event(kind, square.conditions, point_at(square, found.X)))
+    return Placed(share, Event(kind, square.conditions, _event_point(square, found.X)))
 
 
 def _difference(equations: Extended, X: Array, to: Reduction) -> Array:

@@ -22,7 +22,7 @@ from workers.orbit.equations import (
     residual,
     unknown_offset,
 )
-from workers.orbit.linear import Family, Linear, taken
+from workers.orbit.linear import Family, Linear, NoOscillatorError, taken
 from workers.orbit.stability import multipliers, pair_near
 
 Array = NDArray[np.float64]
@@ -234,16 +234,20 @@ def solve(equations: Extended, X: Array, row: Array | None = None) -> Solved:
     """Newton's method from X; ``row`` (N,) is a direction in which nothing changes, where one unknown is free.
 
     The Jacobian is kept for a step where the last one gained two digits. It ends where the next step would be below
-    DONE, and fails where steps do not shrink.
+    DONE, and fails where steps do not shrink, at a singular matrix and where there is no oscillator.
     """
+    try:
+        return _newton(equations, X, row)
+    except (np.linalg.LinAlgError, NoOscillatorError):
+        return Solved(X, np.zeros((0, 0)), 0, False)
+
+
+def _newton(equations: Extended, X: Array, row: Array | None) -> Solved:
     known, J = equations.with_jacobian(X)
     last = math.inf
     for step in range(1, NEWTON_STEPS + 1):
         matrix, right = (J, known) if row is None else (np.vstack([J, row]), np.append(known, 0.0))
-        try:
-            change = np.linalg.solve(matrix * equations.scale, -right)
-        except np.linalg.LinAlgError:
-            break
+        change = np.linalg.solve(matrix * equations.scale, -right)
         size = float(np.max(np.abs(change), initial=0.0))
         if not size < min(1.0, 2.0 * last):
             break

@@ -20,7 +20,7 @@ from workers.orbit.events import (
     leaving,
     located,
     origin,
-    point_at,
+    point_of,
     turn_of,
 )
 from workers.orbit.extended import ANGLE, PAIR, Extended
@@ -35,6 +35,10 @@ EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
 )  # fmt: skip
 """How a way ends where it does not end at an event: at the window's edge; as a closed loop; its points are spent; no
 step converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
+
+
+SHORTEST = 1e-3
+"""Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
 
 
 class Way(NamedTuple):
@@ -118,7 +122,7 @@ class _OneWay:
         self.walker = Walker(equations, start, resolution, direction)
         self.leaving = self.walker.tangent
         self.view = first
-        self.points: list[Point] = [point_at(equations, start)]
+        self.points: list[Point] = [point_of(equations, start, first)]
         self.events: list[Event] = []
         self.end = ""
 
@@ -143,15 +147,18 @@ class _OneWay:
                 self.end = EDGE
                 return
             there, end = edge.X, EDGE
+        if not end and self._closes(here, there):
+            there, end = self.start, CLOSED
         seen = view(eq, there)
-        if self._went_too_far(seen) and self.walker.length > 1e-3 * self.walker.longest:
+        slid = not is_minimal(eq.itinerary, eq.points(there[None]), *turn_of(eq, there))
+        if (slid or self._went_too_far(seen)) and self.walker.length > SHORTEST * self.walker.longest:
             self.walker.back()
             eq.follow(here)
             return
-        if not end and self._closes(there):
-            end = CLOSED
         to = halves_between(eq, here, there)
-        if to is not None:
+        if slid and to is None:
+            self.end = SHORTER
+        elif to is not None:
             self._become_shorter(here, there, to)
         else:
             self._pass(here, there, seen, end)
@@ -161,11 +168,12 @@ class _OneWay:
         known = seen.fault is not None or bool(changes(self.view, seen))
         return not self.equations.conditions and seen.unstable != self.view.unstable and not known
 
-    def _closes(self, there: Array) -> bool:
-        """Whether the way has come back to its start, in its direction there."""
-        away = (there - self.start) / self.equations.scale
-        near = float(np.linalg.norm(away)) < 0.75 * self.walker.longest and len(self.points) > 5
-        return near and float(away @ self.leaving) >= 0.0 and float(self.walker.tangent @ self.leaving) > 0.5
+    def _closes(self, here: Array, there: Array) -> bool:
+        """Whether a step passes the start in the direction in which the way left it."""
+        before, after = ((X - self.start) / self.equations.scale for X in (here, there))
+        passes = float(before @ self.leaving) < 0.0 <= float(after @ self.leaving)
+        away = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+        return passes and away < 1.5 * self.walker.longest
 
     def _become_shorter(self, here: Array, there: Array, to: Reduction) -> None:
         """End where a branch meets the orbit that it left."""
@@ -179,7 +187,7 @@ class _OneWay:
     def _pass(self, here: Array, there: Array, seen: View, end: str) -> None:
         """Locate what happened between two points and add it; end the way where it ends."""
         eq, found, limit = self.equations, list[Placed](), math.inf
-        last = point_at(eq, there)
+        last = point_of(eq, there, seen)
         if seen.fault is not None:
             ceases = leaving(eq, here, there, seen.fault)
             if ceases is None:

@@ -41,6 +41,10 @@ class Linear(NamedTuple):
     trace: Array
 
 
+class NoOscillatorError(ValueError):
+    """Parameters at which there is no oscillator."""
+
+
 class Family(NamedTuple):
     """Oscillators over some free parameters, by name: ``model`` makes them of rows of values (N, free).
 
@@ -75,7 +79,7 @@ def linear_of(oscillators: Oscillator) -> Linear:
 def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Family:
     """A system over some of its parameters, the others fixed at ``values`` or at their defaults.
 
-    Raises KeyError for unknown names; its model raises ValueError, in one line, where there is no oscillator.
+    Raises KeyError for unknown names; its model raises NoOscillatorError where there is none.
     """
     for name in (*values, *free):
         system.parameter(name)
@@ -88,7 +92,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
         if np.any(reasons != NO_REASON):
             bad = int(np.flatnonzero(reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
-            raise ValueError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
+            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
         return linear_of(oscillators), oscillators.gap
 
     return Family(free, model)
@@ -119,8 +123,10 @@ def flow_entries(eta: Array, lam: Array, s: Array) -> tuple[Array, Array, Array,
     angle = w * s
     decay = np.exp(-eta * s)
     unit = np.where(w > 0.0, w, 1.0)
-    S = np.where(series, s * _sinc(np.where(series, x, 0.0)), np.sin(angle) / unit)
-    C = np.where(series, _cosine(np.where(series, x, 0.0)), np.cos(angle))
+    S, C = np.sin(angle) / unit, np.cos(angle)
+    if np.any(series):
+        small = np.where(series, x, 0.0)
+        S, C = np.where(series, s * _sinc(small), S), np.where(series, _cosine(small), C)
     f11, f12, f22 = decay * (C + eta * S), decay * S, decay * (C - eta * S)
     over = fast & ~series
     if np.any(over):

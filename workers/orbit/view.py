@@ -50,16 +50,13 @@ def view(equations: Extended, X: Array) -> View:
     equations.follow(X)
     mu = multipliers(lin, itinerary, points)[0]
     others = without_own(mu, equations.conditions, equations.totals)
-    dets = {}
-    for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
-        sign, log = np.linalg.slogdet(linearised(lin, itinerary, points, z)[0])
-        dets[name] = (float(sign), float(log))
     own = equations.conditions
     kind = own[0].kind if own else None
     found = {}
-    for name, (sign, log) in dets.items():
+    for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
         if kind != name:
-            found[name] = Watched(sign, log, (*own, Condition(name)))
+            sign, log = np.linalg.slogdet(linearised(lin, itinerary, points, z)[0])
+            found[name] = Watched(float(sign), float(log), (*own, Condition(name)))
     if kind == UNIT:
         found[CUSP] = Watched(*_size(float(equations.curvature(lin, points)[0])), (*own, Condition(CUSP)))
         found["double"] = Watched(*_size(float(np.prod(1.0 - others).real)), _resonance(1.0))

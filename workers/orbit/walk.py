@@ -36,10 +36,7 @@ class Walker:
         eq = self.equations
         while self.length >= LEAST * self.longest:
             guess = self._predicted()
-            try:
-                found = solve(eq, guess, self.tangent / eq.scale)
-            except ValueError:  # no oscillator there
-                found = Solved(guess, np.zeros((0, 0)), 0, False)
+            found = solve(eq, guess, self.tangent / eq.scale)
             self.newton_steps += found.steps
             if found.converged:
                 tangent = tangent_at(eq, found.jacobian, self.tangent)
