@@ -168,6 +168,38 @@ def test_a_resonance_of_order_three_is_passed() -> None:
     assert np.min(np.abs(mu - np.exp(2j * np.pi / 3))) < 1e-10
 
 
+def test_the_other_way_of_a_pair_starts_with_the_pair_of_the_start() -> None:
+    """At the far end of the first way another pair is nearer: both ways must reach the window's edge."""
+    record = next(record for record in CURVES if record["kind"] == "neimark_sacker" and record["half_map"])
+    family, event, values = reference_event(record, ("omega", "R"))
+    way = curve(family, event, values, {"omega": (0.5, 4.5), "R": (0.2, 0.999)})
+    assert way.ends == (EDGE, EDGE)
+    for point in way.points:
+        assert np.min(np.abs(np.abs(point.multipliers) - 1.0)) < 1e-11
+
+
+def test_a_symmetry_breaking_with_a_fold_is_a_fold_flip() -> None:
+    record = next(record for record in CURVES if record["point"]["b"] == "0.33")
+    family, event, values = reference_event(record, ("omega", "zeta"))
+    way = curve(family, event, values, {"omega": (0.5, 4.5), "zeta": (0.005, 0.1)})
+    both = next(event for event in way.events if event.kind == "fold_flip")
+    mu = both.point.multipliers
+    assert np.min(np.abs(mu - 1.0)) < 1e-9
+    assert np.min(np.abs(mu + 1.0)) < 1e-9
+
+
+def test_a_graze_passes_the_reference_fold_of_a_long_orbit() -> None:
+    """Truth: the codimension-two point of curves.json with eight impacts in three periods."""
+    record = next(record for record in CURVES if record.get("conditions") == ["graze 1", "fold"])
+    family, both, values = reference_event(record, ("omega", "R"))
+    graze = Event("graze", both.conditions[:1], both.point)
+    window = {"omega": (2.43, 2.435), "R": (0.417, 0.42)}
+    for shift in (1e-5, -1e-5):
+        way = curve(family, graze, values * (1.0 + shift), window, resolution=0.1)
+        met = [event.point.values for event in way.events if event.kind == "graze_fold"]
+        assert min(np.abs(value - values).max() for value in met) < 1e-11
+
+
 def test_a_spent_budget_is_told() -> None:
     event = ball_event("fold", 0.5)
     window = {"R": (0.1, 0.9), "A": (0.01, 5.0)}

@@ -88,13 +88,14 @@ def follow(equations: Extended, start: Array, window: Window, resolution: float,
         raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
     if not is_minimal(equations.itinerary, equations.points(start[None]), *turn_of(equations, start)):
         raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
+    totals, borders = list(equations.totals), list(equations.borders)
     direction = np.zeros(len(start))
     direction[len(start) - equations.free :] = equations.scale[len(start) - equations.free :]
     ahead = _OneWay(equations, start, first, direction, window, resolution, budget)
     ahead.run()
     if ahead.end == CLOSED:
         return Way(ahead.points, ahead.events, (CLOSED, CLOSED), ahead.walker.newton_steps)
-    equations.follow(start)
+    equations.totals, equations.borders = totals, borders  # those of the start, not of the other end
     back = _OneWay(equations, start, first, -direction, window, resolution, budget)
     back.run()
     return Way(

@@ -56,7 +56,8 @@ def view(equations: Extended, X: Array) -> View:
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
         if kind != name:
             sign, log = np.linalg.slogdet(linearised(lin, itinerary, points, z)[0])
-            found[name] = Watched(float(sign), float(log), (*own, Condition(name)))
+            own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
+            found[name] = Watched(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
     if kind == UNIT:
         found[CUSP] = Watched(*_size(float(equations.curvature(lin, points)[0])), (*own, Condition(CUSP)))
         found["double"] = Watched(*_size(float(np.prod(1.0 - others).real)), _resonance(1.0))
