@@ -68,7 +68,10 @@ class Extended:
         self.m, self.free = len(orbit.itinerary.sides), len(family.free)
         self.shift = int(unknown_offset(lin, orbit.itinerary))
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
-        time, speed = 1.0 / float(lin.omega[0]), float(np.max(np.abs(orbit.speeds), initial=1e-300))
+        time = 1.0 / float(lin.omega[0])
+        stops_at = [abs(float(stop[0])) for stop in (lin.upper, lin.lower) if np.isfinite(stop[0])]
+        forced_size = float(np.abs(lin.sin_part).sum() + np.abs(lin.cos_part).sum())
+        speed = max(float(np.max(np.abs(orbit.speeds), initial=0.0)), 1e-3 * max(forced_size, *stops_at, 1e-300) / time)
         many = math.sqrt(max(1, self.m))
         parts = [np.full(self.m, many * time), np.full(self.m, many * speed), np.full(self.shift, speed * time)]
         self.scale = np.concatenate([*parts, np.full(self.grazes, time), np.asarray(width, dtype=np.float64)])

@@ -93,7 +93,8 @@ def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Arra
     Both are smooth where the pair is real and double too, unlike the multipliers themselves.
     """
     i, j = np.triu_indices(values.shape[1], 1)
-    sums, products = values[:, i] + values[:, j], values[:, i] * values[:, j]
+    with np.errstate(invalid="ignore"):  # infinite ones, where an impact has no speed
+        sums, products = values[:, i] + values[:, j], values[:, i] * values[:, j]
     distance = np.abs(sums - total[:, None]) + np.abs(products - 1.0)
     pick = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=1)[:, None]
     sums, products = np.take_along_axis(sums, pick, 1), np.take_along_axis(products, pick, 1)
