@@ -20,6 +20,12 @@ Array = NDArray[np.float64]
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
 
+TINY = 1e-300
+
+NEAR_HALVES = 1e-2
+"""Difference of both halves, in radians of the force and relative speeds, below which a branch that stalls meets the
+orbit of half the turn."""
+
 TRIES = 4
 """Halvings of a step that help to locate what is watched."""
 
@@ -173,6 +179,14 @@ def halves_between(equations: Extended, here: Array, there: Array) -> Reduction 
     return None
 
 
+def nearly_halves(equations: Extended, X: Array) -> Reduction | None:
+    """The orbit of half the turn that unknowns X (N,) nearly are."""
+    for to in reductions(equations.itinerary):
+        if to.parts == 2 and np.max(np.abs(_difference(equations, X, to))) < NEAR_HALVES:
+            return to
+    return None
+
+
 def origin(equations: Extended, here: Array, there: Array, to: Reduction) -> Placed | None:
     """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
     grazes too. None on other curves, and where it is not found.
@@ -180,8 +194,8 @@ def origin(equations: Extended, here: Array, there: Array, to: Reduction) -> Pla
     own = tuple(condition for condition in equations.conditions if condition.kind == GRAZE)
     if own != equations.conditions:
         return None
-    a, b = (np.linalg.norm(_difference(equations, X, to)) for X in (here, there))
-    share = float(a / (a + b))
+    a, b = (float(np.linalg.norm(_difference(equations, X, to))) + TINY for X in (here, there))
+    share = a / (a + b)
     guess = here + share * (there - here)
     orbit, values = reduced(equations.orbit(guess), to), equations.values(guess)
     square = Extended(equations.family, orbit, (*own, Condition(MINUS_ONE)), values, _width(equations))

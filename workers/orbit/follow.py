@@ -19,6 +19,7 @@ from workers.orbit.events import (
     halves_between,
     leaving,
     located,
+    nearly_halves,
     origin,
     point_of,
     turn_of,
@@ -39,6 +40,10 @@ step converges; where the orbit ceases to be admissible, at no event that was fo
 
 SHORTEST = 1e-3
 """Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
+
+
+DOUBT = 1e-4
+"""Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
 
 
 class Way(NamedTuple):
@@ -134,9 +139,17 @@ class _OneWay:
             if len(self.points) > self.budget:
                 self.end = BUDGET
             elif not self.walker.advance():
-                self.end = STALLED
+                self._stall(here)
             else:
                 self._arrive(here, self.walker.X)
+
+    def _stall(self, here: Array) -> None:
+        """End where no step converges: where a branch meets the orbit that it left the equations are singular."""
+        to = nearly_halves(self.equations, here)
+        if to is None:
+            self.end = STALLED
+        else:
+            self._become_shorter(here, here, to)
 
     def _arrive(self, here: Array, there: Array) -> None:
         """Take the step from one point to the next, or a shorter one where it went too far."""
@@ -166,8 +179,11 @@ class _OneWay:
 
     def _went_too_far(self, seen: View) -> bool:
         """Whether stability changed on a branch although nothing that is watched did."""
-        known = seen.fault is not None or bool(changes(self.view, seen))
-        return not self.equations.conditions and seen.unstable != self.view.unstable and not known
+        if self.equations.conditions or seen.fault is not None or changes(self.view, seen):
+            return False
+        before, after = np.abs(self.view.multipliers), np.abs(seen.multipliers)
+        gained = np.sum(after > 1.0 + DOUBT) > np.sum(before > 1.0 - DOUBT)
+        return bool(gained or np.sum(after > 1.0 - DOUBT) < np.sum(before > 1.0 + DOUBT))
 
     def _closes(self, here: Array, there: Array) -> bool:
         """Whether a step passes the start in the direction in which the way left it."""
