@@ -1,0 +1,79 @@
+"""Orbits from cells: proven periodic cells of the solver against the equations, and back to section states."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests import naive
+from workers import Settings, solve_tile
+from workers.model.system import TWO_MASS
+from workers.orbit import family_of, orbit_from_state, section_state
+from workers.orbit.admissible import first_fault
+from workers.orbit.equations import impacts_of, in_one_turn, residual
+from workers.orbit.minimal import is_minimal
+from workers.orbit.stability import exponents, multipliers
+from workers.results import PERIODIC
+
+
+def drawn(count: int, seed: int, **ranges: tuple[float, float]) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    return {name: rng.uniform(*bounds, count) for name, bounds in ranges.items()}
+
+
+def agree(params: dict[str, Any], settings: Settings) -> int:
+    """How many proven periodic cells there are; each is compared with the orbit of the equations."""
+    found = solve_tile("two-mass", params, settings)
+    cells = np.flatnonzero((found["regime"] == PERIODIC) & ~found["sticks"])
+    for k in cells:
+        values = {name: float(column[k]) for name, column in params.items()}
+        orbit = orbit_from_state(
+            TWO_MASS, values, found["state"][k], int(found["period"][k]), bool(found["symmetric"][k])
+        )
+        points = impacts_of(orbit)
+        lin, signals = family_of(TWO_MASS, values, ()).model(np.zeros((1, 0)))
+        assert section_state(TWO_MASS, values, orbit) == pytest.approx(found["state"][k], abs=1e-10)
+        spectrum = exponents(lin, orbit.itinerary, points)[0]
+        assert spectrum[0] == pytest.approx(found["spectrum"][k, 0], abs=1e-9)
+        # The solver's small exponents are off by up to some 1e-9 near grazes, these not (products in 40 digits).
+        assert spectrum == pytest.approx(found["spectrum"][k], abs=1e-8)
+        assert orbit.itinerary.impacts(1) == found["impacts_upper"][k]
+        assert orbit.itinerary.impacts(-1) == found["impacts_lower"][k]
+        assert is_minimal(orbit.itinerary, points, float(orbit.itinerary.span(lin)[0]), float(lin.omega[0]))
+        assert np.max(np.abs(multipliers(lin, orbit.itinerary, points)[0])) < 1.0
+        assert signals is not None
+        signal = type(signals)(*(field[0] for field in signals))
+        assert first_fault(signal, lin, orbit.itinerary, points, np.zeros(0)) is None
+    return len(cells)
+
+
+def test_sixty_proven_cells_are_orbits_of_the_equations() -> None:
+    params = drawn(90, 1, omega=(1.8, 4.5), b=(0.1, 0.5), R=(0.5, 0.85))
+    assert agree(params, Settings(exponents="spectrum", max_periods=1000, survival=1000, tolerance=0.3)) >= 60
+
+
+@pytest.mark.slow
+def test_a_thousand_proven_cells_are_orbits_of_the_equations() -> None:
+    params = drawn(2300, 3, omega=(0.6, 4.5), b=(0.03, 1.0), R=(0.3, 0.95), f2=(-1.0, 1.0))
+    assert agree(params, Settings(exponents="spectrum", max_periods=3000, survival=3000, tolerance=0.3)) >= 1000
+
+
+def test_an_orbit_that_rests_is_refused_in_one_line() -> None:
+    found = solve_tile("two-mass", naive.STICKING)
+    with pytest.raises(ValueError, match="rests on a stop"):
+        orbit_from_state(TWO_MASS, naive.STICKING, found["state"], int(found["period"]))
+
+
+def test_times_are_reduced_to_one_turn_of_the_same_orbit() -> None:
+    """Truth: the equations hold, and the section state is the same."""
+    found = solve_tile("two-mass", {})
+    for symmetric in (False, True):
+        orbit = orbit_from_state(TWO_MASS, {}, found["state"], int(found["period"]), symmetric)
+        lin = family_of(TWO_MASS, {}, ()).model(np.zeros((1, 0)))[0]
+        span = float(orbit.itinerary.span(lin)[0])
+        later = orbit._replace(times=orbit.times + 0.7 * span)
+        lin = lin._replace(tau=lin.tau - 0.7 * span * lin.omega)
+        reduced = in_one_turn(later, span)
+        assert np.all((reduced.times >= 0.0) & (reduced.times < span))
+        assert np.all(np.diff(reduced.times) > 0.0)
+        assert residual(lin, reduced.itinerary, impacts_of(reduced)) == pytest.approx(0.0, abs=1e-13)

@@ -1,0 +1,68 @@
+"""Orbits to start from: of a cell's section state on a periodic attractor; and back to section states."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
+from workers.kernel.stroboscopic import motion_from, propagate
+from workers.model.oscillator import many_of
+from workers.model.system import System
+from workers.orbit.equations import Itinerary, Orbit, block_state, impacts_of
+from workers.orbit.extended import Extended, solve
+from workers.orbit.linear import Family, family_of, linear_of
+
+Array = NDArray[np.float64]
+
+RECORD = 256
+"""Impacts of one period that an orbit may have."""
+
+
+def orbit_from_state(
+    system: System, values: Mapping[str, float], state: Array, periods: int, symmetric: bool = False
+) -> Orbit:
+    """The periodic orbit through (or next to) a physical section state, so many periods long, by Newton's method.
+
+    values   parameters by name; those left out have their defaults
+    Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
+    """
+    full = {p.name: float(values.get(p.name, p.default)) for p in system.parameters}
+    osc = system.build(full)
+    motion = motion_from(osc, state, record=RECORD)
+    rows = []
+    for k in range(periods):
+        propagate(osc, motion, osc.period)
+        if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0:
+            raise ValueError("the motion rests on a stop: it is no orbit of impacts alone")
+        count = int(motion.tally[RECORDED])
+        if count == RECORD:
+            raise ValueError(f"{RECORD} impacts in one period: too many for an orbit of impacts")
+        rows.append(motion.impacts[:count] + np.array([k * osc.period, 0.0, 0.0]))
+        motion.tally[RECORDED] = 0.0
+    impacts = np.concatenate(rows) if rows else np.zeros((0, 3))
+    if symmetric:
+        impacts = impacts[impacts[:, 0] < 0.5 * periods * osc.period]
+    sides = impacts[:, 1]
+    itinerary = Itinerary(tuple(int(side) for side in sides), periods, symmetric)
+    orbit = Orbit(itinerary, impacts[:, 0].copy(), sides * impacts[:, 2])
+    return refined(family_of(system, values, ()), orbit, np.zeros(0))
+
+
+def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
+    """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
+    fixed = Family((), lambda rows: family.model(np.repeat(values[None], len(rows), axis=0)))
+    equations = Extended(fixed, orbit, (), np.zeros(0), np.zeros(0))
+    found = solve(equations, equations.pack(orbit, np.zeros(0), np.zeros(0)))
+    if not found.converged:
+        raise ValueError("Newton's method finds no orbit there")
+    return equations.orbit(found.X)
+
+
+def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:
+    """The physical state (2n,) of an orbit at the section, t = 0."""
+    osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
+    lin = linear_of(many_of(osc))
+    parts = block_state(lin, orbit.itinerary, impacts_of(orbit), np.zeros((1, 1)))
+    wave = np.array([np.sin(osc.tau), np.cos(osc.tau)])
+    return np.concatenate([osc.to_physical @ (parts[i][0, :, 0] + osc.forced[:, i] @ wave) for i in range(2)])
