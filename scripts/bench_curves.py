@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from scripts.bench_kernel import one_core, processor_seconds
-from workers.model.system import TWO_MASS
+from workers.model.system import DEFAULT, find_system
 from workers.orbit import Condition, Event, Itinerary, Orbit, Point, Way, curve, family_of
 
 FREE = ("omega", "b")
@@ -64,7 +64,7 @@ def measure(repeats: int, budget: int) -> list[dict[str, Any]]:
     """One row per curve."""
     rows = []
     for kind, condition, given, itinerary, times, speeds, contacts in STARTS:
-        family = family_of(TWO_MASS, {"tau": 0.0} | given, FREE)
+        family = family_of(find_system(DEFAULT), {"tau": 0.0} | given, FREE)
         values = np.array([given[name] for name in FREE])
         orbit = Orbit(itinerary, np.array(times), np.array(speeds))
         event = Event(kind, (condition,), Point(values, orbit, np.array(contacts), np.zeros(0, dtype=complex), 0))

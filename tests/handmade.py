@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.orbit.equations import Itinerary, Orbit
 from workers.orbit.events import Event, Point
 from workers.orbit.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
 from workers.orbit.linear import Family, Linear, family_of
+
+TWO_MASS = find_system("two-mass")
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.orbit.branches import branch, leaving_branch
 from workers.orbit.equations import Itinerary, Orbit
 from workers.orbit.follow import BUDGET, EDGE, Way
 from workers.orbit.linear import family_of
+
+TWO_MASS = find_system("two-mass")
 
 
 def ball_orbit(A: float, R: float) -> Orbit:

@@ -15,7 +15,7 @@ from tests.handmade import (
     upper_peak,
 )
 from tests.test_branches import ball_orbit, pair_orbit
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.orbit.branches import branch
 from workers.orbit.curves import curve
 from workers.orbit.equations import Itinerary, Orbit
@@ -23,6 +23,8 @@ from workers.orbit.events import Event, Point
 from workers.orbit.extended import GRAZE, Condition
 from workers.orbit.follow import BUDGET, CLOSED, EDGE
 from workers.orbit.linear import Family, family_of
+
+TWO_MASS = find_system("two-mass")
 
 ONE_CONDITION = [record for record in CURVES if record["kind"] != "codimension_two" and record["times"]]
 

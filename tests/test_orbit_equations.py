@@ -16,7 +16,7 @@ from tests.handmade import (
     reference_orbit,
     reference_values,
 )
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.orbit.admissible import CONTACT, LOST, first_fault
 from workers.orbit.equations import (
     Impacts,
@@ -33,6 +33,8 @@ from workers.orbit.green import green
 from workers.orbit.linear import Linear, family_of, flow_entries, rest_position
 from workers.orbit.seeds import section_state
 from workers.orbit.stability import exponents, flights, multipliers, turn_map
+
+TWO_MASS = find_system("two-mass")
 
 BIFURCATIONS = [record for record in CURVES if record["times"]]
 

@@ -7,13 +7,15 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.model.system import TWO_MASS
+from workers.model.system import find_system
 from workers.orbit import family_of, orbit_from_state, section_state
 from workers.orbit.admissible import first_fault
 from workers.orbit.equations import impacts_of, in_one_turn, residual
 from workers.orbit.minimal import is_minimal
 from workers.orbit.stability import exponents, multipliers
 from workers.results import PERIODIC
+
+TWO_MASS = find_system("two-mass")
 
 
 def drawn(count: int, seed: int, **ranges: tuple[float, float]) -> dict[str, Any]:
@@ -47,9 +49,9 @@ def agree(params: dict[str, Any], settings: Settings) -> int:
     return len(cells)
 
 
-def test_sixty_proven_cells_are_orbits_of_the_equations() -> None:
-    params = drawn(90, 1, omega=(1.8, 4.5), b=(0.1, 0.5), R=(0.5, 0.85))
-    assert agree(params, Settings(exponents="spectrum", max_periods=1000, survival=1000, tolerance=0.3)) >= 60
+def test_proven_cells_are_orbits_of_the_equations() -> None:
+    params = drawn(30, 1, omega=(1.8, 4.5), b=(0.1, 0.5), R=(0.5, 0.85))
+    assert agree(params, Settings(exponents="spectrum", max_periods=1000, survival=1000, tolerance=0.3)) >= 18
 
 
 @pytest.mark.slow

@@ -148,6 +148,27 @@ def spread_rate(block):
     return rate
 
 
+@kernel
+def shear_rate(block):
+    """How fast a rigid mode shears the frame, per time: the root of its metric; 0 without one."""
+    rate = 0.0
+    for j in range(len(block)):
+        if block[j, COLUMN.lam] == 0.0:
+            rate = max(rate, math.sqrt(block[j, COLUMN.metric]))
+    return rate
+
+
+@inlined
+def flight_spread(s, rate, shear):
+    """How far a flight of s spreads the frame at most, as a logarithm.
+
+    rate s by decay. A rigid mode turns (h, h') into (h + h' s, h'), whose singular values are e^(+-u), 2 sinh u = x =
+    shear s in its metric: 2 u < 2 ln(1 + x) < 2 x / sqrt(1 + x).
+    """
+    x = shear * s
+    return rate * s + 2.0 * x / math.sqrt(1.0 + x)
+
+
 @piece
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
@@ -273,7 +294,7 @@ def propagate(osc, motion, duration):
     contact = motion.contact[0]
     motion.contact[0] = FREE
     vectors = V.shape[0] > 0
-    rate = spread_rate(osc.gap.block) if vectors else 0.0
+    rate, shear = (spread_rate(osc.gap.block), shear_rate(osc.gap.block)) if vectors else (0.0, 0.0)
     unit, loss = osc.time_unit, loss_spread(osc.R)
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
@@ -297,13 +318,14 @@ def propagate(osc, motion, duration):
         hit = abs(side) == 1
         arrived = arrive(osc, h, s, phase, side) if hit else NOWHERE
         spread = impact_spread(arrived[2] / arrived[1], unit, loss) if vectors and hit else 0.0
-        if needs_reset(tally[SPREAD], s * rate + spread, MAX_SPREAD):
+        flown = flight_spread(s, rate, shear)
+        if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
             reset_frame(osc, motion)
-        if motion.growth.shape[0] > 0 and tally[SPREAD] + s * rate > MAX_SPREAD:
+        if motion.growth.shape[0] > 0 and tally[SPREAD] + flown > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
             flow_with_tangent(osc.gap, s, h, V)
-            tally[SPREAD] += s * rate
+            tally[SPREAD] += flown
         if side == 0:
             return
         if side == 2:

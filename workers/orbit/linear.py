@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import Oscillator, Signal
+from workers.model.oscillator import COLUMN, Oscillator, Signal
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
 
@@ -57,16 +57,16 @@ class Family(NamedTuple):
 
 
 def linear_of(oscillators: Oscillator) -> Linear:
-    """The linear part of many oscillators."""
+    """The linear part of many oscillators, y counted from where it rests under the constant load."""
     gap, lam = oscillators.gap, np.asarray(oscillators.gap.lam)
     return Linear(
         eta=gap.eta,
         lam=lam,
         c=gap.row,
         k=oscillators.kick,
-        sin_part=np.asarray(gap.sin_part)[:, None],
-        cos_part=np.asarray(gap.cos_part)[:, None],
-        load=np.zeros(lam.shape),
+        sin_part=np.asarray(gap.sin_part),
+        cos_part=np.asarray(gap.cos_part),
+        load=np.asarray(gap.block)[..., COLUMN.load],
         upper=np.asarray(oscillators.b_upper),
         lower=np.asarray(oscillators.b_lower),
         omega=np.asarray(gap.omega),
