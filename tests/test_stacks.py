@@ -42,7 +42,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
 def large(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
     """Three planes of made-up results with overviews, one tile not done."""
     path = tmp_path_factory.mktemp("large") / "out.zarr"
-    axes = {"omega": np.linspace(1, 4, 45), "b": np.geomspace(0.1, 0.5, 38), "R": [0.5, 0.6, 0.8]}
+    axes = {"omega": np.linspace(1, 4, 45), "b": np.linspace(0.1, 0.5, 38), "R": [0.5, 0.6, 0.8]}
     header = store.create(path, atlas.Spec("two-mass", axes=axes), (1, 8, 8))
     synthetic.fill(header, skip=((1, 0, 0),))
     synthetic.keep(header)
@@ -125,7 +125,8 @@ def test_csv_of_a_stack_has_a_row_for_every_cell_x_fastest(solved: Path, tmp_pat
     assert list(rows[0])[:3] == ["omega", "b", "R"]
     cells = [(R, b, omega) for R in AXES["R"] for b in AXES["b"] for omega in AXES["omega"]]
     assert [(float(row["R"]), float(row["b"]), float(row["omega"])) for row in rows] == cells
-    assert [float(row["largest"]) for row in rows] == atlas.open(solved).largest.values.ravel().tolist()
+    found = [float(row["largest"]) for row in rows]
+    np.testing.assert_array_equal(found, atlas.open(solved).largest.values.ravel())
 
 
 def test_a_plane_is_selected_on_the_command_line(solved: Path, tmp_path: Path) -> None:
@@ -151,9 +152,7 @@ def test_a_plane_of_a_large_stack_is_read_from_its_overviews(large: store.Header
                 seen = view(ds.isel(R=k), ["largest"], pixels=(nx, ny), marks=False)
             assert (reads.level, seen.regime.dims) == (level, ("b", "omega"))
             np.testing.assert_allclose(seen.largest.values, each_block(largest[k], level, mean), rtol=1e-12)
-            if level == 1:  # areas on the logarithmic axis change by one cell in 25 at most: a majority stays one
-                same = seen.regime.values == each_block(codes[k], level, mode)
-                assert same.mean() > 0.8
+            np.testing.assert_array_equal(seen.regime.values, each_block(codes[k], level, mode))
 
 
 def test_a_level_of_a_stack_never_mixes_planes(large: store.Header) -> None:
@@ -161,6 +160,16 @@ def test_a_level_of_a_stack_never_mixes_planes(large: store.Header) -> None:
     assert coarse.R.values.tolist() == [0.5, 0.6, 0.8]
     assert coarse.regime.shape == (3, 19, 23)
     assert coarse.cells.isel(R=0).values.sum() == 45 * 38
+
+
+def test_a_whole_stack_seen_coarser_keeps_its_planes(large: store.Header) -> None:
+    ds = atlas.open(large.path)
+    seen = view(ds, ["largest"], pixels=(12, 10), marks=False)
+    assert (seen.R.values.tolist(), seen.regime.shape) == ([0.5, 0.6, 0.8], (3, 10, 12))
+    for k in range(3):
+        np.testing.assert_array_equal(
+            seen.regime.values[k], view(ds.isel(R=k), [], pixels=(12, 10), marks=False).regime
+        )
 
 
 def test_the_overviews_of_a_stack_are_what_its_cells_give(large: store.Header) -> None:
@@ -179,7 +188,7 @@ def test_answers_about_a_plane_are_those_of_its_cells(large: store.Header, k: in
     assert ds.atlas.fractions() == pytest.approx(naive.atlas.fractions(), rel=1e-9)
     assert ds.atlas.reasons() == naive.atlas.reasons()
     assert ds.atlas.windows("period", window=window) == naive.atlas.windows("period", window=window)
-    assert ds.atlas.extremes("largest") == naive.atlas.extremes("largest")
+    assert str(ds.atlas.extremes("largest")) == str(naive.atlas.extremes("largest"))
     lines, expected = ds.atlas.boundary("chaotic"), naive.atlas.boundary("chaotic")
     assert all(np.array_equal(one, other) for one, other in zip(lines, expected, strict=True))
 

@@ -279,6 +279,9 @@ def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> 
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of so many classes."""
     spec, base, made = header.spec, header.coordinates, {}
     for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
+        if axis.name in spec.dims[: spec.kept]:
+            made[axis.name] = base[axis.name]
+            continue
         bounds = bounds_name(axis.name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
         made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)

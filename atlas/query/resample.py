@@ -111,6 +111,9 @@ def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int]
         _blank(cells)
     coords: dict[str, Any] = {}
     for (axis, s), cut in zip(part.axes, cuts[-len(part.axes) :], strict=True):
+        if axis.name in part.header.spec.dims[: part.pyramid.levels.kept]:
+            coords[axis.name] = ds[axis.name]
+            continue
         log = axis.scale == "log"
         edges = edges_of(np.array(axis.values), log)[np.clip(cut, s.start, s.stop)]
         bounds = bounds_name(axis.name)

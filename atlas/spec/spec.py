@@ -66,6 +66,8 @@ class Spec:
     ) -> None:
         record = checked_system(system)
         parameters, store = {} if parameters is None else parameters, {} if store is None else store
+        if axes is None and points is None:
+            raise InputError("axes: found None, must be a table of one to three axes; or give points")
         axes = {} if axes is None else axes
         _check_tables(parameters=parameters, axes=axes, store=store)
         known = [parameter.name for parameter in record.parameters]
