@@ -10,6 +10,7 @@ import numpy as np
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import Axis, admitted, number
+from workers.model.parameter import Parameter
 from workers.model.system import System
 
 POINT = "point"
@@ -87,15 +88,13 @@ def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns
         if place > MAX_ROWS + 1:
             raise InputError(f"{where}: found more than {MAX_ROWS} rows below the names, must be at most {MAX_ROWS}")
         for name, field in zip(names, row, strict=True):
-            columns[name].append(_number(f"{where}, row {place}, column {name}", field))
+            try:
+                columns[name].append(float(field.strip() if "_" not in field else ""))
+            except ValueError:
+                raise InputError(
+                    f"{where}, row {place}, column {name}: found {shown(field)}, must be a number"
+                ) from None
     return _checked_columns(where, columns, record)
-
-
-def _number(where: str, text: str) -> float:
-    try:
-        return float(text.strip() if "_" not in text else "")
-    except ValueError:
-        raise InputError(f"{where}: found {shown(text)}, must be a number") from None
 
 
 def _check_header(where: str, names: Sequence[object], record: System) -> None:
@@ -119,7 +118,7 @@ def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Co
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
         if not isinstance(listed, Sequence) or isinstance(listed, str):
             raise InputError(f"{where}: column {name}: found {shown(values)}, must be a list of numbers")
-        found[name] = tuple(
+        found[name] = _all_admitted(record.parameter(name), listed) or tuple(
             _value(f"{where}, row {place}, column {name}", name, value, record) for place, value in enumerate(listed, 2)
         )
     for (one, values), (other, others) in itertools.pairwise(found.items()):
@@ -129,6 +128,14 @@ def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Co
     if not 1 <= rows <= MAX_ROWS:
         raise InputError(f"{where}: found {rows} rows below the names, must be 1 to {MAX_ROWS}")
     return found
+
+
+def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
+    """The values where all are floats that the parameter admits, at once, since every tile reads the table; else ()."""
+    if not all(type(value) is float for value in values):
+        return ()
+    found = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
+    return tuple(found.tolist()) if np.all(parameter.admits(found)) else ()
 
 
 def _value(where: str, name: str, value: object, record: System) -> float:
