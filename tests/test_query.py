@@ -151,10 +151,17 @@ def test_a_dataset_that_is_no_atlas_is_said_to_be_none() -> None:
         query.fractions(xr.Dataset())
 
 
-def test_atlases_concatenated_along_a_parameter_must_be_taken_one_at_a_time() -> None:
-    both = xr.concat([plane([1, 2], [0.1, 0.2]).assign_coords(R=R) for R in (0.7, 0.8)], "R")
-    with pytest.raises(InputError, match=r"found 3 axes \(omega, b, R\), must be 1 or 2"):
-        query.fractions(both)
+def test_atlases_concatenated_along_a_parameter_are_a_stack() -> None:
+    regimes = [np.full((2, 2), PERIODIC), np.array([[PERIODIC, CHAOTIC], [CHAOTIC, CHAOTIC]])]
+    planes = zip(regimes, (0.7, 0.8), strict=True)
+    both = xr.concat([plane([1, 2], [0.1, 0.2], regime).assign_coords(R=R) for regime, R in planes], "R")
+    assert query.fractions(both) == {"periodic": 5 / 8, "chaotic": 3 / 8}
+
+
+def test_more_than_three_axes_must_be_taken_one_at_a_time() -> None:
+    four = plane([1, 2], [0.1, 0.2]).expand_dims({"tau": [0.0, 1.0], "R": [0.7, 0.8]})
+    with pytest.raises(InputError, match=r"found 4 axes \(omega, b, R, tau\), must be 1 to 3"):
+        query.fractions(four)
 
 
 class _Unreadable(xr.backends.BackendArray):

@@ -112,7 +112,7 @@ def _checked(header: Header, bad: set[Index], on_level: Callable[[int], None]) -
             on_level(level)
             complete, shown = (pyramid.stored(level, mark) for mark in MARKS)
             # Over what is not sound nothing can be computed, whether or not a chunk between the two is stored.
-            over = {tuple(i // 2 for i in index) for index in unsound}
+            over = {pyramid.levels.above(index) for index in unsound}
             if level == 1:
                 over = {pyramid.levels.over(tile) for tile in bad}
             indices = sorted(complete | shown)
@@ -143,7 +143,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
     elif not over_unsound:
         finer = levels.finer(level, place)
         widths = tuple(width[f] for width, f in zip(part.pyramid.widths[level - 1], finer, strict=True))
-        made = coarsen(part.read(level - 1, finer, [variable.name for variable in variables]), widths)
+        made = coarsen(part.read(level - 1, finer, [variable.name for variable in variables]), widths, levels.coarsened)
         for variable, values in stored.items():
             wrong = int(np.count_nonzero(~_same(values, made[variable.name])))
             if wrong:

@@ -66,7 +66,10 @@ def beyond_error(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarra
 
 
 def place_in(spec: Spec, cell: tuple[int, ...]) -> str:
-    """A cell by its parameters: ``omega = 2.5, b = 0.1``."""
+    """A cell by its parameters: ``omega = 2.5, b = 0.1``; of a table by its row too."""
+    columns = [f"{name} = {values[cell[0]]!r}" for name, values in spec.points.items()]
+    if columns:
+        return f"point {cell[0]}: {', '.join(columns)}"
     pairs = zip(spec.axes, reversed(cell), strict=True)
     return ", ".join(f"{axis.name} = {axis.values[i]!r}" for axis, i in pairs)
 

@@ -192,11 +192,12 @@ def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.
     Both broadcast to the tile. NaN where there is none: no oscillator, and for the second where R = 0.
     """
     params = spec.cell_params(slices)
-    axes = [axis.name for axis in spec.axes]
+    axes = {name: tuple(sorted(set(values))) for name, values in spec.points.items()}
+    axes = axes or {axis.name: axis.values for axis in spec.axes}
     middle = {name: _middle(params[name]) for name in params}
     # An oscillator takes long to build, and often an axis has nothing to do with the sum, as the clearance has not.
-    varying = {name: params[name] for name in axes if _law_varies(spec, middle, name)}
-    grids = np.broadcast_arrays(*varying.values()) if varying else [np.zeros((1,) * len(axes))]
+    varying = {name: params[name] for name, values in axes.items() if _law_varies(spec, middle, name, values)}
+    grids = np.broadcast_arrays(*varying.values()) if varying else [np.zeros((1,) * len(spec.shape))]
     free, each = np.empty(grids[0].shape), np.empty(grids[0].shape)
     for cell in np.ndindex(free.shape):
         given = {name: float(grid[cell]) for name, grid in zip(varying, grids, strict=False)}
@@ -204,8 +205,7 @@ def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.
     return free, each
 
 
-def _law_varies(spec: Spec, middle: Mapping[str, float], name: str) -> bool:
-    values = next(axis.values for axis in spec.axes if axis.name == name)
+def _law_varies(spec: Spec, middle: Mapping[str, float], name: str, values: tuple[float, ...]) -> bool:
     laws = [_law(spec, {**middle, name: value}) for value in (values[0], values[len(values) // 2], values[-1])]
     return any(law != laws[0] or np.isnan(law[0]) for law in laws)
 

@@ -29,6 +29,9 @@ scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask s
 window_option = click.option(
     "--window", metavar="NAME=LOW:HIGH", multiple=True, help="Only this part of an axis; may be given for each."
 )
+select_option = click.option(
+    "--select", metavar="NAME=VALUE", multiple=True, help="One value of an axis, such as one plane of a stack."
+)
 store_argument = click.argument("store")  # a path or a URL
 set_option = click.option(
     "--set", "given", metavar="NAME=VALUE", multiple=True, help="A parameter that differs from its default."

@@ -11,14 +11,17 @@ from atlas.cli.options import (
     look_options,
     picture_option,
     read_bounds,
+    read_number,
     read_pairs,
     say,
+    select_option,
     window_option,
     workers_option,
 )
 from atlas.cli.paper import figures as draw_figures
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
+from atlas.query.window import select as selected
 from atlas.render import FORMATS, KINDS, OVERLAYS, check_path, side_by_side
 from atlas.render import render as draw
 from atlas.service.options import RunOptions
@@ -34,6 +37,7 @@ from atlas.service.progress import reporter
 )
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
+@select_option
 @look_options()
 def render(
     stores: tuple[str, ...],
@@ -42,22 +46,23 @@ def render(
     overlays: tuple[str, ...],
     against: str | None,
     window: tuple[str, ...],
+    select: tuple[str, ...],
     **look: Any,
 ) -> None:
-    """Draw STORES, or a window of them: a map of two axes, or a sweep of one.
+    """Draw STORES, or a window of them: a map of two axes, a sweep of one, or the planes of a stack.
 
     Several, which differ in a parameter, are drawn side by side on one scale, as maps of exponents or periods.
     """
     from atlas.query.reads import counted
 
     check_path(out)
-    bounds = read_pairs("--window", window, read_bounds)
+    bounds, at = read_pairs("--window", window, read_bounds), read_pairs("--select", select, read_number)
     given = [name for name, value in {"overlay": overlays, "against": against}.items() if value]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
-        atlases = [open_atlas(store) for store in stores]
-        other = None if against is None else open_atlas(against)
+        atlases = [selected(open_atlas(store), at) for store in stores]
+        other = None if against is None else selected(open_atlas(against), at)
         say("drawing")
         if len(atlases) > 1:
             names = [store.rstrip("/").rpartition("/")[2] for store in stores]

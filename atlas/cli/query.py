@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,14 +14,19 @@ from atlas.cli.options import (
     read_pairs,
     read_whole,
     say,
+    select_option,
     store_argument,
     window_option,
 )
 from atlas.cli.output import print_table, text, to_json
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
+from atlas.query.window import select as selected
 from atlas.service.progress import reason_lines
 from atlas.text import plural
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 SHOWN = 40
 """Rows that a terminal gets to see; ``--json`` and ``-o`` have all."""
@@ -32,6 +37,7 @@ _PATTERN = ("regime", "period", "impacts")
 @store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @window_option
+@select_option
 @click.option(
     "--windows",
     metavar="CLASS",
@@ -51,6 +57,7 @@ def query(
     store: str,
     point: tuple[str, ...],
     window: tuple[str, ...],
+    select: tuple[str, ...],
     windows: str | None,
     least: int | None,
     extremes: str | None,
@@ -77,19 +84,21 @@ def query(
     if by is not None and not extremes:
         raise InputError("--by goes with --extremes; windows name their class themselves: --windows period=3")
     wanted, bounds = read_pairs("--at", point, read_number), read_pairs("--window", window, read_bounds)
+    plane = read_pairs("--select", select, read_number)
     with input_errors(), counted() as reads:
+        ds = selected(open_atlas(store), plane)
         if windows:
-            _windows(store, windows, bounds, 1 if least is None else least, out, as_json)
+            _windows(ds, windows, bounds, 1 if least is None else least, out, as_json)
         elif extremes:
-            _extremes(store, extremes, by or "regime", bounds, out, as_json)
+            _extremes(ds, extremes, by or "regime", bounds, out, as_json)
         else:
-            _cells(store, wanted, bounds, out, as_json)
+            _cells(ds, wanted, bounds, out, as_json)
     if not point and out is None and not as_json:
         say(f"{reads.chunks} chunks read")
 
 
 def _cells(
-    store: str, point: dict[str, float], bounds: dict[str, tuple[float, float]], out: Path | None, as_json: bool
+    ds: "xr.Dataset", point: dict[str, float], bounds: dict[str, tuple[float, float]], out: Path | None, as_json: bool
 ) -> None:
     """One cell, the shares in a window, or its cells as a file."""
     from atlas.query import queries as questions
@@ -98,13 +107,12 @@ def _cells(
     found: dict[str, Any]
     if out is not None:
         check_path(out)
-    dataset = open_atlas(store)
     if out is not None:
         say("reading and writing")
-        found = {"file": str(out), "cells": export(dataset, out, bounds)}
+        found = {"file": str(out), "cells": export(ds, out, bounds)}
     else:
-        found = questions.at(dataset, point) if point else questions.fractions(dataset, bounds)
-    why = questions.reasons(dataset, bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
+        found = questions.at(ds, point) if point else questions.fractions(ds, bounds)
+    why = questions.reasons(ds, bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
     if as_json:
         click.echo(to_json(found | ({"reasons": why} if why else {})))
     elif point or out:
@@ -115,7 +123,7 @@ def _cells(
 
 
 def _windows(
-    store: str, given: str, bounds: dict[str, tuple[float, float]], least: int, out: Path | None, as_json: bool
+    ds: "xr.Dataset", given: str, bounds: dict[str, tuple[float, float]], least: int, out: Path | None, as_json: bool
 ) -> None:
     """Connected windows of one class."""
     from atlas.query.connected import windows
@@ -126,7 +134,7 @@ def _windows(
         raise InputError(f"--windows {given}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
     meant = read_whole("--windows period", value) if equals and by == "period" else value if equals else None
     _check_csv(out)
-    found = windows(open_atlas(store), by, meant, bounds, least)
+    found = windows(ds, by, meant, bounds, least)
     if _answered({"by": by, "windows": found}, found, [_flat(each) for each in found], out, as_json):
         return
     none = "no such window" if not found else ""
@@ -155,13 +163,13 @@ def _windows(
 
 
 def _extremes(
-    store: str, name: str, by: str, bounds: dict[str, tuple[float, float]], out: Path | None, as_json: bool
+    ds: "xr.Dataset", name: str, by: str, bounds: dict[str, tuple[float, float]], out: Path | None, as_json: bool
 ) -> None:
     """Where a variable has its smallest and its largest value."""
     from atlas.query.extremes import extremes
 
     _check_csv(out)
-    found = extremes(open_atlas(store), name, by, bounds)
+    found = extremes(ds, name, by, bounds)
     if _answered({"variable": name, "by": by, "extremes": found}, found, found, out, as_json):
         return
     if not found:

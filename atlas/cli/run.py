@@ -44,15 +44,21 @@ CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
 
 
+points_option = click.option(
+    "--points", metavar="FILE", help="A CSV file of parameter sets, one row a cell, in place of SPEC's axes."
+)
+
+
 @click.command()
 @click.argument("spec")
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
 @workers_option
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
+@points_option
 @json_option
-def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -> None:
+def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | None, as_json: bool) -> None:
     """What SPEC will cost: cells, tiles, bytes, probed time."""
-    read = Spec.from_toml(spec)
+    read = Spec.from_toml(spec, points)
     made = make_plan(read, workers)
     place = place_of(out)
     refuse_packed(place)
@@ -68,6 +74,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, as_json: bool) -
 def _run_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of a run, whether this program coordinates it or a cluster does."""
     for option in (
+        points_option,
         click.option("--survival", type=int, help="With --retry chaotic or aperiodic: watch those cells for longer."),
         click.option("--max-periods", type=int, help="With --retry: the larger budget of the cells solved again."),
         click.option(
@@ -93,9 +100,10 @@ def _run_options(command: Callable[..., None]) -> Callable[..., None]:
 def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, workers: int | None, **given: Any) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     check_workers(scheduler, workers)
-    read = Spec.from_toml(spec)
+    points = given.pop("points")
+    read = Spec.from_toml(spec, points)
     options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx), **_run_only(read, **given))
-    words = {"scheduler": scheduler, "workers": workers} | given
+    words = {"points": points, "scheduler": scheduler, "workers": workers} | given
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in words.items() if value is not None]
     line = shlex.join(["atlas", "run", spec, "-o", out, *(word for pair in pairs for word in pair)])
     with _shown(ctx, options, f"resume with\n  {line}") as shown:
@@ -109,7 +117,7 @@ def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, worke
 @click.pass_context
 def submit(ctx: click.Context, /, spec: str, out: str, scheduler: str, **given: Any) -> None:
     """Have a cluster compute SPEC into a store, and leave."""
-    read = Spec.from_toml(spec)
+    read = Spec.from_toml(spec, given.pop("points"))
     options = RunOptions(scheduler=scheduler, timing=timing_of(ctx), **_run_only(read, **given))
     store = shlex.quote(out)
     advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"

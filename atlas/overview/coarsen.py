@@ -84,7 +84,7 @@ def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
     """Bytes of all levels of an atlas, uncompressed."""
     results = result_variables(spec.settings)
     sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
-    return Levels(spec.shape, tile).cell_count() * sum(sizes)
+    return Levels(spec.shape, tile, kept=spec.kept).cell_count() * sum(sizes)
 
 
 def count_of(name: str) -> str:

@@ -1,8 +1,9 @@
 """The geometry of overviews: how many levels an atlas has, their shapes, and which chunk lies over which tile.
 
-A cell of level L stands for a block of 2^L cells along each dimension (fewer at the far ends). Every level has chunks
-of the same shape, a whole number of tiles, so that a chunk of level 1 lies over whole tiles and a chunk of any later
-level over two chunks of the one before, along each dimension.
+A cell of level L stands for a block of 2^L cells along each dimension (fewer at the far ends), but for leading ones
+that are kept as they are: the planes of a stack, the rows of a table. Every level has chunks of the same shape, a whole
+number of tiles, so that a chunk of level 1 lies over whole tiles and a chunk of any later level over two chunks of the
+one before, along each dimension.
 """
 
 import itertools
@@ -28,29 +29,41 @@ class Levels:
     tile    cells of a tile, likewise
     side    cells along each side of a chunk, about: a whole number of tiles
     least   the length of a side from which on it is not coarsened again
+    kept    leading dimensions that no level coarsens
     """
 
     shape: Index
     tile: Index
     side: int = SIDE
     least: int = LEAST
+    kept: int = 0
 
     @property
     def chunk(self) -> Index:
         """Cells of a level in one chunk; the last chunks may hold fewer."""
-        return tuple(t * max(1, self.side // t) for t in self.tile)
+        whole = (max(1, self.side // t) for t in self.tile)
+        return tuple(t if dim < self.kept else t * n for dim, (t, n) in enumerate(zip(self.tile, whole, strict=True)))
+
+    @property
+    def coarsened(self) -> tuple[int, ...]:
+        """The dimensions that each level halves."""
+        return tuple(range(self.kept, len(self.shape)))
+
+    def halvings(self, level: int) -> tuple[int, ...]:
+        """How many times a level halves each dimension."""
+        return tuple(0 if dim < self.kept else level for dim in range(len(self.shape)))
 
     @property
     def count(self) -> int:
         """Levels above the cells themselves; 0 for a small atlas."""
         count = 0
-        while max(self.shape_of(count)) > self.least:
+        while max(self.shape_of(count)[self.kept :], default=0) > self.least:
             count += 1
         return count
 
     def shape_of(self, level: int) -> Index:
         """Cells of a level; level 0 is the atlas itself."""
-        return tuple(-(-n // 2**level) for n in self.shape)
+        return tuple(-(-n // 2**times) for n, times in zip(self.shape, self.halvings(level), strict=True))
 
     def grid(self, level: int) -> Index:
         """Chunks of a level along each dimension."""
@@ -67,30 +80,35 @@ class Levels:
 
     def over(self, tile: Index) -> Index:
         """The chunk of level 1 that lies over a tile."""
-        return tuple(i * t // (2 * c) for i, t, c in zip(tile, self.tile, self.chunk, strict=True))
+        ends = zip(tile, self.tile, self.chunk, self.halvings(1), strict=True)
+        return tuple(i * t // (c << times) for i, t, c, times in ends)
+
+    def above(self, index: Index) -> Index:
+        """The chunk of the next level that lies over a chunk of a level."""
+        return tuple(i >> times for i, times in zip(index, self.halvings(1), strict=True))
 
     def children(self, level: int, index: Index) -> Iterator[Index]:
         """The chunks of the level before that a chunk of a level from the second on is made of."""
-        spans = (range(2 * i, min(2 * i + 2, n)) for i, n in zip(index, self.grid(level - 1), strict=True))
+        ends = zip(index, self.grid(level - 1), self.halvings(1), strict=True)
+        spans = (range(i << times, min(i + 1 << times, n)) for i, n, times in ends)
         return itertools.product(*spans)
 
     def finer(self, level: int, part: Slices) -> Slices:
         """The cells of the level before that make up a part of a level."""
-        return tuple(
-            slice(2 * s.start, min(2 * s.stop, n)) for s, n in zip(part, self.shape_of(level - 1), strict=True)
-        )
+        ends = zip(part, self.shape_of(level - 1), self.halvings(1), strict=True)
+        return tuple(slice(s.start << times, min(s.stop << times, n)) for s, n, times in ends)
 
     def tiles_below(self, level: int, part: Slices) -> Slices:
         """The tiles that have cells below a part of a level."""
-        ends = zip(part, self.tile, self.shape, strict=True)
-        return tuple(slice((s.start << level) // t, -(-min(s.stop << level, n) // t)) for s, t, n in ends)
+        ends = zip(part, self.tile, self.shape, self.halvings(level), strict=True)
+        return tuple(slice((s.start << k) // t, -(-min(s.stop << k, n) // t)) for s, t, n, k in ends)
 
     def tiles_within(self, level: int, part: Slices) -> Slices:
         """The tiles that have all their cells below a part of a level; where there are none, slices without a tile."""
-        ends = zip(part, self.tile, self.shape, strict=True)
+        ends = zip(part, self.tile, self.shape, self.halvings(level), strict=True)
         return tuple(
-            slice(-(-(s.start << level) // t), -(-n // t) if s.stop << level >= n else (s.stop << level) // t)
-            for s, t, n in ends
+            slice(-(-(s.start << k) // t), -(-n // t) if s.stop << k >= n else (s.stop << k) // t)
+            for s, t, n, k in ends
         )
 
     def cells_of(self, tiles: Slices) -> Slices:

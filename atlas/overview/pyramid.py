@@ -67,7 +67,9 @@ class Pyramid:
         self.made = stored is not None
         shapes = stored or {"side": side, "least": least, "classes": CODES.size}
         self.classes = shapes["classes"]
-        self.levels = Levels(header.spec.shape, header.tile, side=shapes["side"], least=shapes["least"])
+        self.levels = Levels(
+            header.spec.shape, header.tile, side=shapes["side"], least=shapes["least"], kept=header.spec.kept
+        )
 
     @property
     def chunks_read(self) -> int:
@@ -84,7 +86,8 @@ class Pyramid:
         """The widths of the cells of every level along each dimension, level 0 first; only ratios count."""
         found = [widths_along(self.header.spec)]
         for _ in range(self.levels.count):
-            found.append(tuple(map(halved, found[-1])))
+            before, kept = found[-1], self.levels.kept
+            found.append((*before[:kept], *map(halved, before[kept:])))
         return found
 
     def holds(self, array: Any, name: str) -> bool:
@@ -153,7 +156,8 @@ class Pyramid:
         else:
             raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
         cells = from_cells(arrays, names) if level == 1 else arrays
-        made = coarsen(cells, tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True)))
+        widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
+        made = coarsen(cells, widths, self.levels.coarsened)
         for name in names:
             array = self._writable[f"{GROUP}/{level}/{name}"]
             array.with_config({"write_empty_chunks": True})[block] = made[name]
@@ -169,7 +173,7 @@ class Pyramid:
             return
         over: set[Index] = set()
         for level in range(1, self.levels.count + 1):
-            over = {tuple(i // 2 for i in index) for index in over} | {index for n, index in wanted if n == level}
+            over = {self.levels.above(index) for index in over} | {index for n, index in wanted if n == level}
             # Both, each where it is: a kill while a chunk was written may have left the second without the first.
             for mark in MARKS:
                 for index in over & self.stored(level, mark):
@@ -228,9 +232,10 @@ def drop_all(header: Header) -> None:
 def level_edges(header: Header, level: int) -> list[NDArray[np.float64]]:
     """The edges of the cells of a level along each dimension."""
     found = []
-    for axis in reversed(header.spec.axes):
+    for dim, axis in enumerate(reversed(header.spec.axes)):
         edges = edges_of(np.array(axis.values), axis.scale == "log")
-        found.append(np.append(edges[: -1 : 2**level], edges[-1]))
+        step = 1 if dim < header.spec.kept else 2**level
+        found.append(np.append(edges[:-1:step], edges[-1]))
     return found
 
 
@@ -274,6 +279,9 @@ def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> 
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of so many classes."""
     spec, base, made = header.spec, header.coordinates, {}
     for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
+        if axis.name in spec.dims[: spec.kept]:
+            made[axis.name] = base[axis.name]
+            continue
         bounds = bounds_name(axis.name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
         made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)

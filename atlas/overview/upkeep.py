@@ -106,7 +106,7 @@ class Overviews(AbstractContextManager["Overviews"]):
             self._pyramid.make(level, index)
             self._current[level].add(index)
             made += 1
-            above = tuple(i // 2 for i in index)
+            above = self._levels.above(index)
             if level == self._levels.count or not self._ready(level + 1, above):
                 break
             level, index = level + 1, above
@@ -118,7 +118,7 @@ class Overviews(AbstractContextManager["Overviews"]):
         over = index = self._levels.over(tile)
         for level in self._numbers:
             self._current[level].discard(index)
-            index = tuple(i // 2 for i in index)
+            index = self._levels.above(index)
         return self._make(1, over) if not self._missing[over] else 0
 
     def __exit__(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError, shown
 from atlas.query.resample import view
-from atlas.query.window import Window, axis_names, axis_values, cell_widths, inside, within
+from atlas.query.window import Window, axis_names, axis_values, cell_widths, columns, inside, within
+from atlas.spec.points import POINT
 from atlas.spec.system import stored_name, stored_system
 from workers.model.system import identity
 from workers.results import CHAOTIC, LARGEST, NO_IMPACT, REGIME, REGIMES
@@ -111,7 +112,7 @@ class Comparison:
         cells = np.zeros((count, count), np.int64)
         area = np.zeros((count, count))
         compared, total, size, most = 0, 0.0, 0.0, None
-        rest = self.weights[1] if len(self.weights) == 2 else np.ones(1)
+        rest = reduce(np.multiply.outer, self.weights[1:], np.ones(()))
         for first, here, there, difference in self._strips():
             pairs = (count * (here - _FIRST) + (there - _FIRST)).astype(np.intp)
             cells += np.bincount(pairs.ravel(), minlength=count**2).reshape(count, count)
@@ -179,7 +180,8 @@ class Comparison:
 
     def _place(self, first: int, at: list[int]) -> dict[str, float]:
         index = dict(zip(self.one[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
-        return {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
+        found = {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
+        return found | {name: float(axis_values(self.one, name)[index[POINT]]) for name in columns(self.one)}
 
 
 def differences(
@@ -203,14 +205,18 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
     definitions = [identity(system.resolved()) for system in here_and_there if system]
     if len(definitions) == 2 and definitions[0] != definitions[1]:
         raise InputError(f"the systems differ: both are called {systems[0]}, but they are not defined alike")
-    for name in names:
+    if columns(one) != columns(other):
+        raise InputError(f"the columns differ: {', '.join(columns(one))} here, {', '.join(columns(other))} there")
+    for name in (*names, *columns(one)):
         here, there = axis_values(one, name), axis_values(other, name)
         if here.size != there.size or here[0] != there[0] or here[-1] != there[-1]:
             ends = [f"{v.size} values from {v[0]:g} to {v[-1]:g}" for v in (here, there)]
-            raise InputError(f"axis {name} differs: {ends[0]} here, {ends[1]} there")
+            what = "column" if name in columns(one) else "axis"
+            raise InputError(f"{what} {name} differs: {ends[0]} here, {ends[1]} there")
         if not np.array_equal(here, there):
             k = int(np.flatnonzero(here != there)[0])
-            raise InputError(f"axis {name} differs: value {k + 1} is {here[k]!s} here, {there[k]!s} there")
+            what = "column" if name in columns(one) else "axis"
+            raise InputError(f"{what} {name} differs: value {k + 1} is {here[k]!s} here, {there[k]!s} there")
     if LARGEST.name in one and LARGEST.name in other:
         units = [ds[LARGEST.name].attrs.get("units", LARGEST.units) for ds in (one, other)]
         if units[0] != units[1]:

@@ -14,7 +14,7 @@ from scipy import ndimage
 from atlas.errors import InputError, shown
 from atlas.query.classes import Classes
 from atlas.query.walk import walk
-from atlas.query.window import Window, axis_names, axis_values, cell_edges, within
+from atlas.query.window import Window, axis_names, axis_values, cell_edges, refuse_table, within
 from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
@@ -128,6 +128,7 @@ class _Found:
 def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, least: int) -> _Found:
     if isinstance(least, bool) or not isinstance(least, int) or least < 1:
         raise InputError(f"least: found {shown(least)}, must be a whole number of cells, 1 or more")
+    refuse_table(ds, "windows")
     classes, part = Classes(ds, by, value), within(ds, window)
     sides = tuple(_side(ds, part, name) for name in reversed(axis_names(ds)))
     shape = tuple(side.points.size for side in sides)

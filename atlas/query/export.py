@@ -12,6 +12,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.query.window import Window, axis_names, within
+from atlas.query.window import columns as columns_of
 from workers.results import REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
@@ -34,10 +35,10 @@ def export(
 ) -> int:
     """Write the cells of a window to a file, in full and not coarsened, and return their number.
 
-    CSV: one row a cell, x fastest: the axes, then every variable, with a column for each component of one that has
-    several (``state_x1``, ``spectrum_1``), regime and reason by name; numbers in their shortest exact form, NaN
-    and -inf as such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed
-    parameters as scalar coordinates. The file appears whole or not at all.
+    CSV: one row a cell, x fastest: the axes, of a table of points the row's number and its parameters, then every
+    variable, with a column for each component of one that has several (``state_x1``, ``spectrum_1``), regime and reason
+    by name; numbers in their shortest exact form, NaN and -inf as such, an empty field nowhere. netCDF (version 3,
+    64-bit offset): the dataset as it is, fixed parameters as scalar coordinates. The file appears whole or not at all.
     ``csv_cells`` are read at a time for CSV, one row at least; ``netcdf_bytes`` is the most that a variable may have.
     Raises InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
     that cannot be written.
@@ -97,22 +98,31 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
         REGIME.name: {regime.code: regime.name for regime in REGIMES},
         REASON.name: {reason.code: reason.name for reason in REASONS},
     }
-    x, y = ds[names[0]].values.tolist(), ds[names[1]].values.tolist() if len(names) == 2 else [None]
-    rows = max(1, cells_at_a_time // len(x))
+    rows = max(1, cells_at_a_time // ds.sizes[names[0]])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*names, *(column for several in columns.values() for column in several)])
-        for first in range(0, len(y), rows):
-            block = ds[ordered] if len(names) == 1 else ds[ordered].isel({names[1]: slice(first, first + rows)})
-            cells = len(x) * len(y[first : first + rows])
-            fields: list[list[Any]] = []
+        writer.writerow([*names, *columns_of(ds), *(column for several in columns.values() for column in several)])
+        for block in _blocks(ds[ordered], dims, rows):
+            at = np.meshgrid(*(block[dim].values for dim in dims), indexing="ij")
+            fields: list[list[Any]] = [each.ravel().tolist() for each in reversed(at)]
+            fields += [block[name].values.tolist() for name in columns_of(block)]
             for name, several in columns.items():
-                table = block[name].transpose(*dims, ...).values.reshape(cells, len(several))
+                table = block[name].transpose(*dims, ...).values.reshape(at[0].size, len(several))
                 for i in range(len(several)):
                     values = table[:, i].tolist()
                     fields.append([words[name][code] for code in values] if name in words else values)
-            points = ([u] if v is None else [u, v] for v in y[first : first + rows] for u in x)
-            writer.writerows([*point, *row] for point, row in zip(points, zip(*fields, strict=True), strict=True))
+            writer.writerows(zip(*fields, strict=True))
+
+
+def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.Dataset"]:
+    """The dataset some rows of a plane at a time, and one plane of a stack at a time."""
+    if len(dims) == 1:
+        yield ds
+        return
+    for plane in range(ds.sizes[dims[0]]) if len(dims) > 2 else [None]:
+        part = ds if plane is None else ds.isel({dims[0]: slice(plane, plane + 1)})
+        for first in range(0, ds.sizes[dims[-2]], rows):
+            yield part.isel({dims[-2]: slice(first, first + rows)})
 
 
 def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]:

@@ -8,7 +8,7 @@ from atlas.errors import InputError
 from atlas.query.classes import Classes
 from atlas.query.resample import view
 from atlas.query.walk import Block, walk
-from atlas.query.window import Window, axis_names, axis_values, within
+from atlas.query.window import Window, axis_names, axis_values, columns, within
 from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, PENDING, PERIODIC, REASON, REGIME, REGIMES
 
 if TYPE_CHECKING:
@@ -24,8 +24,9 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     """The smallest and the largest value of a variable in each class of cells, and where it has them.
 
     Two entries a class: ``by`` itself (see ``Classes``; none for "plane", all cells together), ``extreme`` ("smallest"
-    or "largest"), each axis with the cell's own parameter, ``value``, ``error`` (of ``largest`` only: that of the
-    exponent) and ``cells``, how many were compared. Of equal values the first counts, row by row.
+    or "largest"), each axis with the cell's own parameter (of a table each column too), ``value``, ``error`` (of
+    ``largest`` only: that of the exponent) and ``cells``, how many were compared. Of equal values the first
+    counts, row by row.
     Compared are finite values of solved cells: an exponent of -inf is no number, one without a class no result (the
     average of an undetermined cell may be far off), a period one of periodic cells, and impacts that are infinitely
     many (where it sticks) are left out. Classes without such a value are too.
@@ -55,6 +56,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
             entry: dict[str, Any] = {} if classes is None else {by: value}
             entry |= {"extreme": extreme}
             entry |= {axis: float(axis_values(part, axis)[index[axis]]) for axis in axis_names(part)}
+            entry |= {name: float(axis_values(part, name)[at[0]]) for name in columns(part)}
             entry["value"] = number_there
             if name == LARGEST.name and ERROR.name in ds:
                 one = part.isel({axis: slice(i, i + 1) for axis, i in index.items()})

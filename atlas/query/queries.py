@@ -4,6 +4,7 @@ Every function takes the dataset as ``atlas.open`` returns it, keeps no state, a
 """
 
 from collections.abc import Iterable, Mapping
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from atlas.query.window import (
     axis_values,
     cell_edges,
     cell_widths,
+    columns,
     inside,
     is_log,
     known_axis,
@@ -70,7 +72,8 @@ BOUNDARY_CELLS = 2000
 def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     """The cell nearest to a point: its coordinates, its distance from the point, and every number it holds.
 
-    Keys: each axis (the cell's own coordinate), ``distance`` (a dict, absolute, per axis), ``regime`` (its name),
+    Keys: each axis (the cell's own coordinate), of a table of points each column, ``distance`` (a dict, absolute, per
+    axis), ``regime`` (its name),
     ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis,
     in the axis's own units.
     Arguments: ``point`` gives a value for every axis, inside the grid or at most half a cell beyond its ends.
@@ -86,7 +89,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     index = {name: _nearest(ds, name, float(point[name])) for name in names}
     whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
     cell = ds[whole].isel(index).load()
-    found: dict[str, Any] = {name: float(cell[name]) for name in names}
+    found: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
     found["distance"] = {name: abs(found[name] - float(point[name])) for name in names}
     found[REGIME.name] = _NAMES[int(cell[REGIME.name])]
     why = REASONS[int(cell[REASON.name])].text if REASON.name in whole else ""
@@ -161,7 +164,7 @@ def boundary(
 
     names = axis_names(ds)
     if len(names) != 2:
-        raise InputError(f"a boundary needs two axes, found one ({names[0]})")
+        raise InputError(f"a boundary needs two axes, found {len(names)} ({', '.join(names)})")
     (code,) = codes_of([regime])
     seen = view(ds, [], window, (BOUNDARY_CELLS,) * 2, marks=False)
     for name in names:
@@ -225,7 +228,7 @@ def _areas_of_cells(
     first = min(_NAMES)
     area = np.zeros(max(_NAMES) - first + 1)
     # One row at a time: weights of a whole plane would take eight times the memory of its regimes.
-    heights = widths[names[1]] if len(names) == 2 else np.ones(1)
+    heights = reduce(np.multiply.outer, [widths[name] for name in reversed(names[1:])], np.ones(1)).ravel()
     for height, row in zip(heights, codes.reshape(heights.size, -1), strict=True):
         area += height * np.bincount(row - first, weights=widths[names[0]], minlength=area.size)
     return {code: float(area[code - first]) for code in _NAMES}

@@ -68,9 +68,12 @@ def view(
     if part is None:
         return ds[wanted]
     known = {variable.name for variable in part.pyramid.variables}
-    steps = _steps(ds, pixels) if pixels and known.issuperset(wanted) else [0] * ds[REGIME.name].ndim
+    kept = part.pyramid.levels.kept
+    free = len(part.cells) - kept
+    steps = [0] * kept + (_steps(ds, pixels)[-free:] if pixels and free and known.issuperset(wanted) else [0] * free)
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
-    count_reads(part.pyramid.chunks_read, min(steps), tuple(2**count for count in reversed(steps)))
+    block = tuple(2**count for count in reversed(steps[kept:]))
+    count_reads(part.pyramid.chunks_read, min(steps[kept:], default=0), block or (1,))
     return seen
 
 
@@ -96,7 +99,7 @@ def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":
     for name in names:
         if pending.any() and name != REGIME.name:  # a worker may be at it: a cell without a regime has no result yet
             read[name][pending] = part.pyramid.array(0, name).fill_value
-    arrays = {name: (ds[name].dims, values, ds[name].attrs) for name, values in read.items()}
+    arrays = {name: (ds[name].dims, part.as_given(values), ds[name].attrs) for name, values in read.items()}
     return _dataset(ds, arrays, {name: ds[name] for name in axis_names(ds)}, 0)
 
 
@@ -107,14 +110,17 @@ def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int]
     if marks:
         _blank(cells)
     coords: dict[str, Any] = {}
-    for axis, s, cut in zip(reversed(part.header.spec.axes), part.cells, cuts, strict=True):
+    for (axis, s), cut in zip(part.axes, cuts[-len(part.axes) :], strict=True):
+        if axis.name in part.header.spec.dims[: part.pyramid.levels.kept]:
+            coords[axis.name] = ds[axis.name]
+            continue
         log = axis.scale == "log"
         edges = edges_of(np.array(axis.values), log)[np.clip(cut, s.start, s.stop)]
         bounds = bounds_name(axis.name)
         coords[axis.name] = (axis.name, centres(edges, log), {**ds[axis.name].attrs, "bounds": bounds})
         coords[bounds] = ((axis.name, "bound"), np.stack([edges[:-1], edges[1:]], axis=1))
-    level = min(steps)
-    return _dataset(ds, {name: (ds[name].dims, cells[name], ds[name].attrs) for name in names}, coords, level)
+    arrays = {name: (ds[name].dims, part.as_given(cells[name]), ds[name].attrs) for name in names}
+    return _dataset(ds, arrays, coords, min(steps[part.pyramid.levels.kept :]))
 
 
 def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
@@ -123,18 +129,22 @@ def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[
     What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
     one dimension, some rows at a time.
     """
-    level = min(steps)
-    more = [count - level for count in steps]
+    kept = part.pyramid.levels.kept
+    level = min(steps[kept:])
+    more = [*steps[:kept], *(count - level for count in steps[kept:])]
     whole = part.pyramid.levels.shape_of(level)
     ends = zip(part.cells, steps, more, whole, strict=True)
     piece = tuple(slice(s.start >> k << n, min(-(-s.stop >> k) << n, size)) for s, k, n, size in ends)
-    cuts = [np.append(np.arange(p.start, p.stop, 2**n), p.stop) << level for p, n in zip(piece, more, strict=True)]
+    cuts = [
+        np.append(np.arange(p.start, p.stop, 2**n), p.stop) << k - n for p, k, n in zip(piece, steps, more, strict=True)
+    ]
     if not any(more):
         return part.read(level, piece, names), cuts
-    rows = math.lcm(part.pyramid.levels.chunk[0], 2 ** more[0])
-    made = []
-    for first in range(piece[0].start // rows * rows, piece[0].stop, rows):
-        block = (slice(max(first, piece[0].start), min(first + rows, piece[0].stop)), *piece[1:])
+    rows = math.lcm(part.pyramid.levels.chunk[kept], 2 ** more[kept])
+    made, whole_rows = [], piece[kept]
+    for first in range(whole_rows.start // rows * rows, whole_rows.stop, rows):
+        strip = slice(max(first, whole_rows.start), min(first + rows, whole_rows.stop))
+        block = (*piece[:kept], strip, *piece[kept + 1 :])
         cells = part.read(level, block, part.closed(names))
         widths = [w[b] for w, b in zip(part.pyramid.widths[level], block, strict=True)]
         for dim, count in enumerate(more):
@@ -142,7 +152,7 @@ def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[
                 cells = coarsen(cells, tuple(widths), [dim])
                 widths[dim] = halved(widths[dim])
         made.append({name: cells[name] for name in names})
-    return {name: np.concatenate([cells[name] for cells in made]) for name in names}, cuts
+    return {name: np.concatenate([cells[name] for cells in made], axis=kept) for name in names}, cuts
 
 
 def _blank(cells: Cells) -> None:

@@ -13,7 +13,8 @@ from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
 from atlas.overview.pyramid import MARKS, Pyramid
 from atlas.query.window import axis_values
-from atlas.spec.spec import Slices
+from atlas.spec.axis import Axis
+from atlas.spec.spec import MOST_AXES, Slices
 from atlas.store.store import Header, read_header
 from atlas.store.tally import done_mask
 from workers.results import PENDING, REGIME
@@ -37,13 +38,15 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
         header = read_header(source)
     except InputError:
         return None
-    if ds[REGIME.name].dims != header.spec.dims:
+    dims, spec = ds[REGIME.name].dims, header.spec
+    if dims != spec.dims and not (len(spec.dims) == MOST_AXES and dims == spec.dims[1:] and spec.dims[0] in ds.coords):
         return None
-    cells = [_neighbours(np.array(axis.values), axis_values(ds, axis.name)) for axis in reversed(header.spec.axes)]
+    axes = reversed(spec.axes)
+    cells = [_neighbours(np.array(axis.values), np.atleast_1d(axis_values(ds, axis.name))) for axis in axes]
     pyramid = Pyramid(header)
     if any(run is None for run in cells) or not all(_is_untouched(ds, name, pyramid) for name in names):
         return None
-    return Part(header, tuple(run for run in cells if run is not None), pyramid)
+    return Part(header, tuple(run for run in cells if run is not None), pyramid, plane=dims != spec.dims)
 
 
 def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
@@ -63,20 +66,32 @@ def _is_untouched(ds: "xr.Dataset", name: str, pyramid: Pyramid) -> bool:
     while hasattr(data, "array") and not getattr(data, "_copied", False):
         data = data.array
     array = getattr(data, "_array", None)
-    dims = len(pyramid.levels.shape)
-    return array is not None and pyramid.holds(array, name) and bool(ds[name].shape[dims:] == array.shape[dims:])
+    inner, dims = ds[name].shape[ds[REGIME.name].ndim :], len(pyramid.levels.shape)
+    return array is not None and pyramid.holds(array, name) and bool(inner == array.shape[dims:])
 
 
 @dataclass(frozen=True)
 class Part:
     """A block of the cells of a store, and how its levels are read.
 
-    A ``piece`` is a block of cells of a level; level 0 are the cells of the store.
+    A ``piece`` is a block of cells of a level; level 0 are the cells of the store. Of a stack, ``plane`` says that the
+    dataset has one plane of it and no dimension across the planes, which the part has all the same.
     """
 
     header: Header
     cells: Slices
     pyramid: Pyramid = field(repr=False)
+    plane: bool = False
+
+    def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values over cells of the part in the dimensions of the dataset."""
+        return values[0] if self.plane else values
+
+    @property
+    def axes(self) -> tuple[tuple[Axis, slice], ...]:
+        """The axes of the dataset by its dimensions, and the cells that the part has along them."""
+        found = zip(reversed(self.header.spec.axes), self.cells, strict=True)
+        return tuple(found)[1 if self.plane else 0 :]
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
@@ -154,7 +169,8 @@ class Part:
         """Variables of a piece of a level from the level before."""
         finer = self.pyramid.levels.finer(level, piece)
         widths = tuple(w[f] for w, f in zip(self.pyramid.widths[level - 1], finer, strict=True))
-        return coarsen(self.read(level - 1, finer, self.closed(names)), widths)
+        below = self.read(level - 1, finer, self.closed(names))
+        return coarsen(below, widths, self.pyramid.levels.coarsened)
 
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
         """Variables of a piece of a level without a result."""

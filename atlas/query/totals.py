@@ -64,8 +64,8 @@ class Totals:
         levels = self.part.pyramid.levels
         inner: Slices | None = None
         for level in range(levels.count, -1, -1):
-            ends = zip(self.part.cells, levels.shape_of(level), levels.shape, strict=True)
-            outer = tuple(slice(-(-s.start >> level), n if s.stop == all_ else s.stop >> level) for s, n, all_ in ends)
+            ends = zip(self.part.cells, levels.shape_of(level), levels.shape, levels.halvings(level), strict=True)
+            outer = tuple(slice(-(-s.start >> k), n if s.stop == all_ else s.stop >> k) for s, n, all_, k in ends)
             if all(s.start < s.stop for s in outer):
                 yield from ((level, piece) for piece in _around(outer, inner))
                 inner = levels.finer(level, outer) if level else None

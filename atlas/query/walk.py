@@ -66,11 +66,12 @@ def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator
             piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
             cells = tuple(slice(p.start - c.start, p.stop - c.start) for p, c in zip(piece, part.cells, strict=True))
             values = {} if state == PENDING else {name: part.pyramid.read(0, name, piece) for name in names}
+            values = {name: part.as_given(each) for name, each in values.items()}
             if state == _MIXED:
                 regime = part.pyramid.read(0, REGIME.name, piece)
             else:
                 regime = np.full(tuple(p.stop - p.start for p in piece), state, np.int8)
-            yield Block(cells, regime, values)
+            yield Block(cells[1:] if part.plane else cells, part.as_given(regime), values)
 
 
 def _states(part: Part, codes: Collection[int]) -> NDArray[np.int64]:

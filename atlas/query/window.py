@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.spec.cells import edges_of, is_uniform
+from atlas.spec.points import POINT
+from atlas.spec.spec import MOST_AXES
 from workers.results import REGIME
 
 if TYPE_CHECKING:
@@ -21,14 +23,47 @@ Window = Mapping[str, tuple[float, float]]
 
 
 def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
-    """The names of an atlas's axes, x first; InputError unless there are one or two."""
+    """The names of an atlas's axes, x first; InputError unless there are one to three. Of a table it is ``point``."""
     if REGIME.name not in ds:
         raise InputError(f"not an atlas: it has no variable {REGIME.name!r}")
     names = tuple(str(dim) for dim in reversed(ds[REGIME.name].dims))
-    if len(names) not in (1, 2):
+    if not 1 <= len(names) <= MOST_AXES:
         listed = f" ({', '.join(names)})" if names else ""
-        raise InputError(f"found {len(names)} axes{listed}, must be 1 or 2; pick a value of the others with .sel")
+        raise InputError(f"found {len(names)} axes{listed}, must be 1 to 3; pick a value of the others with .sel")
     return names
+
+
+def columns(ds: "xr.Dataset") -> tuple[str, ...]:
+    """The parameters that are the columns of a table of points, in its order; none of other atlases."""
+    if axis_names(ds) != (POINT,):
+        return ()
+    found = [str(name) for name in ds.coords if ds[name].dims == (POINT,) and name != POINT]
+    stored = str(ds[REGIME.name].encoding.get("coordinates", "")).split()  # xarray has them in no order
+    return tuple(sorted(found, key=lambda name: stored.index(name) if name in stored else len(stored)))
+
+
+def refuse_table(ds: "xr.Dataset", what: str) -> None:
+    """Raise InputError for a table of points, whose rows lie next to each other by chance; ``what`` was asked for."""
+    if axis_names(ds) == (POINT,):
+        raise InputError(f"{what}: this atlas is a table of points, and its rows are no neighbours in the parameters")
+
+
+def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
+    """The part of an atlas at one value of some of its axes: a plane of a stack, a line of a plane.
+
+    Raises InputError, which names the nearest, unless an axis has that value (to 1 part in 10^9).
+    """
+    places = {}
+    for name, value in point.items():
+        known_axis(ds, name)
+        values = axis_values(ds, name)
+        near = int(np.argmin(np.abs(values - value)))
+        if not np.isclose(values[near], value, rtol=1e-9, atol=0.0):
+            raise InputError(f"{name} has no value {value:g}; the nearest is {values[near]:.10g}")
+        places[name] = near
+    if point and len(places) == len(axis_names(ds)):
+        raise InputError(f"one value of every axis ({', '.join(axis_names(ds))}) is one cell: ask for it by --at")
+    return ds.isel(places)
 
 
 def known_axis(ds: "xr.Dataset", name: str) -> None:
@@ -36,6 +71,8 @@ def known_axis(ds: "xr.Dataset", name: str) -> None:
     names = axis_names(ds)
     if name in names:
         return
+    if name in columns(ds):
+        raise InputError(f"{name} is no axis here but a column of points; give {POINT}, the row's number from 0 on")
     if name in ds.coords and ds[name].ndim == 0:
         raise InputError(f"{name} is no axis here but fixed at {float(ds[name]):g}; the axes are: {', '.join(names)}")
     raise InputError(f"unknown axis {name!r}; the axes are: {', '.join(names)}")

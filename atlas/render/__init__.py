@@ -16,6 +16,7 @@ from atlas.errors import InputError
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
+from atlas.spec.spec import MOST_AXES
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
@@ -59,6 +60,8 @@ _KINDS = {
     "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
 }
 _AXES = {1: "one axis", 2: "two axes"}
+MOST_PANELS = 12
+"""Planes of a stack that are drawn together."""
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "sticking" for two axes, the others for one; "hysteresis" takes two atlases."""
 
@@ -127,6 +130,8 @@ def _drawn(
     page: "Page",
 ) -> "Figure":
     axes = axis_names(ds)
+    if len(axes) == MOST_AXES:
+        return _drawn_stack(ds, kind, window, overlays, against, pixels, page)
     atlases = 1 if against is None else 2
     fitting = [name for name, need in _KINDS.items() if need.axes == len(axes)]
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
@@ -168,6 +173,37 @@ def _drawn(
     return drawn
 
 
+def _drawn_stack(
+    ds: "xr.Dataset",
+    kind: str | None,
+    window: Window | None,
+    overlays: tuple[str, ...],
+    against: "xr.Dataset | None",
+    pixels: tuple[int, int] | None,
+    page: "Page",
+) -> "Figure":
+    """The planes of a stack as maps on one scale, each under its value of the third axis; a lone plane as it is."""
+    name, shown = axis_names(ds)[-1], within(ds, window)
+    rest = {axis: ends for axis, ends in (window or {}).items() if axis != name}
+    count = shown.sizes[name]
+    if count == 1:
+        return _drawn(shown.isel({name: 0}), kind, rest, overlays, against, pixels, page)
+    first = f"--select {name}={float(shown[name][0]):g}"
+    if count > MOST_PANELS:
+        raise InputError(f"a stack of {count} planes: at most {MOST_PANELS} are drawn together; pick one by {first}")
+    for given, what in ((overlays, "overlays"), (against is not None, "against"), (page.given, "ax")):
+        if given:
+            raise InputError(f"{what}: goes with one plane, found a stack of {count}; pick one by {first}")
+    if kind is not None and kind in _KINDS and _KINDS[kind].axes != 2:
+        raise InputError(f"kind {kind!r} draws {_AXES[_KINDS[kind].axes]}, found a stack of {count} planes")
+    from atlas.render import together
+
+    _check_units(ds)
+    drawn = together.side_by_side([shown.isel({name: k}) for k in range(count)], kind, rest, page=page)
+    page.fit(drawn)
+    return drawn
+
+
 def _check_units(ds: "xr.Dataset") -> None:
     units = ds[LARGEST.name].attrs.get("units", LARGEST.units) if LARGEST.name in ds else LARGEST.units
     if units != LARGEST.units:
@@ -200,7 +236,8 @@ def render(
 
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
     ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
-    for one axis; ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of
+    for one axis; a stack of up to MOST_PANELS planes is drawn as maps on one scale, of "exponent" or "period";
+    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of
     OVERLAYS, one or several; ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``look`` is
     size, type, resolution and scale: width, height, font_size, dpi, vmin, vmax, title, style, see ``page.Look``.
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the

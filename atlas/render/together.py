@@ -42,7 +42,10 @@ def difference(compared: Comparison, page: Page = STANDARD) -> Figure:
     """
     names = axis_names(compared.one)
     if len(names) != 2:
-        raise InputError(f"a comparison is drawn as a map, found one axis ({names[0]}); sweeps: atlas render --against")
+        found = f"found one axis ({names[0]}); sweeps: atlas render --against"
+        if len(names) > 2:
+            found = f"found {len(names)} axes ({', '.join(names)}); pick a plane with .sel"
+        raise InputError(f"a comparison is drawn as a map, {found}")
     if not compared.has_exponents:
         page.refuse_ends("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
@@ -158,7 +161,8 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
         raise InputError(f"maps side by side need two atlases or more, found {len(atlases)}")
     first = axis_names(atlases[0])
     if len(first) != 2:
-        raise InputError(f"maps have two axes, found one ({first[0]})")
+        found = "one" if len(first) == 1 else f"{len(first)}"
+        raise InputError(f"maps have two axes, found {found} ({', '.join(first)})")
     for k, ds in enumerate(atlases[1:], 2):
         if axis_names(ds) != first:
             raise InputError(

@@ -47,6 +47,8 @@ def extend(
     Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
     """
     old = read_header(store)
+    if old.spec.points or (spec is not None and spec.points):
+        raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
     if (spec is None) == (refine is None):
         raise InputError("give either a spec or by how much to refine")
     grown = refined(old.spec, refine, old.tile) if spec is None else extended(old, spec)

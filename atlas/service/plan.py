@@ -11,7 +11,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.overview.coarsen import overview_bytes
-from atlas.spec.spec import Spec
+from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
 from atlas.text import byte_size, duration, plural
@@ -118,7 +118,7 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
     _check_chunks(spec, chosen)
     tiling = Tiling(spec.shape, chosen)
-    return Plan(spec.dims, tuple(map(str, spec.axes)), tiling, count, _bytes_needed(spec, tiling))
+    return Plan(spec.dims, spec.described, tiling, count, _bytes_needed(spec, tiling))
 
 
 def default_workers() -> int:
@@ -137,10 +137,16 @@ def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
-    """64 along each dimension, the longer side halved until there are 16 tiles a worker; lines continued are whole."""
+    """64 along each dimension, the longer side halved until there are 16 tiles a worker; lines continued are whole.
+
+    No tile has cells of two planes of a stack.
+    """
     shape = spec.shape
     tile = [min(DEFAULT_TILE, n) for n in shape]
     free = list(range(len(shape)))
+    if len(shape) == MOST_AXES:
+        tile[0] = 1
+        free.remove(0)
     if spec.continuation is not None:
         place, _ = spec.continuation
         tile[place] = shape[place]
@@ -155,7 +161,7 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 def _bytes_needed(spec: Spec, tiling: Tiling) -> int:
     """Every chunk of every variable in whole file blocks, the coordinates, and the overviews."""
-    total = 8 * sum(spec.shape)
+    total = 8 * sum(spec.shape) * (1 + len(spec.points))
     for chunk in _chunks(spec, tiling.tile).values():
         total += tiling.count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
     return total + overview_bytes(spec, tiling.tile)

@@ -66,7 +66,7 @@ class Status:
         return self.run.number(name) if self.run else 0
 
     def __str__(self) -> str:
-        axes = " x ".join(map(str, self.header.spec.axes))
+        axes = " x ".join(self.header.spec.described)
         lines = [
             f"axes     {axes}",
             f"tiles    {self.tiles_done} of {self.header.tiling.count} done",
@@ -103,6 +103,7 @@ class Status:
                 for a in spec.axes
             ],
             "parameters": spec.parameters,
+            "columns": list(spec.points),
             "solve": spec.resolved()["solve"],
             "tile": self.header.tile,
             "tiles": self.header.tiling.count,

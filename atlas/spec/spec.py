@@ -12,13 +12,17 @@ import numpy as np
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import Axis, admitted, read_axis
+from atlas.spec.points import FILE, Columns, axis_of, checked_points, described, differing
 from atlas.spec.system import checked_system, resolved_system
 from workers import Settings
 from workers.model.parameter import unknown_name
 from workers.model.system import System, identity
 from workers.model.toml_text import TomlError, parse_toml, read_toml
 
-SECTIONS = ("system", "parameters", "axes", "solve", "store")
+SECTIONS = ("system", "parameters", "axes", "points", "solve", "store")
+MOST_AXES = 3
+FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
+"""What the shape of a tile is, by the number of axes."""
 FIRST_SETTINGS = (
     "exponents", "tolerance", "max_periods", "method", "transient_periods", "periods", "max_period", "section_samples",
 )  # fmt: skip
@@ -28,7 +32,7 @@ Slices = tuple[slice, ...]
 
 @dataclass(frozen=True, init=False)
 class Spec:
-    """What to compute: a system, its fixed parameters (defaults filled in), one or two axes, and how to solve.
+    """What to compute: a system, its fixed parameters (defaults filled in), its cells, and how to solve.
 
     ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes what the
     TOML file has in its tables; an axis may also be a sequence of values. The first axis is x, the last dimension
@@ -36,6 +40,10 @@ class Spec:
     whole line of cells is in one tile. ``tile`` is the (y, x) shape asked for, or None; it does not change a number.
     ``system`` is the name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``;
     the spec has its name as ``system`` and all of it as ``record``.
+    One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. In place of
+    axes ``points`` gives a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
+    The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty.
+    Columns win over ``parameters``.
     Raises InputError for anything that cannot be solved.
     """
 
@@ -45,53 +53,72 @@ class Spec:
     settings: Settings
     tile: tuple[int, ...] | None
     record: System = field(repr=False)
+    points: Columns = field(repr=False)
 
     def __init__(
         self,
         system: str | Mapping[str, Any] | System,
-        axes: Mapping[str, Any],
+        axes: Mapping[str, Any] | None = None,
         parameters: Mapping[str, Any] | None = None,
         solve: Mapping[str, Any] | Settings | None = None,
         store: Mapping[str, Any] | None = None,
+        points: Mapping[str, Any] | None = None,
     ) -> None:
         record = checked_system(system)
         parameters, store = {} if parameters is None else parameters, {} if store is None else store
+        if axes is None and points is None:
+            raise InputError("axes: found None, must be a table of one to three axes; or give points")
+        axes = {} if axes is None else axes
         _check_tables(parameters=parameters, axes=axes, store=store)
         known = [parameter.name for parameter in record.parameters]
         check_names("parameter", parameters, known)
         check_names("parameter in axes", axes, known)
-        if not 1 <= len(axes) <= 2:
+        if points is not None and axes:
+            raise InputError(f"found axes ({', '.join(axes)}) and points; give one of the two")
+        if points is None and not 1 <= len(axes) <= MOST_AXES:
             found = f"found {len(axes)} ({', '.join(axes)})" if axes else "found none"
-            raise InputError(f"axes: {found}, must be one or two")
+            raise InputError(f"axes: {found}, must be one to three")
+        columns = {} if points is None else checked_points(points, record)
         for name in axes:
             if name in parameters:
                 raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
         put = object.__setattr__
         put(self, "system", record.name)
         put(self, "record", record)
-        put(self, "axes", tuple(read_axis(record.parameter(name), given) for name, given in axes.items()))
+        put(self, "points", columns)
+        read = tuple(read_axis(record.parameter(name), given) for name, given in axes.items())
+        put(self, "axes", (axis_of(columns),) if columns else read)
         _check_continuation(self.axes, record)
         fixed = checked_parameters(record, parameters)
-        put(self, "parameters", {name: value for name, value in fixed.items() if name not in axes})
+        put(self, "parameters", {name: value for name, value in fixed.items() if name not in (axes or columns)})
         put(self, "settings", _settings_of(solve))
-        put(self, "tile", _checked_tile(store, len(axes)))
+        put(self, "tile", _checked_tile(store, len(self.axes)))
         _check_whole_lines(self)
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
         """The spec of a mapping that has the form of the TOML file; a system's file is looked for in the folder."""
         check_names("key", given, SECTIONS)
-        for key in ("system", "axes"):
-            if key not in given:
-                raise InputError(f"{key} missing" + ("; one or two tables [axes.NAME]" if key == "axes" else ""))
-        return cls(**{**given, "system": checked_system(given["system"], folder)})
+        if "system" not in given:
+            raise InputError("system missing")
+        if "axes" not in given and "points" not in given:
+            raise InputError("axes missing; one to three tables [axes.NAME], or [points] with a file")
+        system = checked_system(given["system"], folder)
+        tables = {"points": checked_points(given["points"], system, folder)} if "points" in given else {}
+        return cls(**{**given, **tables, "system": system})
 
     @classmethod
-    def from_toml(cls, source: str | Path) -> "Spec":
-        """The spec of a TOML file, or of the packaged example of that name where there is no such file."""
+    def from_toml(cls, source: str | Path, points: str | Path | None = None) -> "Spec":
+        """The spec of a TOML file, or of the packaged example of that name where there is no such file.
+
+        ``points`` is a CSV file of parameter sets that take the place of its axes, which have to be columns there, or
+        of its own points.
+        """
         path, where = Path(source), str(source) or "''"
         try:
             given = read_toml(path) if path.exists() else parse_toml(_example(str(source)))
+            if points is not None:
+                given = _with_points(given, Path(points), path.parent)
             return cls.from_mapping(given, path.parent)
         except (InputError, TomlError) as error:
             raise InputError(f"{where}: {error}") from None
@@ -109,6 +136,16 @@ class Spec:
         return tuple(len(axis) for axis in reversed(self.axes))
 
     @property
+    def described(self) -> tuple[str, ...]:
+        """Each axis in a few words, or the table of points."""
+        return (described(self.points),) if self.points else tuple(map(str, self.axes))
+
+    @property
+    def kept(self) -> int:
+        """How many of ``dims``, from the first on, are never coarsened: the planes of a stack, the rows of a table."""
+        return 1 if self.points or len(self.axes) == MOST_AXES else 0
+
+    @property
     def continuation(self) -> tuple[int, bool] | None:
         """Place in ``dims`` of the axis that is continued, and whether backward; None where cells are independent."""
         for place, axis in enumerate(reversed(self.axes)):
@@ -123,8 +160,11 @@ class Spec:
             | ({"continuation": axis.continuation} if axis.continuation else {})
             for axis in self.axes
         ]
-        others = {"parameters": self.parameters, "axes": axes, "solve": asdict(self.settings)}
-        return self.record.resolved() | others
+        if self.points:
+            cells: dict[str, Any] = {"axes": [], "points": {name: list(values) for name, values in self.points.items()}}
+        else:
+            cells = {"axes": axes}
+        return self.record.resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)}
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
@@ -133,7 +173,8 @@ class Spec:
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
         }
-        return cls(resolved_system(resolved), axes, resolved["parameters"], resolved["solve"])
+        system, points = resolved_system(resolved), resolved.get("points")
+        return cls(system, axes, resolved["parameters"], resolved["solve"], points=points)
 
     @property
     def digest(self) -> str:
@@ -143,6 +184,9 @@ class Spec:
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
         """Parameters of a block of cells as solve_tile takes them: axes as arrays that broadcast to its shape."""
         params: dict[str, float | np.ndarray] = dict(self.parameters)
+        if self.points:
+            (rows,) = slices
+            return params | {name: np.array(values[rows], dtype="float64") for name, values in self.points.items()}
         for i, (axis, part) in enumerate(zip(reversed(self.axes), slices, strict=True)):
             along = [1] * len(self.axes)
             along[i] = -1
@@ -184,7 +228,9 @@ def differences(stored: Spec, given: Spec) -> list[str]:
     elif identity(stored.record.resolved()) != identity(given.record.resolved()):
         found.append(f"system {stored.system} is defined otherwise in the store: {_defined_otherwise(stored, given)}")
     names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
-    if names != wanted:
+    if stored.points or given.points:
+        found += differing(stored.points, given.points)
+    elif names != wanted:
         what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
         found.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
     else:
@@ -256,6 +302,20 @@ def _example(name: str) -> str:
     raise InputError(f"no such file, and {unknown_name('example', name, names)}")
 
 
+def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
+    """A spec's tables with a file of points in place of its axes; InputError unless each axis is a column there."""
+    check_names("key", given, SECTIONS)
+    if "system" not in given:
+        raise InputError("system missing")
+    columns = checked_points({FILE: points}, checked_system(given["system"], folder))
+    axes = given.get("axes", {})
+    for name in axes if isinstance(axes, Mapping) else ():
+        if name not in columns:
+            raise InputError(f"{name} is an axis, and no column of {points}; add the column or remove the axis")
+    replaced = ("axes", "store") if "axes" in given else ()  # the shape of a tile of the axes is none of the rows
+    return {**{key: table for key, table in given.items() if key not in replaced}, "points": columns}
+
+
 def _settings_of(solve: Mapping[str, Any] | Settings | None) -> Settings:
     return solve if isinstance(solve, Settings) else checked_settings({} if solve is None else solve)
 
@@ -272,6 +332,8 @@ def _check_tables(**tables: object) -> None:
 
 def _check_continuation(axes: tuple[Axis, ...], record: System) -> None:
     continued = [axis.name for axis in axes if axis.continuation]
+    if len(axes) == MOST_AXES and continued:
+        raise InputError(f"axes.{continued[0]}: a stack has no continued axis; compute its planes one by one")
     if len(continued) > 1:
         raise InputError(f"axes: found continuation on {' and '.join(continued)}, must be on one")
     if continued and continued[0] in record.states:
@@ -294,8 +356,9 @@ def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None
     if "tile" not in store:
         return None
     tile = store["tile"]
-    form = "two whole numbers (y, x)" if axes == 2 else "one whole number in brackets"
     right = isinstance(tile, list | tuple) and len(tile) == axes and all(_is_whole(n) and n >= 1 for n in tile)
     if not right:
-        raise InputError(f"store.tile: found {shown(tile)}, must be {form}, each 1 or more")
+        raise InputError(f"store.tile: found {shown(tile)}, must be {FORMS[axes]}, each 1 or more")
+    if axes == MOST_AXES and tile[0] != 1:
+        raise InputError(f"store.tile: found {shown(tile)}, must begin with 1: a tile is of one plane")
     return tuple(int(n) for n in tile)

@@ -35,14 +35,14 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
             name,
             shape=coordinate.values.shape,
             chunks=coordinate.values.shape,
-            dtype="str" if coordinate.values.dtype.kind == "T" else "float64",
+            dtype="str" if coordinate.values.dtype.kind == "T" else coordinate.values.dtype,
             dimension_names=coordinate.dims,
             compressors=codecs(),
             attributes=coordinate.attributes,
         )
         array[...] = coordinate.values
     for variable in variables:
-        create_variable(group, variable, spec, tiling, variable_attributes(variable, spec.parameters))
+        create_variable(group, variable, spec, tiling, variable_attributes(variable, [*spec.parameters, *spec.points]))
     create_digests(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
     consolidate(group)
 

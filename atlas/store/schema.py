@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from atlas.spec.points import POINT
 from atlas.spec.spec import Spec
 from atlas.store.machine import package_version
 from workers import SOLVER_VERSION
@@ -68,18 +69,27 @@ class Coordinate(NamedTuple):
 
 
 def coordinates(spec: Spec) -> dict[str, Coordinate]:
-    """The coordinates by name: axes, fixed parameters as scalars, and the names of the states."""
+    """The coordinates by name: axes, fixed parameters as scalars, and the names of the states.
+
+    Of a table its rows' numbers, and each column along them.
+    """
     record = spec.record
     names: dict[str, Any] = {"long_name": "component of the physical section state"}
-    axes = {
-        axis.name: Coordinate(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
-        for axis in spec.axes
-    }
+    if spec.points:
+        rows: dict[str, Any] = {"long_name": "row of the table of points, from 0 on", "units": "1"}
+        cells = {POINT: Coordinate(np.arange(spec.shape[0]), (POINT,), rows)}
+        columns = {name: np.array(values) for name, values in spec.points.items()}
+        cells |= {n: Coordinate(v, (POINT,), _described(record.parameter(n))) for n, v in columns.items()}
+    else:
+        cells = {
+            axis.name: Coordinate(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
+            for axis in spec.axes
+        }
     fixed = {
         name: Coordinate(np.float64(value), (), _described(record.parameter(name)))
         for name, value in spec.parameters.items()
     }
-    return axes | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
+    return cells | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
 
 
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
@@ -100,7 +110,7 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
 
 
 def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, Any]:
-    """CF attributes of a result variable; ``fixed`` names the scalar coordinates."""
+    """CF attributes of a result variable; ``fixed`` names the coordinates that are no axes."""
     attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
     if variable.name == REGIME.name:
         attributes["flag_values"] = [regime.code for regime in REGIMES]

@@ -293,7 +293,8 @@ def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:
     wanted = list(raised)
     for each in wanted:
         if each.name not in group:
-            fixed = [name for name in header.spec.parameters if name in header.coordinates]
+            spec = header.spec
+            fixed = [name for name in (*spec.parameters, *spec.points) if name in header.coordinates]
             variable = replace(each, fill=each.of_spec(header.spec))
             create_variable(group, variable, header.spec, header.tiling, variable_attributes(variable, fixed))
     if any(each.name not in header.arrays for each in wanted):  # not even where a run made it and was killed at once

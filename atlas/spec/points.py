@@ -1,0 +1,146 @@
+"""A table of points: parameter sets, one row a cell, in place of axes."""
+
+import csv
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from atlas.errors import InputError, check_names, shown
+from atlas.spec.axis import Axis, admitted, number
+from workers.model.parameter import Parameter
+from workers.model.system import System
+
+POINT = "point"
+"""The dimension along the rows, and the number of a row: 0 is the first."""
+MAX_ROWS = 100_000
+"""Rows of a table: all of them are in the store's attributes, which every tile reads."""
+FILE = "file"
+"""The key of a spec's [points] that names the file."""
+
+Columns = dict[str, tuple[float, ...]]
+
+
+def checked_points(given: object, record: System, folder: Path | None = None) -> Columns:
+    """The columns of a table by name, from ``{"file": path}`` or from a mapping of names to equally many values.
+
+    A path is looked for in the folder, if any. Raises InputError that names the row and the column of a value that is
+    no number, or outside its parameter's range. Rows are counted as a spreadsheet does: row 1 is that of the names.
+    """
+    if isinstance(given, Mapping) and isinstance(given.get(FILE), str | Path):
+        check_names("key in points", given, [FILE])
+        path = Path(given[FILE])
+        return _read_file(path if folder is None else folder / path, record)
+    if not isinstance(given, Mapping):
+        raise InputError(f"points: found {shown(given)}, must be a table with the key {FILE}, or with columns")
+    return _checked_columns("points", given, record)
+
+
+def axis_of(points: Columns) -> Axis:
+    """The rows of a table as an axis of their numbers."""
+    rows = len(next(iter(points.values())))
+    return Axis(POINT, tuple(map(float, range(rows))))
+
+
+def described(points: Columns) -> str:
+    """A table in a few words."""
+    return f"{len(next(iter(points.values())))} rows of {', '.join(points)}"
+
+
+def differing(stored: Columns, given: Columns) -> list[str]:
+    """In what two tables differ, in a few words; nothing where they do not."""
+    if stored == given:
+        return []
+    if stored.keys() != given.keys():
+        sides = [", ".join(columns) or "none" for columns in (stored, given)]
+        return [f"columns of points {sides[0]} in the store, {sides[1]} in the spec"]
+    rows = [len(next(iter(columns.values()))) for columns in (stored, given)]
+    if rows[0] != rows[1]:
+        return [f"{rows[0]} points in the store, {rows[1]} in the spec"]
+    row, name = next((i, name) for i in range(rows[0]) for name in stored if stored[name][i] != given[name][i])
+    return [f"point {row}: {name} = {stored[name][row]!r} in the store, {given[name][row]!r} in the spec"]
+
+
+def _read_file(path: Path, record: System) -> Columns:
+    """The columns of a CSV file."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return _read_rows(str(path), csv.reader(file, strict=True), record)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is no UTF-8 text") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: is no CSV: {error}") from None
+
+
+def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns:
+    names = [name.strip() for name in next(rows, [])]
+    _check_header(where, names, record)
+    columns: dict[str, list[object]] = {name: [] for name in names}
+    for place, row in enumerate(rows, 2):
+        if not any(field.strip() for field in row):
+            raise InputError(f"{where}, row {place}: is empty; remove it")
+        if len(row) != len(names):
+            raise InputError(f"{where}, row {place}: found {len(row)} fields, must be {len(names)} as in the first row")
+        if place > MAX_ROWS + 1:
+            raise InputError(f"{where}: found more than {MAX_ROWS} rows below the names, must be at most {MAX_ROWS}")
+        for name, field in zip(names, row, strict=True):
+            try:
+                columns[name].append(float(field.strip() if "_" not in field else ""))
+            except ValueError:
+                raise InputError(
+                    f"{where}, row {place}, column {name}: found {shown(field)}, must be a number"
+                ) from None
+    return _checked_columns(where, columns, record)
+
+
+def _check_header(where: str, names: Sequence[object], record: System) -> None:
+    if not any(names):
+        raise InputError(f"{where}: is empty; its first row must name parameters")
+    try:
+        check_names("parameter", names, [parameter.name for parameter in record.parameters])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if twice is not None:
+        raise InputError(f"{where}: column {twice} is there twice")
+    if POINT in (parameter.name for parameter in record.parameters):
+        raise InputError(f"{where}: this system has a parameter named {POINT}, as the rows of a table are; rename it")
+
+
+def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:
+    _check_header(where, list(given), record)
+    found: Columns = {}
+    for name, values in given.items():
+        listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
+        if not isinstance(listed, Sequence) or isinstance(listed, str):
+            raise InputError(f"{where}: column {name}: found {shown(values)}, must be a list of numbers")
+        found[name] = _all_admitted(record.parameter(name), listed) or tuple(
+            _value(f"{where}, row {place}, column {name}", name, value, record) for place, value in enumerate(listed, 2)
+        )
+    for (one, values), (other, others) in itertools.pairwise(found.items()):
+        if len(values) != len(others):
+            raise InputError(f"{where}: found {len(values)} values of {one} and {len(others)} of {other}")
+    rows = len(next(iter(found.values())))
+    if not 1 <= rows <= MAX_ROWS:
+        raise InputError(f"{where}: found {rows} rows below the names, must be 1 to {MAX_ROWS}")
+    return found
+
+
+def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
+    """The values where all are floats that the parameter admits, at once, since every tile reads the table; else ()."""
+    if not all(type(value) is float for value in values):
+        return ()
+    found = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
+    return tuple(found.tolist()) if np.all(parameter.admits(found)) else ()
+
+
+def _value(where: str, name: str, value: object, record: System) -> float:
+    found = number(where, value)
+    try:
+        return admitted(record.parameter(name), found)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
