@@ -21,6 +21,8 @@ from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
 _SHOWN = 6
 """Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+_IN_A_COLUMN = 7
+"""Exponents that are written in one column beside their averages, at most."""
 _LEAST_CHATTER = 4
 """Flights, each shorter than the one before, that make a chatter."""
 _LINE, _UPPER, _LOWER, _STOP = "#3a6ea5", "#cc3311", "#e08a00", "#6f6f6f"
@@ -78,9 +80,10 @@ def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) 
     if len(masses) > 1:
         _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, *masses)
     _section(drawn.add_subplot(grid[row + 1, :2]), orbit)
-    exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.15])
+    columns = 1 + (len(_written(orbit)) > _IN_A_COLUMN)
+    exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.15 * columns])
     _convergence(drawn.add_subplot(exponents[0]), orbit)
-    _write_values(drawn.add_subplot(exponents[1]), orbit, 1)
+    _write_values(drawn.add_subplot(exponents[1]), orbit, columns)
 
 
 def _planes_in_pairs(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
@@ -95,7 +98,7 @@ def _planes_in_pairs(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) 
     _section(drawn.add_subplot(places[-1]), orbit)
     row += 1 + two
     _convergence(drawn.add_subplot(grid[row, :]), orbit)
-    _write_values(drawn.add_subplot(grid[row + 1, :]), orbit, 2)
+    _write_values(drawn.add_subplot(grid[row + 1, :]), orbit, 4 if len(_written(orbit)) > _IN_A_COLUMN else 2)
 
 
 class Shown(NamedTuple):
