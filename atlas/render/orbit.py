@@ -275,7 +275,7 @@ def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     ax.set_axis_off()
     error = float(orbit.cell["error"])
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED
-    digits = 6 if orbit.exact else 3
+    digits = (4 if len(_written(orbit)) > _IN_A_COLUMN else 6) if orbit.exact else 3
     many = f"averaged over\n{len(orbit.running)} periods:" if columns == 1 else f"averaged over {len(orbit.running)}:"
     lines = [("exact:" if orbit.exact else many if unknown else "averaged:", "black")]
     for i, value in enumerate(_written(orbit)):
