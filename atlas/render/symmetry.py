@@ -11,7 +11,7 @@ from atlas.errors import InputError
 from atlas.render import machine, maps, overlays, style
 from workers.results import PERIODIC
 
-SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#d5ece6"
+SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
 """The colours: symmetric; broken with more impacts at the upper stop; at the lower; broken, and it cannot be told;
 periodic where stops, load or force are not symmetric, so that no motion has a mirror image.
 """
