@@ -47,6 +47,21 @@ num = 20
 section_samples = 16
 max_periods = 2000
 """
+SYSTEM = """
+system = "{name}"
+[axes.{x}]
+start = {start}
+stop = {stop}
+num = 4
+[axes.R]
+start = 0.5
+stop = 0.8
+num = 3
+[solve]
+tolerance = 0.1
+max_periods = 500
+survival = 0
+"""
 FILES = {
     # A file goes before the example of that name in the package.
     "omega-b": PLANE,
@@ -56,6 +71,16 @@ FILES = {
     "fig6": LINE.format(more=""),
     "up.toml": LINE.format(more='continuation = "forward"'),
     "down.toml": LINE.format(more='continuation = "backward"'),
+    **{
+        name: SYSTEM.format(name=name, x=x, start=start, stop=stop)
+        for name, x, start, stop in (
+            ("single-mass", "omega", 0.8, 1.2),
+            ("bouncing-ball", "omega", 0.8, 1.2),
+            ("impact-pair", "nu", 2.0, 3.0),
+            ("impact-damper", "omega", 0.8, 1.2),
+            ("chain-3", "omega", 0.4, 0.6),
+        )
+    },
 }
 STORES = {"other.zarr": 0.7, "R7.zarr": 0.7, "R8.zarr": 0.8, "R9.zarr": 0.9}
 """Stores of the same plane at another R, made for the pages that name them."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import boundary
-from atlas.render import combined, error, impacts, maps, overlays, period, scalar, sticking, symmetry
+from atlas.render import combined, error, grazing, impacts, maps, overlays, period, scalar, sticking, symmetry
 from tests.pictures import NAN, atlas, colour, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -193,7 +193,8 @@ def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() ->
 def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
     upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
     symmetric = np.array([[True, False, False, False, False]])
-    rgba, legend = symmetry.paint(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower)
+    every = np.ones((1, 5), bool)
+    rgba, legend = symmetry.paint(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower, every)
     expected = [symmetry.SYMMETRIC, symmetry.UPPER, symmetry.LOWER, symmetry.UNTOLD, symmetry.UNTOLD]
     assert [tuple(cell[:3]) for cell in rgba[0]] == [rgb(color) for color in expected]
     assert len(legend) == 4
@@ -283,7 +284,7 @@ def test_the_grazing_line_lies_where_the_impact_free_response_reaches_the_stops(
 def test_the_grazing_line_is_that_of_the_solver() -> None:
     """Just above it a start on the forced response stays impact-free, just below it cannot."""
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
-    ratio = overlays.grazing_ratio(TWO_MASS, fixed, ("omega", np.array([3.0])), ("b", np.array([0.2])))[0, 0]
+    ratio = grazing.grazing_ratio(TWO_MASS, fixed, ("omega", np.array([3.0])), ("b", np.array([0.2])))[0, 0]
     touching = 0.2 * math.exp(ratio)
     quiet = solve_tile("two-mass", {"omega": 3.0, "b": 0.6})["state"]
     start = dict(zip(("x1", "x2", "v1", "v2"), quiet, strict=True))
@@ -295,8 +296,8 @@ def test_the_grazing_line_is_that_of_the_solver() -> None:
 def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
     x, y = (maps.read(plane(), (), "test").x, maps.read(plane(), (), "test").y)
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
-    xs, ys, quick = overlays.grazing_grid(TWO_MASS, fixed, x, y, points=12)
-    assert quick == pytest.approx(overlays.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
+    xs, ys, quick = grazing.grazing_grid(TWO_MASS, fixed, x, y, points=12)
+    assert quick == pytest.approx(grazing.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
 
 
 def test_a_grazing_line_out_of_view_is_said_to_be() -> None:
@@ -364,7 +365,7 @@ def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it()
     ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
     x, y = maps.read(ds, (), "test").x, maps.read(ds, (), "test").y
     fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
-    xs, _, ratio = overlays.grazing_grid(TWO_MASS, fixed, x, y)
+    xs, _, ratio = grazing.grazing_grid(TWO_MASS, fixed, x, y)
     ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)
     assert np.mean(ridge > 0.0) > 0.95
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.spec.spec import checked_parameters, digest_of
 from atlas.spec.system import checked_system
+from atlas.text import plural
 from workers import Settings
 from workers.model.system import DEFAULT, System, identity
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME, REGIMES
@@ -62,6 +64,15 @@ class CellOrbit:
         """Whether the exponents are those of an orbit in closed form, and not averages."""
         return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC)
 
+    @cached_property
+    def gap_row(self) -> Array:
+        """The row g of the gap coordinate y = g . x, (n,)."""
+        return np.array(self.system.build(self.parameters).gap_row)
+
+    def gap(self, states: Array) -> Array:
+        """The gap coordinate (N,) of states (N, 2n)."""
+        return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
+
     @property
     def digest(self) -> str:
         """Digest of all that decides these numbers, made as a spec's."""
@@ -99,9 +110,10 @@ def cell_orbit(
     closes = int(cell["period"])
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
     running = _running(record, here, asked)
-    long = math.ceil(2.0 * modulation(section)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
-    times, states, impacts = _path(record, here, closes or min(max(OPEN_PATH, long), LONGEST_PATH))
     osc = record.build(parameters)
+    gap = section[:, : osc.gap_row.size] @ osc.gap_row
+    long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
+    times, states, impacts = _path(record, here, closes or min(max(OPEN_PATH, long), LONGEST_PATH))
     return CellOrbit(
         system=record,
         parameters=parameters,
@@ -118,13 +130,13 @@ def cell_orbit(
 
 
 def modulation(section: Array) -> float:
-    """Forcing periods after which a torus comes back to nearly the same state, from its section states (S, 2n).
+    """Forcing periods after which a torus comes back to nearly the same state, from section values (S,).
 
     1 / |f - p / q| with f the strongest frequency of the section per forcing period and p / q the fraction nearest to
     it with q at most 6: at f = 1/3 + 0.01 the state after three periods is nearly the same, and has drifted once
     around after a hundred. 1 where the section does not move.
     """
-    x = section[:, 0] - section[:, 0].mean()
+    x = section - section.mean()
     if x.size < 8 or np.ptp(x) == 0.0:
         return 1.0
     power = np.abs(np.fft.rfft(x * np.hanning(x.size), 8 * x.size))
@@ -191,13 +203,16 @@ def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
 
 
 def describe(orbit: CellOrbit) -> str:
-    """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``."""
+    """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``, of one stop ``2 impacts``."""
     cell = orbit.cell
     code = int(cell[REGIME.name])
     words = [next(regime.name for regime in REGIMES if regime.code == code).replace("_", " ")]
     if code == PERIODIC:
         n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
-        words.append(f"period {n}" if p < 0 else f"period {n}, impacts {p} above and {q} below")
+        words.append(f"period {n}")
+        if p >= 0:
+            one_stop = not np.all(np.isfinite(orbit.stops))
+            words.append(plural(p + q, "impact") if one_stop else f"impacts {p} above and {q} below")
         words += ["symmetric"] if cell["symmetric"] else []
     elif np.isfinite(cell["impacts_per_period"]) and cell["impacts_per_period"] > 0:
         words.append(f"{cell['impacts_per_period']:.3g} impacts per period")

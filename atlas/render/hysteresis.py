@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from atlas.render import axes, maps, style, sweep
+from atlas.render import axes, machine, maps, style, sweep
 from atlas.render.page import STANDARD, Page
 from workers.results import ERROR, LARGEST, NO_IMPACT, PERIODIC, REGIME, SECTION
 
@@ -55,10 +55,11 @@ def figure(ds: xr.Dataset, against: xr.Dataset, page: Page = STANDARD) -> Figure
         def panel(ax: Axes, read: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
             _shade(ax, x, found)
             for number, each in enumerate((first, second)):
-                _points(ax, each[name].values, x, number, page)
+                values = machine.gap_values(each, x.name, each[name]) if name == SECTION.name else each[name].values
+                _points(ax, values, x, number, page)
             if name == LARGEST.name:
                 ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
-            ax.set_ylabel(sweep.state_label(ds) if name == SECTION.name else sweep.LARGEST_LABEL)
+            ax.set_ylabel(machine.gap_label(ds) if name == SECTION.name else sweep.LARGEST_LABEL)
 
         return panel
 
@@ -75,7 +76,8 @@ def compare(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.int8]:
     the other, and the exponents, the slowest impact and the time at rest agree. Without section samples, orbits of
     several periods are compared by these numbers alone. Motions that do not close are compared as samples: where
     section values are distributed otherwise (Kolmogorov-Smirnov distance above 1/2 in any component, from 16 samples
-    on) but exponents agree, they are held for MIRRORED. A cell whose motion is not known in both counts as SAME.
+    on) but exponents agree, they are held for MIRRORED. Where the machine is not symmetric, or not known, what would be
+    MIRRORED is DIFFERENT. A cell whose motion is not known in both counts as SAME.
     """
     one, two = first[REGIME.name].values, second[REGIME.name].values
     known = maps.determined(one) & maps.determined(two)
@@ -92,8 +94,17 @@ def compare(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.int8]:
     broken = ~first["symmetric"].values if "symmetric" in first else np.ones(one.shape, bool)
     apart = _sections_apart(first, second, closed)
     same = ~unlike & ~apart & (straight | ~closed)
-    mirrored = ~unlike & ~same & np.where(closed, swapped & shared & broken, one != NO_IMPACT)
+    mirrored = ~unlike & ~same & np.where(closed, swapped & shared & broken, one != NO_IMPACT) & _has_twins(first)
     return np.where(~known | same, SAME, np.where(mirrored, MIRRORED, DIFFERENT)).astype(np.int8)
+
+
+def _has_twins(ds: xr.Dataset) -> NDArray[np.bool_]:
+    """In which cells of a sweep motions have mirror images."""
+    system, (name,) = style.system_of(ds), axis_names(ds)
+    if system is None:
+        return np.zeros(ds[REGIME.name].shape, bool)
+    values = np.asarray(ds[name].values, dtype=np.float64)
+    return machine.has_twins(system, machine.fixed(ds, system), {name: values})
 
 
 def _exponents_differ(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.bool_]:
@@ -157,7 +168,7 @@ def _check_same_axis(ds: xr.Dataset, against: xr.Dataset) -> None:
 
 
 def _points(ax: Axes, values: NDArray[np.float64], x: axes.DrawnAxis, number: int, page: Page) -> None:
-    values = values[..., 0] if values.ndim == 3 else values[:, None]
+    values = values if values.ndim == 2 else values[:, None]
     at = np.broadcast_to(x.values[:, None], values.shape)
     shown = np.isfinite(values)
     # The second on top and smaller, so that both are seen where they agree.

@@ -1,6 +1,7 @@
 """The portrait of a cell: its motion in time, in its phase planes and at the section, and its exponents converging."""
 
 import math
+from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from atlas.cell.orbit import SAMPLES, CellOrbit, describe, modulation
-from atlas.render import style
+from atlas.render import machine, style
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 from atlas.render.spectrum import color
@@ -20,6 +21,8 @@ from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 
 _SHOWN = 6
 """Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+_IN_A_COLUMN = 7
+"""Exponents that are written in one column beside their averages, at most."""
 _LEAST_CHATTER = 4
 """Flights, each shorter than the one before, that make a chatter."""
 _LINE, _UPPER, _LOWER, _STOP = "#3a6ea5", "#cc3311", "#e08a00", "#6f6f6f"
@@ -28,7 +31,7 @@ _LINE, _UPPER, _LOWER, _STOP = "#3a6ea5", "#cc3311", "#e08a00", "#6f6f6f"
 def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page."""
     n = len(orbit.system.states) // 2
-    masses = shown_coordinates(orbit)
+    masses = shown_displacements(orbit)
     with page.context():
         drawn = page.figure(_height(page, n, _chatter(orbit) is not None))
         drawn.set_layout_engine("constrained", hspace=0.06 if page.wide else 0.02, wspace=0.06 if page.wide else 0.02)
@@ -47,10 +50,13 @@ def figure(orbit: CellOrbit, page: Page = STANDARD) -> Figure:
             histories = [grid[k, :] for k in range(len(masses))]
             enlarged, rest = grid[len(masses), :], len(masses) + bool(chatter)
         above: Axes | None = None
-        for i, place in zip(masses, histories, strict=True):
+        for k, (shown, place) in enumerate(zip(masses, histories, strict=True)):
             ax = above = drawn.add_subplot(place, sharex=above)
-            _history(ax, orbit, i)
-            ax.tick_params(labelbottom=i == masses[-1])
+            last = k == len(masses) - 1
+            _history(ax, orbit, shown)
+            ax.tick_params(labelbottom=last)
+            if last:
+                ax.set_xlabel("time $t/T$ [forcing periods]")
         if chatter:
             _zoom(drawn.add_subplot(enlarged), orbit, chatter)
         (_planes_in_a_row if page.wide else _planes_in_pairs)(drawn, grid, rest, orbit)
@@ -67,41 +73,78 @@ def _height(page: Page, n: int, chatter: bool) -> float:
 
 def _planes_in_a_row(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
     """Phase planes side by side; below them the section beside the exponents."""
-    n, masses = len(orbit.system.states) // 2, shown_coordinates(orbit)
-    width = 6 // (len(masses) + (n > 1))
-    for k, i in enumerate(masses):
-        _phase_plane(drawn.add_subplot(grid[row, k * width : (k + 1) * width]), orbit, i, n + i)
-    if n > 1:
+    masses = shown_displacements(orbit)
+    width = 6 // (len(masses) + (len(masses) > 1))
+    for k, shown in enumerate(masses):
+        _phase_plane(drawn.add_subplot(grid[row, k * width : (k + 1) * width]), orbit, shown)
+    if len(masses) > 1:
         _phase_plane(drawn.add_subplot(grid[row, 4:]), orbit, *masses)
-    _section(drawn.add_subplot(grid[row + 1, :2]), orbit, _stopped(orbit)[0], n + _stopped(orbit)[0])
-    exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.15])
+    _section(drawn.add_subplot(grid[row + 1, :2]), orbit)
+    columns = 1 + (len(_written(orbit)) > _IN_A_COLUMN)
+    exponents = grid[row + 1, 2:].subgridspec(1, 2, width_ratios=[3.4, 1.15 * columns])
     _convergence(drawn.add_subplot(exponents[0]), orbit)
-    _write_values(drawn.add_subplot(exponents[1]), orbit, 1)
+    _write_values(drawn.add_subplot(exponents[1]), orbit, columns)
 
 
 def _planes_in_pairs(drawn: Figure, grid: GridSpec, row: int, orbit: CellOrbit) -> None:
     """The same on a narrow page: two in a row, the numbers under the exponents."""
-    n, masses = len(orbit.system.states) // 2, shown_coordinates(orbit)
-    places = [grid[row, 0], grid[row, 1], *([grid[row + 1, 0], grid[row + 1, 1]] if n > 1 else [])]
-    for i, place in zip(masses, places, strict=False):
-        _phase_plane(drawn.add_subplot(place), orbit, i, n + i)
-    if n > 1:
+    masses = shown_displacements(orbit)
+    two = len(masses) > 1
+    places = [grid[row, 0], grid[row, 1], *([grid[row + 1, 0], grid[row + 1, 1]] if two else [])]
+    for shown, place in zip(masses, places, strict=False):
+        _phase_plane(drawn.add_subplot(place), orbit, shown)
+    if two:
         _phase_plane(drawn.add_subplot(places[2]), orbit, *masses)
-    _section(drawn.add_subplot(places[-1]), orbit, _stopped(orbit)[0], n + _stopped(orbit)[0])
-    row += 1 + (n > 1)
+    _section(drawn.add_subplot(places[-1]), orbit)
+    row += 1 + two
     _convergence(drawn.add_subplot(grid[row, :]), orbit)
-    _write_values(drawn.add_subplot(grid[row + 1, :]), orbit, 2)
+    _write_values(drawn.add_subplot(grid[row + 1, :]), orbit, 4 if len(_written(orbit)) > _IN_A_COLUMN else 2)
 
 
-def shown_coordinates(orbit: CellOrbit) -> list[int]:
-    """The two coordinates, or the only one, that a portrait shows: first of all those that the stops concern."""
-    first = _stopped(orbit)
-    return sorted([*first, *(i for i in range(len(orbit.system.states) // 2) if i not in first)][:2])
+class Shown(NamedTuple):
+    """A displacement that a portrait shows, row . x, its velocity row . x', and the stops on it; labels with units."""
+
+    row: NDArray[np.float64]
+    label: str
+    rate: str
+    stops: tuple[float, ...]
+
+    def of(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The displacement (N,) in states (N, 2n)."""
+        return np.asarray(states[:, : self.row.size] @ self.row)
+
+    def rate_of(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The velocity (N,) in states (N, 2n)."""
+        return np.asarray(states[:, self.row.size :] @ self.row)
 
 
-def _stopped(orbit: CellOrbit) -> list[int]:
-    """The coordinates that the gap coordinate consists of."""
-    return [int(i) for i in np.flatnonzero(orbit.system.build(orbit.parameters).gap_row)]
+def shown_displacements(orbit: CellOrbit) -> list[Shown]:
+    """The two displacements, or the only one, that a portrait shows.
+
+    Where the stops are on one coordinate: that and the first other one, in the system's order. Where they are on a
+    combination of several: that, and the first of those.
+    """
+    row = orbit.gap_row
+    n = row.size
+    stopped = [int(i) for i in np.flatnonzero(row)]
+    gap = _shown(orbit, row)
+    if len(stopped) == 1:
+        others = [i for i in range(n) if i not in stopped][:1]
+        found = [(stopped[0], gap), *((i, _shown(orbit, np.eye(n)[i])) for i in others)]
+        return [each for _, each in sorted(found, key=lambda pair: pair[0])]
+    return [gap, _shown(orbit, np.eye(n)[stopped[0]])]
+
+
+def _shown(orbit: CellOrbit, row: NDArray[np.float64]) -> Shown:
+    n = row.size
+    labels = []
+    for names, otherwise in ((orbit.system.states[:n], "y"), (orbit.system.states[n:], r"\dot{y}")):
+        symbols = [machine.symbol_of(orbit.system, name) for name in names]
+        (unit, *others) = {orbit.system.parameter(names[i]).unit for i in np.flatnonzero(row)}
+        known = "" if others else f" [{style.unit_text(unit)}]"
+        labels.append(f"${machine.combination(row.tolist(), symbols, otherwise)}${known}")
+    stops = tuple(stop for stop in orbit.stops if np.isfinite(stop)) if np.array_equal(row, orbit.gap_row) else ()
+    return Shown(row, labels[0], labels[1], stops)
 
 
 def provenance(orbit: CellOrbit) -> style.Provenance:
@@ -111,45 +154,25 @@ def provenance(orbit: CellOrbit) -> style.Provenance:
     )
 
 
-def symbol(orbit: CellOrbit, i: int) -> str:
-    """The symbol of a component of the state; the system knows it as the parameter that sets its initial value."""
-    return orbit.system.parameter(orbit.system.states[i]).symbol.removesuffix("(0)")
-
-
-def _label(orbit: CellOrbit, i: int) -> str:
-    unit = style.unit_text(orbit.system.parameter(orbit.system.states[i]).unit)
-    return f"${symbol(orbit, i)}$ [{unit}]"
-
-
-def _stops_of(orbit: CellOrbit, i: int) -> tuple[float, ...]:
-    """The stops as values of a displacement, where it is the one that they stop."""
-    row = np.array(orbit.system.build(orbit.parameters).gap_row)
-    stops = tuple(stop for stop in orbit.stops if np.isfinite(stop))
-    return stops if row[i] == 1.0 and np.count_nonzero(row) == 1 else ()
-
-
-def _history(ax: Axes, orbit: CellOrbit, i: int) -> None:
-    shown = _window(orbit)
-    times, states = _repeated(orbit, shown)
-    ax.plot(times / orbit.period, states[:, i], color=_LINE, linewidth=0.9)
-    for stop in _stops_of(orbit, i):
+def _history(ax: Axes, orbit: CellOrbit, shown: Shown) -> None:
+    periods = _window(orbit)
+    times, states = _repeated(orbit, periods)
+    values = shown.of(states)
+    ax.plot(times / orbit.period, values, color=_LINE, linewidth=0.9)
+    for stop in shown.stops:
         ax.axhline(stop, color=_STOP, linewidth=0.8, linestyle=(0, (4, 2)))
     for side, ink in ((1.0, _UPPER), (-1.0, _LOWER)):
-        at = _impact_times(orbit, side, shown)
-        ax.plot(
-            at / orbit.period, np.interp(at, times, states[:, i]), "o", color=ink, markersize=2.6, markeredgewidth=0
-        )
-    ax.set_xlim(0.0, shown)
+        at = _impact_times(orbit, side, periods)
+        ax.plot(at / orbit.period, np.interp(at, times, values), "o", color=ink, markersize=2.6, markeredgewidth=0)
+    ax.set_xlim(0.0, periods)
     ax.margins(y=0.12)
-    ax.set_ylabel(_label(orbit, i))
-    if i == shown_coordinates(orbit)[-1]:
-        ax.set_xlabel("time $t/T$ [forcing periods]")
+    ax.set_ylabel(shown.label)
 
 
 def _window(orbit: CellOrbit) -> int:
     """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
     if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
-        return min(_span(orbit), max(_SHOWN, math.ceil(1.5 * modulation(orbit.section))))
+        return min(_span(orbit), max(_SHOWN, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
     return min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
 
 
@@ -172,8 +195,7 @@ def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     side = orbit.impacts[chatter.start, 1]
     room = 0.25 * float(np.ptp(times))
     inside = (orbit.times >= times[0] - 0.3 * room) & (orbit.times <= times[-1] + room)
-    gap = orbit.states[:, : len(orbit.system.states) // 2] @ np.array(orbit.system.build(orbit.parameters).gap_row)
-    away = np.abs(gap - orbit.stops[int(side > 0)])
+    away = np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
     between = (orbit.times >= times[0]) & (orbit.times <= times[-1])
     ax.plot(orbit.times[inside] / orbit.period, away[inside], color=_LINE, linewidth=0.9)
     ax.plot(times / orbit.period, 0.0 * times, "o", color=_UPPER if side > 0 else _LOWER, markersize=2.6, mew=0)
@@ -186,21 +208,23 @@ def _zoom(ax: Axes, orbit: CellOrbit, chatter: slice) -> None:
     ax.set_title("chatter, enlarged", loc="left")
 
 
-def _phase_plane(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
-    states = orbit.states
+def _phase_plane(ax: Axes, orbit: CellOrbit, shown: Shown, other: Shown | None = None) -> None:
+    """A displacement against its velocity, or two displacements against each other."""
+    across, up = shown.of(orbit.states), other.of(orbit.states) if other else shown.rate_of(orbit.states)
     closed = bool(orbit.cell["period"])
-    ax.plot(states[:, i], states[:, k], color=_LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
-    for stop in _stops_of(orbit, i):
+    ax.plot(across, up, color=_LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
+    for stop in shown.stops:
         ax.axvline(stop, color=_STOP, linewidth=0.8, linestyle=(0, (4, 2)))
-    if k < len(orbit.system.states) // 2:
-        for stop in _stops_of(orbit, k):
-            ax.axhline(stop, color=_STOP, linewidth=0.8, linestyle=(0, (4, 2)))
-    ax.set_xlabel(_label(orbit, i))
-    ax.set_ylabel(_label(orbit, k), labelpad=1.0)
+    for stop in other.stops if other else ():
+        ax.axhline(stop, color=_STOP, linewidth=0.8, linestyle=(0, (4, 2)))
+    ax.set_xlabel(shown.label)
+    ax.set_ylabel(other.label if other else shown.rate, labelpad=1.0)
 
 
-def _section(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
-    x, y = orbit.section[:, i], orbit.section[:, k]
+def _section(ax: Axes, orbit: CellOrbit) -> None:
+    """The gap coordinate and its velocity at the section."""
+    gap = _shown(orbit, orbit.gap_row)
+    x, y = gap.of(orbit.section), gap.rate_of(orbit.section)
     # Of thousands of states many may be one point, where a cell was undetermined and closes after all.
     extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
     few = np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64
@@ -208,12 +232,12 @@ def _section(ax: Axes, orbit: CellOrbit, i: int, k: int) -> None:
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
         # One point has no extent of its own: the orbit's gives the picture its scale.
-        for axis, values in ((ax.set_xlim, orbit.states[:, i]), (ax.set_ylim, orbit.states[:, k])):
+        for axis, values in ((ax.set_xlim, gap.of(orbit.states)), (ax.set_ylim, gap.rate_of(orbit.states))):
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
             axis(middle - reach, middle + reach)
-    ax.set_xlabel(f"{_label(orbit, i)} at $t = kT$")
-    ax.set_ylabel(_label(orbit, k), labelpad=1.0)
+    ax.set_xlabel(f"{gap.label} at $t = kT$")
+    ax.set_ylabel(gap.rate, labelpad=1.0)
     ax.ticklabel_format(useOffset=False)
 
 
@@ -251,7 +275,7 @@ def _write_values(ax: Axes, orbit: CellOrbit, columns: int) -> None:
     ax.set_axis_off()
     error = float(orbit.cell["error"])
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED
-    digits = 6 if orbit.exact else 3
+    digits = (4 if len(_written(orbit)) > _IN_A_COLUMN else 6) if orbit.exact else 3
     many = f"averaged over\n{len(orbit.running)} periods:" if columns == 1 else f"averaged over {len(orbit.running)}:"
     lines = [("exact:" if orbit.exact else many if unknown else "averaged:", "black")]
     for i, value in enumerate(_written(orbit)):

@@ -18,9 +18,9 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from atlas.errors import InputError
-from atlas.render import axes, maps, style
+from atlas.render import axes, grazing, machine, maps
 from workers.model.system import System
-from workers.results import LARGEST, NO_REASON, PENDING
+from workers.results import LARGEST, PENDING
 
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is a small one."""
@@ -30,19 +30,6 @@ _CLOUD, _DENSE = 12.0, 0.2
 """Small regions are a cloud, which outlines would turn black, where they are more than this share of the area so many
 points around.
 """
-
-POINTS = 1000
-"""Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
-POINTS_OF_PAIRS = 60
-"""The same where every pair of points has to be computed, at most."""
-
-FINER = 4
-"""Times as many along both axes where the line runs."""
-_REACH = 3.0
-"""Logarithm of the ratio up to which a crest between points may still cross zero."""
-
-AT_ONCE = 4096
-"""So many points whose oscillators are made at a time: together they take some megabytes."""
 
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are drawn solid: dashes side by side look like a bar code."""
@@ -69,81 +56,6 @@ def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> 
     return entries
 
 
-def grazing_ratio(
-    system: System, fixed: dict[str, float], x: tuple[str, NDArray[np.float64]], y: tuple[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """log(|Y| / b) over points of two parameters, (y, x): |Y| the amplitude of the impact-free response, b the
-    narrower gap. Zero on the grazing line; NaN where there is no such response.
-    """
-
-    xs, ys = np.meshgrid(x[1], y[1])
-    points = {x[0]: xs.ravel(), y[0]: ys.ravel()}
-    return _ratios(system, fixed, points).reshape(xs.shape)
-
-
-def _ratios(system: System, fixed: dict[str, float], points: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
-    count = len(next(iter(points.values())))
-    found = np.full(count, np.nan)
-    for low in range(0, count, AT_ONCE):
-        part = slice(low, min(low + AT_ONCE, count))
-        given = {name: np.full(part.stop - low, value) for name, value in fixed.items()}
-        osc, reasons = system.build_many(given | {name: values[part] for name, values in points.items()})
-        gap = np.minimum(osc.b_upper, osc.b_lower)
-        there = (reasons == NO_REASON) & (osc.gap.amplitude > 0.0) & (gap > 0.0)
-        found[part][there] = np.log(osc.gap.amplitude[there] / gap[there])
-    return found
-
-
-def grazing_grid(
-    system: System, fixed: dict[str, float], x: axes.DrawnAxis, y: axes.DrawnAxis, points: int = POINTS
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
-
-    ``points`` along each axis where it takes one axis at a time, else as many and at most POINTS_OF_PAIRS.
-    """
-    xs, ys = _points(system, x, points), _points(system, y, points)
-    few = [values[[0, points // 3, points // 2, -1]] for values in (xs, ys)]
-    probe = grazing_ratio(system, fixed, (x.name, few[0]), (y.name, few[1]))
-    if np.allclose(probe, probe[:1] + probe[:, :1] - probe[0, 0], rtol=0, atol=1e-9):
-        # Mostly one axis is the clearance: then log(|Y| / b) is a sum of a term in x and a term in y.
-        row = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys[:1]))
-        column = grazing_ratio(system, fixed, (x.name, xs[:1]), (y.name, ys))
-        return xs, ys, row + column - row[0, 0]
-    few_points = min(points, POINTS_OF_PAIRS)
-    xs, ys = _points(system, x, few_points), _points(system, y, few_points)
-    coarse = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys))
-    if points < 2 * POINTS_OF_PAIRS:
-        return xs, ys, coarse
-    # A resonance can be narrower than these points are apart: where one may cross zero there are FINER of them.
-    fine_xs, fine_ys = _between(xs), _between(ys)
-    fine = np.stack([np.interp(fine_ys, ys, column) for column in coarse.T], axis=1)
-    fine = np.stack([np.interp(fine_xs, xs, row) for row in fine])
-    rows, columns = np.nonzero(np.repeat(np.repeat(_near_zero(coarse), FINER, 0), FINER, 1))
-    fine[rows, columns] = _ratios(system, fixed, {x.name: fine_xs[columns], y.name: fine_ys[rows]})
-    return fine_xs, fine_ys, fine
-
-
-def _between(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points with FINER - 1 more between any two."""
-    at = np.arange(FINER * (points.size - 1) + 1) / FINER
-    return np.interp(at, np.arange(points.size), points)
-
-
-def _near_zero(ratio: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """The meshes (one less each way) of a grid that the zero crosses, or may cross unseen at a crest or a trough."""
-    crosses = np.zeros(ratio.shape, dtype=bool)
-    for axis in (0, 1):
-        here, after = (np.moveaxis(ratio, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
-        changes = np.moveaxis(crosses, axis, 0)
-        changes[:-1] |= here * after <= 0.0
-        low, middle, high = np.moveaxis(ratio, axis, 0)[:-2], here[1:], after[1:]
-        crest = (middle >= low) & (middle >= high) & (middle < 0.0) & (middle > -_REACH)
-        trough = (middle <= low) & (middle <= high) & (middle > 0.0) & (middle < _REACH)
-        changes[1:-1] |= crest | trough
-    return np.asarray(ndimage.binary_dilation(crosses, np.ones((3, 3)))[:-1, :-1])
-
-
 def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArray[np.int16], bool]:
     """Every cell's regime as boundaries show it on a map of a size (width, height) in points, and whether they leave
     something out: clouds of small regions, which take on the regime that is nearest. Isolated cells stay.
@@ -166,13 +78,15 @@ def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArr
 
 
 def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
-    system = style.system_of(ds)
-    if system is None:
-        raise InputError("overlay 'grazing': the atlas does not name a system that is known here")
-    fixed = {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
-    xs, ys, ratio = grazing_grid(system, fixed, plane.x, plane.y)
+    system = machine.known_system(ds, "overlay 'grazing'")
+    same = machine.fixed(ds, system)
+    across, up = np.meshgrid(plane.x.values[[0, -1]], plane.y.values[[0, -1]])
+    corners = {plane.x.name: across.ravel(), plane.y.name: up.ravel()}
+    _refuse_drift(system, same, corners)
+    xs, ys, ratio = grazing.grazing_grid(system, same, plane.x, plane.y)
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
-    label = r"grazing, $|Y| = b$"
+    symmetric = bool(np.all(machine.has_twins(system, same, corners)))
+    label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
     if np.any(ratio < 0.0) and np.any(ratio > 0.0):
         contours = ax.contour(xs, ys, ratio, levels=[0.0], linewidths=0.0)
         pieces = [piece for path in contours.get_paths() for piece in _pieces(path)]
@@ -188,6 +102,15 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options)
     else:
         label += ": not in this window"
     return [Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, path_effects=halo, label=label)]
+
+
+def _refuse_drift(system: System, same: dict[str, float], corners: dict[str, NDArray[np.float64]]) -> None:
+    """InputError where a mode has no stiffness in any corner of a map."""
+    if all(np.all(grazing.drifts(osc) | ~there) for _, osc, there in machine.oscillators(system, same, corners)):
+        raise InputError(
+            f"overlay 'grazing': there is no such line, since a mode of {system.name} has no stiffness and its "
+            "impact-free motion may drift anywhere"
+        )
 
 
 def _pieces(path: Path) -> list[NDArray[np.float64]]:
@@ -307,11 +230,3 @@ def _smooth(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
     weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), width, mode="nearest")
     return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
-
-
-def _points(system: System, axis: axes.DrawnAxis, count: int) -> NDArray[np.float64]:
-    # From edge to edge, or from the outermost cell's centre where its edge lies outside the parameter's range.
-    admits = system.parameter(axis.name).admits
-    first, last = axis.edges[0], axis.edges[-1]
-    first, last = first if admits(first) else axis.values[0], last if admits(last) else axis.values[-1]
-    return np.asarray((np.geomspace if axis.log else np.linspace)(first, last, count))

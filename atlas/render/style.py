@@ -110,12 +110,6 @@ def system_of(ds: xr.Dataset) -> System | None:
     return stored_system(ds.attrs)
 
 
-def first_state(ds: xr.Dataset) -> str:
-    """The name of the first component of the state."""
-    system = system_of(ds)
-    return system.states[0] if system else "first state"
-
-
 def symbol(ds: xr.Dataset, name: str) -> str:
     """A parameter's symbol as mathtext, without the dollars; its name upright where nobody knows one."""
     parameter = parameter_of(ds, name)

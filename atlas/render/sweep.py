@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.render import axes, style
+from atlas.render import axes, machine, style
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 from workers.results import ERROR, LARGEST, PENDING, REGIME, REGIMES, SECTION
@@ -71,15 +71,14 @@ def stack(
 
 
 def draw_section(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
-    """The bifurcation diagram: section values of the first state in the colours of their regimes."""
+    """The bifurcation diagram: section values of the gap coordinate in the colours of their regimes."""
     regime = ds[REGIME.name].values
-    # The dimensions are cell, sample, component; only the first component is read.
-    section = ds[SECTION.name][..., 0].values
+    section = machine.gap_values(ds, x.name, ds[SECTION.name])
     at = np.broadcast_to(x.values[:, None], section.shape)
     for code in np.unique(regime[regime != PENDING]):
         shown = np.isfinite(section) & (regime == code)[:, None]
         _points(ax, at[shown], section[shown], int(code), point_size(x, 1.1, page))
-    ax.set_ylabel(state_label(ds))
+    ax.set_ylabel(machine.gap_label(ds))
 
 
 def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> None:
@@ -112,13 +111,3 @@ def regime_legend(regime: NDArray[np.int8]) -> list[Artist]:
         Line2D([], [], linestyle="", marker="o", markersize=4, color=style.INK[code], label=style.name_of(code))
         for code in codes
     ]
-
-
-def state_label(ds: xr.Dataset) -> str:
-    """The first state's label; the system knows a state as the parameter that sets its initial value."""
-    name = style.first_state(ds)
-    initial = style.parameter_of(ds, name)
-    if initial is None:
-        return f"{name} at $t = kT$"
-    meaning = initial.meaning.removeprefix("initial ")
-    return f"{meaning}\n${initial.symbol.removesuffix('(0)')}$ at $t = kT$ [{style.unit_text(initial.unit)}]"

@@ -1,0 +1,154 @@
+"""Where the impact-free motion would graze: its extremes over a period against the distances to the stops."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from atlas.render import axes, machine
+from workers.model.oscillator import Oscillator, Signal
+from workers.model.system import System
+
+Array = NDArray[np.float64]
+
+POINTS = 1000
+"""Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
+POINTS_OF_PAIRS = 60
+"""The same where every pair of points has to be computed, at most."""
+
+FINER = 4
+"""Times as many along both axes where the line runs."""
+_REACH = 3.0
+"""Logarithm of the ratio up to which a crest between points may still cross zero."""
+_NEGLIGIBLE = 1e-15
+"""Share of all harmonics below which one moves no extreme."""
+
+
+def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array], y: tuple[str, Array]) -> Array:
+    """log of the larger of max Y / b_upper and max -Y / b_lower over points of two parameters, (y, x).
+
+    Y is the impact-free motion about its rest position, b the distances from there to the stops. Zero on the grazing
+    line; infinite where the rest position lies beyond a stop; NaN where there is no such motion, or where it may drift,
+    since a mode has no stiffness.
+    """
+    xs, ys = np.meshgrid(x[1], y[1])
+    points = {x[0]: xs.ravel(), y[0]: ys.ravel()}
+    return _ratios(system, fixed, points).reshape(xs.shape)
+
+
+def _ratios(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
+    """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
+    found = np.full(len(next(iter(points.values()))), np.nan)
+    for part, osc, there in machine.oscillators(system, fixed, points):
+        highest, lowest = extremes(osc.gap)
+        there = there & (osc.gap.amplitude > 0.0) & ~drifts(osc)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.maximum(highest / osc.b_upper, -lowest / osc.b_lower)
+            found[part] = np.where(there, np.log(ratio), np.nan)
+        found[part][there & (np.minimum(osc.b_upper, osc.b_lower) <= 0.0)] = np.inf
+    return found
+
+
+def drifts(osc: Oscillator) -> NDArray[np.bool_]:
+    """Which of many oscillators have a mode without stiffness."""
+    return np.asarray(np.any(osc.gap.lam == 0.0, axis=1))
+
+
+def extremes(signal: Signal) -> tuple[Array, Array]:
+    """The largest and the smallest value over a period of the forced part of many signals.
+
+    With z = exp(i phi) the derivative of sum_k s_k sin(k phi) + c_k cos(k phi) is that of half of
+    sum_k k ((s_k + i c_k) z^k + (s_k - i c_k) z^-k): both extremes lie at the angles of roots of a polynomial of degree
+    2 H. What lies at the angles of the others is between them.
+    """
+    s, c = np.nan_to_num(signal.sin_part), np.nan_to_num(signal.cos_part)
+    sizes = np.hypot(s, c)
+    counts = sizes > _NEGLIGIBLE * np.sum(sizes, axis=1, keepdims=True)
+    order = np.max(np.where(counts, np.arange(1, s.shape[1] + 1), 0), axis=1)
+    highest, lowest = np.sum(sizes, axis=1), -np.sum(sizes, axis=1)  # those of a single harmonic
+    for H in range(1, s.shape[1] + 1):
+        mixed = np.flatnonzero((order == H) & (np.sum(counts, axis=1) > 1))
+        if mixed.size:
+            k = np.arange(1, H + 1)
+            up = k * (s[mixed, :H] + 1j * c[mixed, :H])
+            ascending = np.concatenate([up[:, ::-1].conj(), np.zeros((mixed.size, 1)), up], axis=1)
+            phi = np.angle(_roots(ascending))[..., None]
+            values = np.sum(s[mixed, None, :H] * np.sin(k * phi) + c[mixed, None, :H] * np.cos(k * phi), axis=-1)
+            highest[mixed], lowest[mixed] = values.max(axis=1), values.min(axis=1)
+    return highest, lowest
+
+
+def _roots(ascending: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """The roots (N, m) of polynomials with these coefficients (N, m + 1), the constant first: eigenvalues of companion
+    matrices, as numpy.roots takes them of one.
+    """
+    N, m = ascending.shape[0], ascending.shape[1] - 1
+    companion = np.zeros((N, m, m), dtype=np.complex128)
+    companion[:, np.arange(1, m), np.arange(m - 1)] = 1.0
+    companion[:, :, -1] = -ascending[:, :-1] / ascending[:, -1:]
+    return np.asarray(np.linalg.eigvals(companion))
+
+
+def grazing_grid(
+    system: System, fixed: dict[str, float], x: axes.DrawnAxis, y: axes.DrawnAxis, points: int = POINTS
+) -> tuple[Array, Array, Array]:
+    """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
+
+    ``points`` along each axis where it takes one axis at a time, else as many and at most POINTS_OF_PAIRS.
+    """
+    xs, ys = _points(system, x, points), _points(system, y, points)
+    few = [values[[0, points // 3, points // 2, -1]] for values in (xs, ys)]
+    probe = grazing_ratio(system, fixed, (x.name, few[0]), (y.name, few[1]))
+    separable = np.isfinite(probe).all() and np.allclose(
+        probe, probe[:1] + probe[:, :1] - probe[0, 0], rtol=0, atol=1e-9
+    )
+    if separable:
+        # Mostly one axis is the clearance: then the logarithm is a sum of a term in x and a term in y.
+        row = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys[:1]))
+        column = grazing_ratio(system, fixed, (x.name, xs[:1]), (y.name, ys))
+        return xs, ys, row + column - row[0, 0]
+    few_points = min(points, POINTS_OF_PAIRS)
+    xs, ys = _points(system, x, few_points), _points(system, y, few_points)
+    coarse = _bounded(grazing_ratio(system, fixed, (x.name, xs), (y.name, ys)))
+    if points < 2 * POINTS_OF_PAIRS:
+        return xs, ys, coarse
+    # A resonance can be narrower than these points are apart: where one may cross zero there are FINER of them.
+    fine_xs, fine_ys = _between(xs), _between(ys)
+    fine = np.stack([np.interp(fine_ys, ys, column) for column in coarse.T], axis=1)
+    fine = np.stack([np.interp(fine_xs, xs, row) for row in fine])
+    rows, columns = np.nonzero(np.repeat(np.repeat(_near_zero(coarse), FINER, 0), FINER, 1))
+    if rows.size:
+        fine[rows, columns] = _bounded(_ratios(system, fixed, {x.name: fine_xs[columns], y.name: fine_ys[rows]}))
+    return fine_xs, fine_ys, fine
+
+
+def _bounded(ratio: Array) -> Array:
+    """The ratio with a number, beyond which no line comes near, in place of infinity."""
+    return np.where(np.isposinf(ratio), _REACH, ratio)
+
+
+def _between(points: Array) -> Array:
+    """The points with FINER - 1 more between any two."""
+    at = np.arange(FINER * (points.size - 1) + 1) / FINER
+    return np.interp(at, np.arange(points.size), points)
+
+
+def _near_zero(ratio: Array) -> NDArray[np.bool_]:
+    """The meshes (one less each way) of a grid that the zero crosses, or may cross unseen at a crest or a trough."""
+    crosses = np.zeros(ratio.shape, dtype=bool)
+    for axis in (0, 1):
+        here, after = (np.moveaxis(ratio, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
+        changes = np.moveaxis(crosses, axis, 0)
+        changes[:-1] |= here * after <= 0.0
+        low, middle, high = np.moveaxis(ratio, axis, 0)[:-2], here[1:], after[1:]
+        crest = (middle >= low) & (middle >= high) & (middle < 0.0) & (middle > -_REACH)
+        trough = (middle <= low) & (middle <= high) & (middle > 0.0) & (middle < _REACH)
+        changes[1:-1] |= crest | trough
+    return np.asarray(ndimage.binary_dilation(crosses, np.ones((3, 3)))[:-1, :-1])
+
+
+def _points(system: System, axis: axes.DrawnAxis, count: int) -> Array:
+    # From edge to edge, or from the outermost cell's centre where its edge lies outside the parameter's range.
+    admits = system.parameter(axis.name).admits
+    first, last = axis.edges[0], axis.edges[-1]
+    first, last = first if admits(first) else axis.values[0], last if admits(last) else axis.values[-1]
+    return np.asarray((np.geomspace if axis.log else np.linspace)(first, last, count))
