@@ -80,6 +80,7 @@ class Findings:
     kinds: Counter[str] = field(default_factory=Counter)
     regimes: Counter[str] = field(default_factory=Counter)
     invalid: Counter[str] = field(default_factory=Counter)
+    uncertain: Counter[str] = field(default_factory=Counter)
     stopped: Counter[str] = field(default_factory=Counter)
     listed: dict[str, list[tuple[str, Drawn]]] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
@@ -107,7 +108,7 @@ class Findings:
         """Take in the findings over other cells."""
         for name in ("cells", "impacting", "sticking", "outside", "seconds"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        for name in ("kinds", "regimes", "invalid", "stopped", "counts", "checked"):
+        for name in ("kinds", "regimes", "invalid", "uncertain", "stopped", "counts", "checked"):
             getattr(self, name).update(getattr(other, name))
         for kind, cells in other.listed.items():
             self.listed[kind] = sorted(self.listed.get(kind, []) + cells, key=lambda one: one[1].order)[:LISTED]

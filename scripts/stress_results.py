@@ -73,6 +73,8 @@ def _count(found: Findings, cell: Drawn, result: Result, reason: str, seconds: f
     elif regime == "failed":
         found.stopped[reason] += 1
         found.note("failed", reason, cell)
+    elif regime == "chaotic" and reason:
+        found.uncertain[reason] += 1
     elif reason:
         found.note("given up, said to be undetermined", reason, cell)
     away = cell.beyond(cell.position(cell.start))
