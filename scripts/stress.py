@@ -64,7 +64,8 @@ def perform(task: Task) -> Findings:
 
 def tasks(seed: int, cells: int, share: float, rechecked: int, max_periods: int) -> list[Task]:
     """All tasks, the slow ones first; the share of the systems holds for cells solved and re-evaluated."""
-    slow, quick = [], []
+    slow: list[Task] = []
+    quick: list[Task] = []
     for of_systems, part in ((True, share), (False, 1.0 - share)):
         count, checked = round(cells * part), round(rechecked * part)
         # Re-evaluated cells are spread over all, so that they are of many systems.

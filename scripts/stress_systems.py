@@ -31,7 +31,7 @@ def system(seed: int, index: int) -> tuple[dict[str, Any], Machine]:
     drawn = random_machine(rng, int(rng.choice(SIZES)))
     machine = _in_units(drawn, *(2.0**k for k in _exponents(rng)))
     n = len(machine.gap_row)
-    table = {
+    table: dict[str, Any] = {
         "name": f"random-{index}",
         "coordinates": [f"x{i + 1}" for i in range(n)],
         "mass": _rows(machine.mass),
