@@ -7,9 +7,10 @@ import numpy as np
 from mpmath import mp
 from numpy.typing import NDArray
 
-from scripts.stress_cells import POSITION, Findings, Params, draw, frequencies
+from scripts.stress_findings import Drawn, Findings
+from scripts.stress_results import POSITION
 from tests.oracle import dense_violation, simulate
-from tests.oracle.model import model
+from tests.oracle.model import machine_of, model
 from tests.oracle.simulate import first_hit
 from workers.kernel.motion import BEYOND, LOWER, RECORDED, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from, propagate
@@ -25,7 +26,7 @@ FLIGHTS = 12
 FAST_CYCLES = 30.0
 """Cycles of the fastest time scale for which one flight is sampled; a longer one is followed so far."""
 ORBIT_COST = 800.0
-"""Periods of an orbit in multiprecision are limited to this many radians of the fastest time scale."""
+"""Periods of an orbit in multiprecision are limited to this many radians of the fastest time scale, with two masses."""
 ORBIT_IMPACTS = 300
 """... and to about this many impacts."""
 ORBIT_PERIODS = 20
@@ -45,49 +46,65 @@ class _Flight:
     side: int
 
 
-def recheck(seed: int, number: int, orbit: bool) -> Findings:
+def recheck(cell: Drawn, orbit: bool) -> Findings:
     """Densely sample the first flights of one cell, compare positions at its impacts, and its orbit if asked."""
     found = Findings()
-    params = draw(seed, number)
-    osc, start = _build(params)
+    osc, start = _build(cell)
     if osc is None or motion_from(osc, start).contact[0] == BEYOND:
         return found
-    found.checked["cells re-evaluated"] += 1
-    _recheck_flights(found, number, params, osc, start)
+    found.checked[f"cells re-evaluated, {cell.kind}"] += 1
+    _recheck_flights(found, cell, osc, start)
     if orbit:
-        _recheck_orbit(found, number, params, osc, start)
+        _recheck_orbit(found, cell, osc, start)
     return found
 
 
-def _build(params: Params) -> tuple[Oscillator | None, Array]:
-    system = find_system("two-mass")
-    start = np.array([params[name] for name in system.states])
+def _build(cell: Drawn) -> tuple[Oscillator | None, Array]:
+    system = find_system(cell.system)
+    values = {p.name: p.default for p in system.parameters} | cell.params
     try:
-        return system.build(params), start
+        return system.build(values), np.array(cell.start)
     except ValueError:
-        return None, start
+        return None, np.array(cell.start)
 
 
 def _scale(osc: Oscillator, h: Array) -> float:
     """Size of the terms that add up to the gap coordinate."""
-    return float(np.sum(np.abs(np.array(osc.gap.row) * h))) + osc.gap.amplitude + osc.b_upper
+    gaps = [abs(b) for b in (osc.b_upper, osc.b_lower) if math.isfinite(b)]
+    return float(np.sum(np.abs(np.array(osc.gap.row) * h))) + osc.gap.amplitude + max(gaps, default=0.0)
+
+
+def _waves(osc: Oscillator, t: float) -> Array:
+    """(sin k phi, cos k phi) (H, 2) at a time since the section."""
+    phase = osc.tau + osc.gap.omega * t
+    orders = np.arange(1, len(osc.gap.sin_part) + 1)
+    return np.stack([np.sin(orders * phase), np.cos(orders * phase)], axis=-1)
 
 
 def _gap(osc: Oscillator, h: Array, t: float) -> float:
-    """The gap coordinate, nothing taken off."""
-    phase = osc.tau + osc.gap.omega * t
-    forced = float(osc.gap.sin_part[0]) * math.sin(phase) + float(osc.gap.cos_part[0]) * math.cos(phase)
-    return float(np.sum(np.array(osc.gap.row) * h)) + forced
+    """The gap coordinate from its rest position, nothing taken off."""
+    parts = np.stack([osc.gap.sin_part, osc.gap.cos_part], axis=-1)
+    return float(np.sum(np.array(osc.gap.row) * h)) + float(np.sum(parts * _waves(osc, t)))
 
 
 def _physical(osc: Oscillator, h: Array, t: float) -> Array:
-    """Physical state (4,) of block coordinates at a time since the section."""
-    phase = osc.tau + osc.gap.omega * t
-    full = h + np.array(osc.forced)[:, :, 0] @ [math.sin(phase), math.cos(phase)]
+    """Physical state (2n,) of block coordinates at a time since the section."""
+    full = h + np.sum(np.array(osc.forced) * _waves(osc, t), axis=(2, 3)) + osc.rest
     return np.asarray(np.array(osc.to_physical) @ full.ravel())
 
 
-def _flights(found: Findings, number: int, params: Params, osc: Oscillator, start: Array) -> list[_Flight]:
+def _rebound(cell: Drawn, osc: Oscillator, state: Array, side: int, speed: float) -> Array:
+    """A state at an impact: on the stop, with the velocity after it; the rest of the velocity is what it was before."""
+    g, n = np.array(cell.gap), len(cell.gap)
+    mass = np.array([[float(entry) for entry in row] for row in machine_of(cell.machine).mass])
+    kick = np.linalg.solve(mass, g)
+    x, v = state[:n].copy(), state[n:].copy()
+    x += g / (g @ g) * ((cell.upper if side > 0 else cell.lower) - g @ x)
+    v += kick / (g @ kick) * (-osc.R * side * speed - g @ v)
+    return np.concatenate([x, v])
+
+
+def _flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> list[_Flight]:
     """The free flights of the first periods; positions at their ends are checked on the way."""
     flights: list[_Flight] = []
     section = motion_from(osc, start)
@@ -102,21 +119,21 @@ def _flights(found: Findings, number: int, params: Params, osc: Oscillator, star
         for time, side, speed in rows:
             there = motion_at(section.h, int(section.contact[0]))
             propagate(osc, there, float(time))
-            beyond = side * _gap(osc, there.h, float(time)) - osc.b_upper
+            beyond = side * _gap(osc, there.h, float(time)) - (osc.b_upper if side > 0 else osc.b_lower)
             found.checked["impact positions"] += 1
             rounding = 2e-15 * _scale(osc, there.h)
-            found.record("impact position beyond the stop / rounding of its terms", beyond / rounding, number, params)
-            if beyond > POSITION * osc.b_upper + rounding:
-                found.note("position beyond a stop", f"impact at t = {time!r}: {beyond:.2e}", number, params)
+            found.record(
+                f"impact position beyond the stop / rounding of its terms, {cell.kind}", beyond / rounding, cell
+            )
+            if beyond > POSITION * cell.clearance + rounding:
+                found.note("position beyond a stop", f"impact at t = {time!r}: {beyond:.2e}", cell)
             # A rest between two impacts hides its release: flights that began with it are not rebuilt here.
             rested = there.tally[STUCK] > _stuck_until(osc, section, t)
             if not held and not rested:
                 flights.append(_Flight(state, t, float(time) - t, int(side)))
             held = False
             t = float(time)
-            state = _physical(osc, there.h, t)
-            state[0] = side * osc.b_upper
-            state[2] = -osc.R * side * float(speed)
+            state = _rebound(cell, osc, _physical(osc, there.h, t), int(side), float(speed))
         if not rows.size and not held and motion.tally[STUCK] == 0.0:
             flights.append(_Flight(state, t, osc.period - t, 0))
         if len(flights) >= FLIGHTS:
@@ -133,31 +150,34 @@ def _stuck_until(osc: Oscillator, section: Motion, t: float) -> float:
     return float(there.tally[STUCK])
 
 
-def _recheck_flights(found: Findings, number: int, params: Params, osc: Oscillator, start: Array) -> None:
-    rate = float(model(params).free.rate)
-    for flight in _flights(found, number, params, osc, start):
+def _recheck_flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> None:
+    rate = float(model(cell.machine).free.rate)
+    g, n = np.array(cell.gap), len(cell.gap)
+    for flight in _flights(found, cell, osc, start):
         reach = min(flight.duration, FAST_CYCLES * 2.0 * math.pi / rate)
-        found.checked["flights sampled densely"] += 1
+        found.checked[f"flights sampled densely, {cell.kind}"] += 1
         found.checked["flights sampled to their end"] += reach == flight.duration
-        excess = float(dense_violation(params, [flight.state], [flight.start], [reach])[0])
-        size = abs(flight.state[0]) + osc.gap.amplitude + (abs(flight.state[2]) + abs(flight.state[3])) / rate
-        if excess <= POSITION * osc.b_upper + 1e-14 * (1.0 + rate * reach) * (size + abs(flight.state[1])):
+        excess = float(dense_violation(cell.machine, [flight.state], [flight.start], [reach])[0])
+        size = osc.gap.amplitude + float(np.abs(g) @ (np.abs(flight.state[:n]) + np.abs(flight.state[n:]) / rate))
+        spread = float(np.linalg.norm(g)) * float(np.linalg.norm(flight.state[:n]))
+        spread += float(np.linalg.norm(g)) * float(np.linalg.norm(flight.state[n:])) / rate
+        if excess <= POSITION * cell.clearance + 1e-14 * (1.0 + rate * reach) * (size + spread):
             continue
         # What rounding may have made of a crossing is for multiprecision to say.
-        hit = first_hit(params, flight.state.tolist(), flight.start, reach * (1.0 - 1e-9))
+        hit = first_hit(cell.machine, flight.state.tolist(), flight.start, reach * (1.0 - 1e-9))
         if hit is not None and float(hit.t) < reach * (1.0 - 1e-6):
             found.note(
-                "crossing missed", f"at {float(hit.t)!r} of a flight of {reach!r}, speed {float(hit.speed):.2e}",
-                number, params,
-            )  # fmt: skip
+                "crossing missed", f"at {float(hit.t)!r} of a flight of {reach!r}, speed {float(hit.speed):.2e}", cell
+            )
 
 
-def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator, start: Array) -> None:
+def _recheck_orbit(found: Findings, cell: Drawn, osc: Oscillator, start: Array) -> None:
     """Compare section states; deviations in units of eps, state size and the largest norm of a partial Jacobian."""
-    rate = max(float(model(params).free.rate), float(frequencies(params)[1]))
-    periods = min(ORBIT_PERIODS, int(ORBIT_COST / (rate * osc.period)))
+    rate = max(float(model(cell.machine).free.rate), float(np.sqrt(np.max(osc.gap.lam))))
+    affordable = ORBIT_COST * min(1.0, (2.0 / len(cell.gap)) ** 2)
+    periods = min(ORBIT_PERIODS, int(affordable / (rate * osc.period)))
     weights = np.column_stack([np.sqrt(osc.gap.metric), np.ones(len(osc.gap.metric))])
-    forced = float(np.linalg.norm(np.array(osc.swing) * weights))
+    forced = float(np.linalg.norm((np.array(osc.swing) + np.abs(osc.rest)) * weights))
     motion = motion_from(osc, start)
     states, norms, scales = [], [], []
     partial: list[Array] = []
@@ -181,13 +201,13 @@ def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator
         found.checked["orbits too costly in multiprecision, or not comparable"] += 1
         return
     try:
-        true = simulate(params, len(states), digits=30)
+        true = simulate(cell.machine, len(states), digits=30)
     except ArithmeticError:
         found.checked["orbits too costly in multiprecision, or not comparable"] += 1
         return
-    kind = "sticking" if true.stuck else "free"
+    kind = f"{'sticking' if true.stuck else 'free'}, {cell.kind}"
     found.checked[f"orbits compared, {kind}"] += 1
-    found.sample("periods compared", float(len(states)))
+    found.sample(f"periods compared, {cell.kind}", float(len(states)))
     to_blocks = np.array(osc.to_blocks)
     worst = 0.0
     for k, state in enumerate(states):
@@ -197,6 +217,6 @@ def _recheck_orbit(found: Findings, number: int, params: Params, osc: Oscillator
         worst = max(worst, size / (EPS * max(scales[: k + 1]) * norms[k]))
     found.sample(f"deviation, {kind}", worst)
     found.sample(f"deviation per radian, {kind}", worst / (1.0 + rate * osc.period))
-    found.record(f"deviation, {kind}", worst, number, params)
+    found.record(f"deviation, {kind}", worst, cell)
     if worst > DIFFERS * (1.0 + rate * osc.period):
-        found.note(f"orbit differs, {kind}", f"{worst:.2e} eps |J|, |J| = {norms[-1]:.1e}", number, params)
+        found.note(f"orbit differs, {kind}", f"{worst:.2e} eps |J|, |J| = {norms[-1]:.1e}", cell)

@@ -7,9 +7,11 @@ import pytest
 from scipy.linalg import eigvals
 
 from tests import naive
+from workers import Settings, solve_tile
 from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
 from workers.kernel.motion import WORK, WORK_OF_A_TRIAL
 from workers.kernel.stroboscopic import motion_from, reset_frame
+from workers.results import CHAOTIC
 from workers.stretch import run_periods
 
 
@@ -51,3 +53,16 @@ def test_exponents_without_impact_are_the_real_parts_of_the_eigenvalues(zeta: fl
     assert free_exponents(osc) == pytest.approx(exact, rel=1e-9, abs=3e-7)
     assert np.all(np.diff(free_exponents(osc)) <= 0)
     assert free_exponents(osc).sum() == pytest.approx(sum_of_exponents(osc, 0.0), rel=1e-12, abs=1e-15)
+
+
+def test_the_sum_law_holds_for_averages_of_a_free_mass_between_stops() -> None:
+    """A rigid mode's flight is a shear: it spreads the tangent vectors too, which must not drown in one another."""
+    pair = {
+        "name": "pair", "coordinates": ["x"], "mass": [[1.0]], "force": [1.0], "gap": [1.0], "upper": 1.0,
+        "lower": -1.0, "restitution": 0.7,
+    }  # fmt: skip
+    settings = Settings(exponents="spectrum", max_periods=400, survival=0, tolerance=0.05)
+    found = solve_tile(pair, {"omega": np.linspace(0.3, 3.0, 100), "v": 0.3}, settings)
+    chaotic = found["regime"] == CHAOTIC
+    assert np.sum(chaotic) > 10
+    assert np.nanmax(np.abs(found["sum_law_defect"][chaotic])) < 1e-13

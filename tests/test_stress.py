@@ -2,13 +2,21 @@
 
 import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from scripts import compare_sticking, stress
-from scripts.stress_cells import Findings, draw, misplaced, solve
+from scripts.stress_findings import Drawn, Findings
+from scripts.stress_report import NEVER, report
+from scripts.stress_results import cells_of, contradictions, misplaced, solve
+from scripts.stress_systems import SIZES, system
+from tests.oracle.model import machine_of
 from workers import Settings
+from workers.model.system import find_system
 from workers.results import PERIODIC
 from workers.tile import solve_cells
 
@@ -18,30 +26,43 @@ pytestmark = pytest.mark.slow
 def test_the_light_mode_finds_nothing_that_must_not_happen(capsys: pytest.CaptureFixture[str]) -> None:
     code = stress.main(["--light", "--json"])
     facts = json.loads(capsys.readouterr().out)
-    assert facts["cells"] == sum(facts["regimes"].values()) == 200
-    assert facts["never"] == dict.fromkeys(stress.NEVER, 0)
+    assert facts["cells"] == sum(facts["regimes"].values()) == 240
+    assert facts["kinds"] == {"systems": 80, "two-mass": 160}
+    assert facts["never"] == dict.fromkeys(NEVER, 0)
     assert facts["sum_law_broken"] == 0
     assert facts["failed"] == {}
     assert code == 0
     assert facts["with_impacts"] > 50
     assert facts["sticking"] > 20
-    assert facts["checked"]["flights sampled densely"] > 10
+    assert facts["checked"]["flights sampled densely, two-mass"] > 10
+    assert facts["checked"]["flights sampled densely, systems"] > 10
 
 
 def test_the_report_says_what_was_counted() -> None:
-    facts = stress.run(cells=30, seed=3, rechecked=0, max_periods=100, workers=0)
-    text = stress.report(facts)
+    facts = stress.run(cells=30, seed=3, rechecked=0, max_periods=100, workers=0, systems=0.0)
+    text = report(facts)
     assert "Stress report: 30 random cells, seed 3" in text
-    for kind in stress.NEVER:
+    for kind in NEVER:
         assert f"0  {kind}" in text
 
 
-def test_a_cell_is_drawn_from_its_seed_and_number_alone() -> None:
-    assert draw(5, 17) == draw(5, 17) != draw(5, 18)
+def two_mass(seed: int, number: int) -> Drawn:
+    return cells_of(seed, False, [number])[0]
+
+
+def of_system(seed: int, number: int) -> Drawn:
+    return cells_of(seed, True, [number])[0]
+
+
+@pytest.mark.parametrize("draw", [two_mass, of_system])
+def test_a_cell_is_drawn_from_its_seed_and_number_alone(draw: Callable[[int, int], Drawn]) -> None:
+    once, again, another = draw(5, 17), draw(5, 17), draw(5, 18)
+    assert once.facts() == again.facts()
+    assert once.params != another.params
 
 
 def test_the_draw_covers_the_whole_space() -> None:
-    cells = [draw(2, k) for k in range(2000)]
+    cells = [cell.params for cell in cells_of(2, False, range(2000))]
     omega = np.array([p["omega"] for p in cells])
     assert omega.min() < 2e-3
     assert omega.max() > 5e2
@@ -53,24 +74,65 @@ def test_the_draw_covers_the_whole_space() -> None:
     assert sum(abs(p["x1"]) > p["b"] for p in cells) > 20
 
 
+def test_the_drawn_systems_are_of_every_kind() -> None:
+    tables = [system(2, k)[0] for k in range(120)]
+    assert {len(table["mass"]) for table in tables} == set(SIZES)
+    assert {len(table["harmonics"]) for table in tables} == {1, 2, 3, 4}
+    undamped = [not np.any(table["damping"]) for table in tables]
+    rigid = [np.linalg.svd(table["stiffness"])[1][-1] < 1e-9 * np.max(np.abs(table["mass"])) for table in tables]
+    one_sided = [("upper" in table) != ("lower" in table) for table in tables]
+    loaded = [np.any(table["load"]) for table in tables]
+    for kind in (undamped, rigid, one_sided, loaded, np.logical_and(rigid, loaded)):
+        assert 3 < np.sum(kind) < 110
+
+
+def test_a_cell_of_a_drawn_system_is_the_machine_that_the_oracle_flies() -> None:
+    for cell in cells_of(2, True, range(0, 600, 13)):
+        oscillator = find_system(cell.system).build(cell.params)
+        machine = machine_of(cell.machine)
+        given = [float(value) for value in (machine.omega, machine.tau, machine.upper, machine.lower, machine.R)]
+        assert given == [cell.params["omega"], cell.params["tau"], cell.upper, cell.lower, cell.params["R"]]
+        assert oscillator.trace == pytest.approx(cell.trace, rel=1e-9, abs=1e-12 * cell.params["omega"])
+        assert (oscillator.upper, oscillator.lower, oscillator.R) == (cell.upper, cell.lower, cell.params["R"])
+
+
 def test_tasks_do_not_change_what_is_found() -> None:
     settings = Settings(exponents="spectrum", max_periods=60, section_samples=4)
-    whole = solve(4, 0, 20, settings)
-    parts = Findings()
-    for first in (10, 0):
-        parts.add(solve(4, first, 10, settings))
-    assert (parts.regimes, parts.checked, parts.counts) == (whole.regimes, whole.checked, whole.counts)
-    assert parts.worst["periods"][0] == whole.worst["periods"][0]
+    for of_systems in (False, True):
+        whole = solve(cells_of(4, of_systems, range(20)), settings)
+        parts = Findings()
+        for first in (10, 0):
+            parts.add(solve(cells_of(4, of_systems, range(first, first + 10)), settings))
+        assert (parts.regimes, parts.checked, parts.counts) == (whole.regimes, whole.checked, whole.counts)
+        assert parts.worst["periods"][0] == whole.worst["periods"][0]
+
+
+@pytest.fixture(scope="module")
+def periodic() -> tuple[Drawn, dict[str, Any]]:
+    """A periodic cell with impacts, and its results."""
+    params = {"omega": 4.0, "b": 0.1, "R": 0.8, "zeta": 0.05, "mu_m": 2.0, "mu_k": 5.0, "f2": 0.0}
+    settings = Settings(exponents="spectrum", section_samples=4)
+    result = {key: array[()] for key, array in solve_cells("two-mass", params, settings).arrays.items()}
+    return replace(two_mass(1, 0), params=params, upper=0.1, lower=-0.1, trace=0.4), result
 
 
 @pytest.mark.parametrize(("name", "value"), [("largest", math.nan), ("error", math.inf), ("sum_law_defect", math.nan)])
-def test_a_number_that_is_missing_from_a_periodic_cell_is_noticed(name: str, value: float) -> None:
-    settings = Settings(exponents="spectrum", section_samples=4)
-    params = {"omega": 4.0, "b": 0.1, "R": 0.8, "zeta": 0.05, "mu_m": 2.0, "mu_k": 5.0, "f2": 0.0}
-    result = {key: array[()] for key, array in solve_cells("two-mass", params, settings).arrays.items()}
+def test_a_number_that_is_missing_from_a_periodic_cell_is_noticed(
+    periodic: tuple[Drawn, dict[str, Any]], name: str, value: float
+) -> None:
+    cell, result = periodic
     assert result["regime"] == PERIODIC
-    assert misplaced(params, result) == []
-    assert name in misplaced(params, {**result, name: value})
+    assert misplaced(cell, result) == []
+    assert name in misplaced(cell, {**result, name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("largest", 0.1), ("period", 0), ("impacts_per_period", 0.7)])
+def test_results_of_a_periodic_cell_that_contradict_each_other_are_noticed(
+    periodic: tuple[Drawn, dict[str, Any]], name: str, value: float
+) -> None:
+    cell, result = periodic
+    assert contradictions(cell, result) == []
+    assert contradictions(cell, {**result, name: value}) != []
 
 
 def test_a_general_event_integrator_is_lost_in_sticking_cells() -> None:

@@ -141,10 +141,14 @@ def blocks_to_physical(osc, motion):
 
 @kernel
 def spread_rate(block):
-    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks."""
+    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks.
+
+    The flow of a rigid mode is a shear too, which spreads by at most sqrt(metric) per time.
+    """
     rate = 0.0
     for j in range(len(block)):
-        rate = max(rate, block[j, COLUMN.fast])
+        shear = math.sqrt(block[j, COLUMN.metric]) if block[j, COLUMN.lam] == 0.0 else 0.0
+        rate = max(rate, block[j, COLUMN.fast] + shear)
     return rate
 
 
