@@ -26,6 +26,7 @@ from workers.kernel.motion import (
     WORK_OF_A_TRIAL,
     motions_at,
 )
+from workers.model.oscillator import COLUMN
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -75,7 +76,7 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     oscillators = taken(cells.oscillators, rows)
     exponents = free_exponents(oscillators)
     total = np.sum(exponents, axis=1)
-    steady = np.where((oscillators.trace > 0.0)[:, None, None], 0.0, h)
+    steady = np.where(oscillators.gap.block[..., COLUMN.slow, None] > 0.0, 0.0, h)  # what is undamped goes on
     put(
         cells,
         rows,

@@ -143,34 +143,13 @@ def blocks_to_physical(osc, motion):
 def spread_rate(block):
     """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks.
 
-    The flow of a rigid mode is a shear too, which spreads by at most sqrt(metric) per time.
+    The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time.
     """
     rate = 0.0
     for j in range(len(block)):
         shear = math.sqrt(block[j, COLUMN.metric]) if block[j, COLUMN.lam] == 0.0 else 0.0
         rate = max(rate, block[j, COLUMN.fast] + shear)
     return rate
-
-
-@kernel
-def shear_rate(block):
-    """How fast a rigid mode shears the frame, per time: the root of its metric; 0 without one."""
-    rate = 0.0
-    for j in range(len(block)):
-        if block[j, COLUMN.lam] == 0.0:
-            rate = max(rate, math.sqrt(block[j, COLUMN.metric]))
-    return rate
-
-
-@inlined
-def flight_spread(s, rate, shear):
-    """How far a flight of s spreads the frame at most, as a logarithm.
-
-    rate s by decay. A rigid mode turns (h, h') into (h + h' s, h'), whose singular values are e^(+-u), 2 sinh u = x =
-    shear s in its metric: 2 u < 2 ln(1 + x) < 2 x / sqrt(1 + x).
-    """
-    x = shear * s
-    return rate * s + 2.0 * x / math.sqrt(1.0 + x)
 
 
 @piece
@@ -298,7 +277,7 @@ def propagate(osc, motion, duration):
     contact = motion.contact[0]
     motion.contact[0] = FREE
     vectors = V.shape[0] > 0
-    rate, shear = (spread_rate(osc.gap.block), shear_rate(osc.gap.block)) if vectors else (0.0, 0.0)
+    rate = spread_rate(osc.gap.block) if vectors else 0.0
     unit, loss = osc.time_unit, loss_spread(osc.R)
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
@@ -322,7 +301,7 @@ def propagate(osc, motion, duration):
         hit = abs(side) == 1
         arrived = arrive(osc, h, s, phase, side) if hit else NOWHERE
         spread = impact_spread(arrived[2] / arrived[1], unit, loss) if vectors and hit else 0.0
-        flown = flight_spread(s, rate, shear)
+        flown = s * rate
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
             reset_frame(osc, motion)
         if motion.growth.shape[0] > 0 and tally[SPREAD] + flown > MAX_SPREAD:

@@ -31,7 +31,7 @@ from workers.kernel.flight import TINY
 from workers.kernel.fma import fma
 from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.jit import inlined, kernel
-from workers.kernel.stroboscopic import MAX_SPREAD, flight_spread, impact_spread, needs_reset
+from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
 
 Array = NDArray[np.float64]
 
@@ -179,7 +179,7 @@ def spread_pass(a, limit, n):
         ratio = ratio if hit else 0.0
         jump = impact_spread(ratio, a[LANE.time_unit + i], a[LANE.loss_spread + i])
         jump = jump if hit else 0.0
-        spread = flight_spread(a[LANE.flown + i], a[LANE.spread_rate + i], a[LANE.shear_rate + i])
+        spread = a[LANE.flown + i] * a[LANE.spread_rate + i]
         due = moves and needs_reset(before, spread + jump, limit)
         start = 0.0 if due else before
         far = moves and start + spread > limit

@@ -44,8 +44,7 @@ class LaneFields(NamedTuple):
     forced_rate_at_section: int
     forced_second_at_section: int
     forced_third_at_section: int
-    spread_rate: int  # see stroboscopic.flight_spread
-    shear_rate: int
+    spread_rate: int  # see stroboscopic.spread_rate
     loss_spread: int  # see stroboscopic.loss_spread
     # the flight under way
     flight_start: int  # time from the section to the flight's start

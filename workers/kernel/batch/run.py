@@ -45,7 +45,7 @@ from workers.kernel.motion import (
     motion_of,
     oscillator_of,
 )
-from workers.kernel.stroboscopic import advance, loss_spread, shear_rate, spread_rate
+from workers.kernel.stroboscopic import advance, loss_spread, spread_rate
 from workers.model.oscillator import Oscillator
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ def load(a, i, r, head, blocks, harmonics, h, tally):
     a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i] = second, third
     a[LANE.forced + i], a[LANE.forced_rate + i] = y, v
     a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
-    a[LANE.spread_rate + i], a[LANE.shear_rate + i] = spread_rate(blocks[r]), shear_rate(blocks[r])
+    a[LANE.spread_rate + i] = spread_rate(blocks[r])
     a[LANE.loss_spread + i] = loss_spread(a[LANE.restitution + i])
     a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.time + i] = 0.0, a[LANE.tau + i], 0.0
     a[LANE.own_stop + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
