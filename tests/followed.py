@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from tests.oracle.free_mass import bouncing_ball_orbits
 from tests.test_systems import machine_of
 from workers import Settings, solve_tile
 from workers.history import trace
@@ -32,6 +33,20 @@ class Followed:
     work: float
     damped: float
     lost: float
+
+
+def ball_in_flight(A: float, R: float) -> dict[str, float]:
+    """A bouncing ball on its stable orbit with one impact a period, at time 1 after the impact.
+
+    At the impact itself the section would lie where the map is not smooth.
+    """
+    orbit = bouncing_ball_orbits(A, R)[0]
+    phase, v = float(orbit.phase), float(orbit.after)
+    return {
+        "omega": 1.0, "A": A, "R": R, "tau": phase + 1.0,
+        "y": v - 0.5 + A * (math.cos(phase) - math.sin(phase + 1.0) + math.sin(phase)),
+        "v": v - 1.0 + A * (math.cos(phase) - math.cos(phase + 1.0)),
+    }  # fmt: skip
 
 
 def on_attractor(name: str, params: dict[str, float], settings: Settings | None = None) -> dict[str, float]:

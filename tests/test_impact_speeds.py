@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from tests import naive
-from tests.followed import follow, on_attractor
+from tests.followed import ball_in_flight, follow, on_attractor
 from tests.oracle.closed_form import symmetric_orbit
-from tests.oracle.free_mass import bouncing_ball_orbits
 from workers import Settings, solve_tile
 from workers.history import trace
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
@@ -17,16 +16,10 @@ from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
 SPEEDS = ["min_impact_speed", "mean_impact_speed", "max_impact_speed"]
 
 
-def bouncing_ball(R: float, A: float) -> dict[str, float]:
-    """A ball that has just left the table on its stable orbit with one impact a period."""
-    orbit = bouncing_ball_orbits(A, R)[0]
-    return {"omega": 1.0, "A": A, "R": R, "tau": float(orbit.phase), "y": 0.0, "v": float(orbit.after)}
-
-
 @pytest.mark.parametrize(("R", "A"), [(0.5, 1.2), (0.3, 1.8)])
 def test_a_bouncing_ball_meets_the_table_at_the_speed_of_the_closed_form(R: float, A: float) -> None:
     """Over a period T gravity takes g T, and the impact gives (1 + R) V."""
-    found = solve_tile("bouncing-ball", bouncing_ball(R, A))
+    found = solve_tile("bouncing-ball", ball_in_flight(A, R))
     speed = 2.0 * math.pi / (1.0 + R)
     assert [int(found[name]) for name in ("regime", "period", "impacts_lower")] == [PERIODIC, 1, 1]
     assert [float(found[name]) for name in SPEEDS] == pytest.approx([speed] * 3, rel=1e-12)

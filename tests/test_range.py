@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests import naive
-from tests.followed import follow, on_attractor
-from tests.oracle.free_mass import bouncing_ball_orbits
+from tests.followed import ball_in_flight, follow, on_attractor
 from workers import Settings, solve_tile
 from workers.kernel.excursion import excursions
 from workers.model.oscillator import many_of
@@ -39,13 +38,10 @@ def test_turning_points_give_the_same_range_of_motion_without_impact() -> None:
     assert ends[0, 1] - ends[0, 0] == pytest.approx(free_range(many, still)[0], rel=1e-12)
 
 
-_ORBIT = bouncing_ball_orbits(1.2, 0.5)[0]
-BALL = {"omega": 1.0, "A": 1.2, "R": 0.5, "tau": float(_ORBIT.phase), "y": 0.0, "v": float(_ORBIT.after)}
-
 ONE_SIDED: list[tuple[str, dict[str, float]]] = [
     ("single-mass", {}),
     ("two-mass", {"mu_k": 5.0, "zeta": 0.05, "R": 0.8, "omega": 1.9, "b": 0.4, "tau": math.pi}),
-    ("bouncing-ball", BALL),
+    ("bouncing-ball", ball_in_flight(1.2, 0.5)),
 ]
 
 
