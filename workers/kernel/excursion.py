@@ -79,23 +79,27 @@ def turning_points(gap, velocity, offset, h, phase, duration, own, kind, low, hi
 def excursion(osc, start, contact, periods, allowance):
     """The least and the greatest y - y0 of a motion from block state ``start`` (n, 2) over so many periods.
 
-    At impacts and at rest y is the stop's position; in flight it is least and greatest where it turns. NaN where the
-    motion cannot be followed, or not with ``allowance`` evaluations.
+    At sections y is what it is, at impacts and at rest the stop's position; in flight it is least and greatest where it
+    turns. Turning points are looked for in flights that leave the range known so far: as certainly as they would meet
+    two stops there, all others stay inside. NaN where the motion cannot be followed, or not with ``allowance``
+    evaluations.
     """
     n = start.shape[0]
-    h, along, scratch = start.copy(), np.empty((n, 2)), np.empty((n, 2))
+    gap, h, along, scratch = osc.gap, start.copy(), np.empty((n, 2)), np.empty((n, 2))
     V, growth, triangle = np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0))
-    velocity, offset = velocity_of(osc.gap)
+    velocity, offset = velocity_of(gap)
     low, high, spent = np.inf, -np.inf, 0
     for _ in range(periods):
+        t, phase = 0.0, osc.tau
+        y = min(max(evaluate(gap, h, 0.0, phase, 0.0)[0], -osc.b_lower), osc.b_upper)
+        if contact != FREE:
+            y = stop_position(osc, contact)
+        low, high = min(low, y), max(high, y)
         own, kind = np.int64(0), ON_STOP_MOVING
         if abs(contact) == AT_REST:
             own, kind, contact = np.int64(np.sign(contact)), ON_STOP_AT_REST, np.int64(FREE)
-        t, phase = 0.0, osc.tau
         while True:
             if contact != FREE:
-                stop = stop_position(osc, contact)
-                low, high = min(low, stop), max(high, stop)
                 s, released, evaluations = stay_on_stop(osc, h, V, growth, triangle, phase, contact, osc.period - t)
                 spent += max(1, evaluations)
                 if released == 0:
@@ -103,28 +107,29 @@ def excursion(osc, start, contact, periods, allowance):
                 if released == 2:
                     return np.nan, np.nan
                 t += s
-                phase += osc.gap.omega * s
+                phase += gap.omega * s
                 own, kind = contact, ON_STOP_RELEASED
-            s, side, evaluations = next_crossing(
-                osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, osc.period - t, scratch
-            )
+            s, side, evaluations = next_crossing(gap, h, phase, 0.0, high, low, own, kind, osc.period - t, scratch)
             spent += max(1, evaluations)
-            for j in range(n):
-                along[j, 0], along[j, 1] = h[j, 0], h[j, 1]
-            low, high, evaluations = turning_points(
-                osc.gap, velocity, offset, along, phase, s, own, kind, low, high, scratch
-            )
-            spent += evaluations
+            leaves = (side == 1 and high < osc.b_upper) or (side == -1 and low > -osc.b_lower)
+            if leaves:
+                s, side, evaluations = next_crossing(
+                    gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, osc.period - t, scratch
+                )
+                for j in range(n):
+                    along[j, 0], along[j, 1] = h[j, 0], h[j, 1]
+                low, high, more = turning_points(gap, velocity, offset, along, phase, s, own, kind, low, high, scratch)
+                spent += max(1, evaluations) + more
             if side == 2 or np.isnan(high) or spent > allowance:
                 return np.nan, np.nan
             contact = np.int64(FREE)
             if side == 0:
-                flow(osc.gap, s, h)
+                flow(gap, s, h)
                 break
             y, v, a, scale = arrive(osc, h, s, phase, side)
-            flow(osc.gap, s, h)
+            flow(gap, s, h)
             t += s
-            phase += osc.gap.omega * s
+            phase += gap.omega * s
             stop = stop_position(osc, side)
             low, high = min(low, stop), max(high, stop)
             following = outcome(osc, h, side, v, a, scale + abs(y), osc.period - t)
