@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.cells import mean_growth, reset_frames, restart_counts
-from workers.kernel.motion import MIN_SPEED, TALLIES, motions_at
+from workers.kernel.motion import MAX_SPEED, MIN_SPEED, TALLIES, motions_at
 from workers.model.oscillator import COLUMN, Oscillator, each
 from workers.orbit.newton import no_orbits, settle_each
 from workers.settings import Settings
@@ -193,6 +193,8 @@ class Cells:
         tally = np.where(under_way[:, None], motions.tally[cells], 0.0) + e.tally
         slowest = np.where(under_way, motions.tally[cells, MIN_SPEED], np.inf)
         tally[:, MIN_SPEED] = np.minimum(slowest, np.where(e.periods > 0.0, e.tally[:, MIN_SPEED], np.inf))
+        fastest = np.where(under_way, motions.tally[cells, MAX_SPEED], 0.0)
+        tally[:, MAX_SPEED] = np.maximum(fastest, e.tally[:, MAX_SPEED])
         return Average(
             mean=(e.mean * e.periods + mean * count) / total,
             error=np.hypot(e.error * e.periods, error * count) / total,

@@ -31,6 +31,22 @@ def sum_of_exponents(osc: Oscillator, impacts_per_period: Array | float) -> Any:
     return -osc.trace * osc.period + np.where(hits == 0.0, 0.0, loss)
 
 
+def kaplan_yorke(spectrum: Array) -> Array:
+    """The Kaplan-Yorke dimension j + (lam_1 + ... + lam_j) / |lam_(j+1)| of exponents (..., 2n), largest first.
+
+    j is the largest number of exponents whose sum is not negative: 0 where all are, and all 2n, with nothing added,
+    where volume does not shrink. A direction that is lost, lam_(j+1) = -inf, adds nothing. NaN where an exponent is.
+    It is that of the attractor of the stroboscopic map; that of the motion in time is one more (Kaplan & Yorke 1979).
+    """
+    size = spectrum.shape[-1]
+    sums = np.concatenate([np.zeros((*spectrum.shape[:-1], 1)), np.cumsum(spectrum, axis=-1)], axis=-1)
+    j = np.sum(np.cumsum(sums < 0.0, axis=-1) == 0, axis=-1) - 1
+    total = np.take_along_axis(sums, j[..., None], axis=-1)[..., 0]
+    following = np.take_along_axis(spectrum, np.minimum(j, size - 1)[..., None], axis=-1)[..., 0]
+    dimension = j + np.where(j < size, total / np.abs(np.where(j < size, following, 1.0)), 0.0)
+    return np.where(np.isnan(spectrum).any(axis=-1), np.nan, dimension)
+
+
 def sum_law_holds(tally: Array) -> Any:
     """Whether sum_of_exponents holds over what motions have counted (..., TALLIES): no rest, no impact with R = 0."""
     return (tally[..., LOST] == 0.0) & (tally[..., STUCK] == 0.0)

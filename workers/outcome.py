@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.cells import Array, Cells, Mask, Rows, clearly_positive, taken
-from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
+from workers.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.kernel.cells import physical_states, reset_frames
 from workers.kernel.motion import (
+    LOSS,
     LOWER,
     MARCH_GAVE_UP,
+    MAX_SPEED,
     MIN_SPEED,
     NOT_FINITE,
     OUT_OF_WORK,
     RUNNING,
+    SPEEDS,
     STATUS,
     STUCK,
     UPPER,
@@ -27,6 +30,7 @@ from workers.kernel.motion import (
     motions_at,
 )
 from workers.model.oscillator import COLUMN
+from workers.ranges import FOLLOWED, free_range, impact_range
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -83,10 +87,13 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
         largest=exponents[:, 0],
         error=np.abs(exponents[:, 0]) * 1e-15,
         spectrum=exponents,
+        kaplan_yorke=kaplan_yorke(exponents),
         sum_law_defect=total - sum_of_exponents(oscillators, 0.0),
         regime=NO_IMPACT,
         period=1,
         impacts_per_period=0.0,
+        impact_energy=0.0,
+        peak_to_peak=free_range(oscillators, steady),
         stuck_fraction=0.0,
         periods_used=cells.used[rows],
     )
@@ -110,6 +117,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         largest=exponents[:, 0],
         error=orbits.error[rows],
         spectrum=exponents,
+        kaplan_yorke=kaplan_yorke(exponents),
         sum_law_defect=_defect(cells, rows, np.sum(exponents, axis=1), tally, hits),
         regime=PERIODIC,
         period=period,
@@ -119,9 +127,10 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         symmetric=orbits.symmetric[rows],
         sticks=sticks,
         stuck_fraction=tally[:, STUCK] / (period * cells.oscillators.period[rows]),
-        min_impact_speed=_slowest(tally),
+        peak_to_peak=impact_range(taken(cells.oscillators, rows), tally, orbits.h[rows], orbits.contact[rows], period),
         periods_used=cells.used[rows],
     )
+    put_speeds(cells, rows, tally, period)
     put_states(cells, rows, orbits.h[rows], orbits.contact[rows], period)
 
 
@@ -144,10 +153,30 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
         sticks=sticks,
         stuck_fraction=tally[:, STUCK] / (count * cells.oscillators.period[some]),
         impacts_per_period=np.where(sticks, math.nan, impact_count(tally) / count),
-        min_impact_speed=_slowest(tally),
+        peak_to_peak=impact_range(
+            taken(cells.oscillators, some), tally, motions.h[some], motions.contact[some], np.full(len(some), FOLLOWED)
+        ),
     )
+    put_speeds(cells, some, tally, count)
     put(cells, rows, periods_used=cells.used[rows])
     put_states(cells, rows, motions.h[rows], motions.contact[rows], np.zeros(len(rows), dtype=np.int64))
+
+
+def put_speeds(cells: Cells, rows: Rows, tally: Array, periods: Array | Rows) -> None:
+    """Write what tallies (N, TALLIES) over so many periods (N,) say of these cells' impact speeds and losses.
+
+    An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; one that completes a chatter to rest loses gap_mass v^2 / 2,
+    as all those that are left of the chatter do together. See Oscillator.gap_mass.
+    """
+    hits, sticks = impact_count(tally), tally[:, STUCK] > 0.0
+    put(
+        cells,
+        rows,
+        min_impact_speed=np.where(np.isfinite(tally[:, MIN_SPEED]), tally[:, MIN_SPEED], math.nan),
+        mean_impact_speed=np.where(sticks | (hits == 0.0), math.nan, tally[:, SPEEDS] / hits),
+        max_impact_speed=np.where(tally[:, MAX_SPEED] > 0.0, tally[:, MAX_SPEED], math.nan),
+        impact_energy=0.5 * cells.oscillators.gap_mass[rows] * tally[:, LOSS] / periods,
+    )
 
 
 def put_growth(cells: Cells, rows: Rows, mean: Array, error: Array, count: Array, growth: Array, tally: Array) -> None:
@@ -157,7 +186,8 @@ def put_growth(cells: Cells, rows: Rows, mean: Array, error: Array, count: Array
     total = np.sum(growth, axis=1) / count
     hits = impact_count(tally) / count
     if cells.settings.exponents == "spectrum":
-        put(cells, rows, spectrum=spectrum, sum_law_defect=_defect(cells, rows, total, tally, hits))
+        put(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum))
+        put(cells, rows, sum_law_defect=_defect(cells, rows, total, tally, hits))
 
 
 def put_chaotic(cells: Cells, rows: Rows, reason: NDArray[np.int8] | int = NO_REASON) -> None:
@@ -178,6 +208,10 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
     put(cells, rows, regime=QUASIPERIODIC, largest=weighted, error=spread)
     if "spectrum" in cells.found:
         cells.found["spectrum"][rows, 0] = weighted
+        # Rounding must not decide whether a torus has a dimension: its first exponent is zero.
+        spectrum = cells.found["spectrum"][rows]
+        spectrum[:, 0] = 0.0
+        put(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
 
 
 def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
@@ -216,8 +250,3 @@ def _defect(cells: Cells, rows: Rows, total: Array, tally: Array, hits: Array) -
     holds = sum_law_holds(tally)
     exact = sum_of_exponents(taken(cells.oscillators, rows), hits)
     return np.where(holds, np.where(holds, total, 0.0) - exact, math.nan)
-
-
-def _slowest(tally: Array) -> Array:
-    """Slowest impacts counted; NaN without impacts, 0 where the mass came to rest."""
-    return np.where(np.isfinite(tally[:, MIN_SPEED]), tally[:, MIN_SPEED], math.nan)

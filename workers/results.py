@@ -113,6 +113,9 @@ AVERAGE = Variable(
     "average", "float64", _NAN, "mean growth of tangent vectors per forcing period over the schedule", _PER_PERIOD
 )
 _ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
+KAPLAN_YORKE = Variable(
+    "kaplan_yorke", "float64", _NAN, "Kaplan-Yorke dimension of the attractor of the stroboscopic map", "1"
+)
 SUM_LAW_DEFECT = Variable("sum_law_defect", "float64", _NAN, "sum of the exponents minus its exact value", _PER_PERIOD)
 SECTION = Variable("section", "float64", _NAN, "last section states", "1", ("sample", "state"))
 
@@ -125,6 +128,16 @@ _ALWAYS = (
     Variable("sticks", "bool", False, "the mass rests on a stop for part of the time; false unless known", "1"),
     Variable("stuck_fraction", "float64", _NAN, "share of the time at rest on a stop", "1"),
     Variable("min_impact_speed", "float64", _NAN, "slowest impact seen on the attractor; 0 where it sticks", "1"),
+    Variable("mean_impact_speed", "float64", _NAN, "mean speed before an impact; NaN where it sticks", "1"),
+    Variable("max_impact_speed", "float64", _NAN, "fastest impact seen on the attractor", "1"),
+    Variable("impact_energy", "float64", _NAN, "energy lost at impacts per forcing period", _PER_PERIOD),
+    Variable(
+        "peak_to_peak",
+        "float64",
+        _NAN,
+        "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit",
+        "1",
+    ),
     Variable("periods_used", "int32", 0, "forcing periods simulated", "1"),
     Variable("survived", "int32", 0, "forcing periods seen chaotic, or aperiodic, after the transient", "1"),
     Variable("state", "float64", _NAN, "physical section state on the attractor", "1", ("state",)),
@@ -143,7 +156,7 @@ def result_variables(settings: Settings) -> tuple[Variable, ...]:
         if settings.method == "fixed":
             chosen.append(AVERAGE if settings.exponents == "largest" else _ALL_AVERAGES)
     if settings.exponents == "spectrum":
-        chosen += [SPECTRUM, SUM_LAW_DEFECT]
+        chosen += [SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE]
     chosen += _ALWAYS
     if settings.section_samples:
         chosen.append(SECTION)

@@ -1,6 +1,7 @@
 """What the results of one cell must have to do with each other, whatever the cell: rules on a tile's arrays."""
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -84,12 +85,32 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         speed = arrays["min_impact_speed"]
         yield "min_impact_speed is negative", speed < 0
         yield "min_impact_speed without impact", still & ~np.isnan(speed)
+    for name in ("mean_impact_speed", "max_impact_speed"):
+        if name in arrays:
+            yield f"{name} is not positive", arrays[name] <= 0
+            yield f"{name} without impact", still & ~np.isnan(arrays[name])
+    yield from _speed_rules(arrays)
+    if "impact_energy" in arrays:
+        yield "impact_energy is negative", arrays["impact_energy"] < 0
+        yield "impact_energy is not 0 without impact", still & (arrays["impact_energy"] != 0)
+    if "peak_to_peak" in arrays:
+        yield "peak_to_peak is negative", arrays["peak_to_peak"] < 0
+    if "kaplan_yorke" in arrays:
+        most = len(spec.record.states)
+        yield f"kaplan_yorke is outside 0 to {most}", (arrays["kaplan_yorke"] < 0) | (arrays["kaplan_yorke"] > most)
     if "periods_used" in arrays:
         yield "periods_used is negative", arrays["periods_used"] < 0
     if "survived" in arrays:
         yield from _survival_rules(spec, arrays)
     if "state" in arrays:
         yield "state is not finite", known & ~np.isfinite(arrays["state"]).all(axis=-1)
+
+
+def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
+    """The slowest impact is not faster than the mean one, nor that than the fastest; an older store has fewer."""
+    names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
+    for slower, faster in pairwise(names):
+        yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)
 
 
 def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:

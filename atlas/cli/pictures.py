@@ -32,6 +32,8 @@ from atlas.service.progress import reporter
 @click.argument("stores", nargs=-1, required=True)
 @picture_option
 @click.option("--kind", metavar="KIND", help=f"One of {', '.join(KINDS)}; default: by the axes.")
+@click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
+@click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
     "--overlay", "overlays", type=click.Choice(OVERLAYS), multiple=True, help="Lines over a map; may be given again."
 )
@@ -43,6 +45,8 @@ def render(
     stores: tuple[str, ...],
     out: Path,
     kind: str | None,
+    variable: str | None,
+    log: bool,
     overlays: tuple[str, ...],
     against: str | None,
     window: tuple[str, ...],
@@ -57,7 +61,11 @@ def render(
 
     check_path(out)
     bounds, at = read_pairs("--window", window, read_bounds), read_pairs("--select", select, read_number)
-    given = [name for name, value in {"overlay": overlays, "against": against}.items() if value]
+    given = [
+        name
+        for name, value in {"overlay": overlays, "against": against, "variable": variable, "log": log}.items()
+        if value
+    ]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
@@ -68,7 +76,10 @@ def render(
             names = [store.rstrip("/").rpartition("/")[2] for store in stores]
             side_by_side(atlases, kind, bounds, names=names, path=out, **look)
         else:
-            draw(atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other, **look)
+            draw(
+                atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other, variable=variable, log=log,
+                **look,
+            )  # fmt: skip
     if reads.chunks:
         cells = f"overview {reads.level}" if reads.level else "the cells themselves"
         say(f"{reads.chunks} chunks read, of {cells}")

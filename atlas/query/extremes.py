@@ -35,7 +35,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     """
     _check(ds, name)
     classes, part = None if by == PLANE else Classes(ds, by), within(ds, window)
-    codes = _codes(name)
+    codes = regimes_with(name)
     if classes is not None:
         codes = codes & {*classes.codes}
     needed = [name, *(classes.names if classes else ())]
@@ -95,19 +95,24 @@ class _Best:
         return [("smallest", self.low[::-1]), ("largest", self.high[::-1])]
 
 
-def _codes(name: str) -> set[int]:
-    """The regimes in which a variable is a result."""
+def regimes_with(name: str) -> set[int]:
+    """The codes of the regimes in which a variable is a result."""
     if name in _OF_MOTIONS:
         return set(range(NO_IMPACT, CHAOTIC + 1))
     return {PERIODIC} if name in _OF_ORBITS else {regime.code for regime in REGIMES} - {PENDING}
 
 
 def _check(ds: "xr.Dataset", name: str) -> None:
-    dims = set(ds[REGIME.name].dims) if REGIME.name in ds else set(axis_names(ds))
-    fitting = [
-        str(each) for each in ds.data_vars
-        if set(ds[each].dims) == dims and ds[each].dtype.kind in "if" and each not in (REGIME.name, REASON.name)
-    ]  # fmt: skip
+    fitting = numbers_of_cells(ds)
     if name not in fitting:
         what = "is no number of each cell" if name in ds else "is no variable of this atlas"
         raise InputError(f"{name!r} {what}; possible: {', '.join(fitting)}")
+
+
+def numbers_of_cells(ds: "xr.Dataset") -> list[str]:
+    """The variables that are one number in each cell; codes and flags are not."""
+    dims = set(ds[REGIME.name].dims) if REGIME.name in ds else set(axis_names(ds))
+    return [
+        str(each) for each in ds.data_vars
+        if set(ds[each].dims) == dims and ds[each].dtype.kind in "if" and each not in (REGIME.name, REASON.name)
+    ]  # fmt: skip

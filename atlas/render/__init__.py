@@ -68,6 +68,9 @@ KINDS = tuple(_KINDS)
 MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
 """Those of them that are drawn over two axes, and take overlays."""
 
+SCALAR = "scalar"
+"""The kind that maps a variable that is named, any number that an atlas holds."""
+
 OVERLAYS = ("grazing", "boundaries", "isolines")
 """Lines that any map of two axes can carry: |Y| = b, borders of regimes, lines of equal exponent."""
 
@@ -102,6 +105,8 @@ def figure(
     overlays: str | Sequence[str] = (),
     against: "xr.Dataset | None" = None,
     pixels: tuple[int, int] | None = None,
+    variable: str | None = None,
+    log: bool = False,
     ax: "Axes | Sequence[Axes] | None" = None,
     **look: "Unpack[Look]",
 ) -> Any:
@@ -115,7 +120,15 @@ def figure(
 
     page = page_of(ax, **look)
     drawn = _drawn(
-        ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, pixels, page
+        ds,
+        kind,
+        window,
+        (overlays,) if isinstance(overlays, str) else tuple(overlays),
+        against,
+        pixels,
+        page,
+        variable,
+        log,
     )
     return drawn if ax is None else ax
 
@@ -128,10 +141,36 @@ def _drawn(
     against: "xr.Dataset | None",
     pixels: tuple[int, int] | None,
     page: "Page",
+    variable: str | None = None,
+    log: bool = False,
 ) -> "Figure":
+    if len(axis_names(ds)) == MOST_AXES:
+        return _drawn_stack(ds, kind, window, overlays, against, pixels, page, variable, log)
+    wanted = _scalar(ds, kind, variable, against) if kind == SCALAR or variable is not None or log else None
+    chosen = "variable" if wanted is not None else _chosen(ds, kind, against, page)
+    _check_overlays(ds, overlays)
+    _check_units(ds)
+    module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
+    drawn: Figure
+    with counted() as reads:
+        if against is not None:
+            drawn = module.figure(shown, within(against, window), page)
+        elif len(axis_names(ds)) == 2:
+            from atlas.render import maps
+
+            options = maps.Options(overlays, page, pixels)
+            drawn = module.figure(shown, options) if wanted is None else module.figure(shown, wanted, log, options)
+        else:
+            drawn = module.figure(shown, page)
+    if max(reads.block) > 1 and page.title:
+        _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
+    page.fit(drawn)
+    return drawn
+
+
+def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", page: "Page") -> str:
+    """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
     axes = axis_names(ds)
-    if len(axes) == MOST_AXES:
-        return _drawn_stack(ds, kind, window, overlays, against, pixels, page)
     atlases = 1 if against is None else 2
     fitting = [name for name, need in _KINDS.items() if need.axes == len(axes)]
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
@@ -150,27 +189,30 @@ def _drawn(
         raise InputError(f"kind {chosen!r} needs {wanted}; possible here: {', '.join(possible)}")
     if not _KINDS[chosen].scale:
         page.refuse_ends(f"kind {chosen!r} draws classes")
+    return chosen
+
+
+def _scalar(ds: "xr.Dataset", kind: str | None, name: str | None, against: "xr.Dataset | None") -> str:
+    """The variable that a map of one draws; InputError where none can be drawn."""
+    axes = axis_names(ds)
+    if kind not in (None, SCALAR):
+        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {kind!r}")
+    if name is None:
+        raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
+    if against is not None:
+        raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
+    if len(axes) != 2:
+        raise InputError(f"kind {SCALAR!r} draws two axes, found one ({axes[0]})")
+    return name
+
+
+def _check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
+    axes = axis_names(ds)
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
     if overlays and len(axes) != 2:
         raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_AXES[len(axes)]} ({', '.join(axes)})")
-    _check_units(ds)
-    module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
-    drawn: Figure
-    with counted() as reads:
-        if against is not None:
-            drawn = module.figure(shown, within(against, window), page)
-        elif len(axes) == 2:
-            from atlas.render import maps
-
-            drawn = module.figure(shown, maps.Options(overlays, page, pixels))
-        else:
-            drawn = module.figure(shown, page)
-    if max(reads.block) > 1 and page.title:
-        _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
-    page.fit(drawn)
-    return drawn
 
 
 def _drawn_stack(
@@ -181,17 +223,20 @@ def _drawn_stack(
     against: "xr.Dataset | None",
     pixels: tuple[int, int] | None,
     page: "Page",
+    variable: str | None,
+    log: bool,
 ) -> "Figure":
     """The planes of a stack as maps on one scale, each under its value of the third axis; a lone plane as it is."""
     name, shown = axis_names(ds)[-1], within(ds, window)
     rest = {axis: ends for axis, ends in (window or {}).items() if axis != name}
     count = shown.sizes[name]
     if count == 1:
-        return _drawn(shown.isel({name: 0}), kind, rest, overlays, against, pixels, page)
+        return _drawn(shown.isel({name: 0}), kind, rest, overlays, against, pixels, page, variable, log)
     first = f"--select {name}={float(shown[name][0]):g}"
     if count > MOST_PANELS:
         raise InputError(f"a stack of {count} planes: at most {MOST_PANELS} are drawn together; pick one by {first}")
-    for given, what in ((overlays, "overlays"), (against is not None, "against"), (page.given, "ax")):
+    alone = {"overlays": overlays, "against": against is not None, "ax": page.given, "variable": variable, "log": log}
+    for what, given in alone.items():
         if given:
             raise InputError(f"{what}: goes with one plane, found a stack of {count}; pick one by {first}")
     if kind is not None and kind in _KINDS and _KINDS[kind].axes != 2:
@@ -230,6 +275,8 @@ def render(
     *,
     overlays: str | Sequence[str] = (),
     against: "xr.Dataset | None" = None,
+    variable: str | None = None,
+    log: bool = False,
     **look: "Unpack[Look]",
 ) -> Path:
     """Draw an atlas to a file and return its path.
@@ -237,8 +284,9 @@ def render(
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
     ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
     for one axis; a stack of up to MOST_PANELS planes is drawn as maps on one scale, of "exponent" or "period";
-    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of
-    OVERLAYS, one or several; ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``look`` is
+    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of OVERLAYS, one or
+    several; ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``variable`` names a number of
+    each cell to map, the kind "scalar", by its logarithm if ``log``; ``look`` is
     size, type, resolution and scale: width, height, font_size, dpi, vmin, vmax, title, style, see ``page.Look``.
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the
     atlas does not hold what the kind draws, and for a path that cannot be written.
@@ -251,7 +299,17 @@ def render(
     from atlas.render.style import provenance_of
 
     page = page_of(**look)
-    drawn = _drawn(ds, kind, window, (overlays,) if isinstance(overlays, str) else tuple(overlays), against, None, page)
+    drawn = _drawn(
+        ds,
+        kind,
+        window,
+        (overlays,) if isinstance(overlays, str) else tuple(overlays),
+        against,
+        None,
+        page,
+        variable,
+        log,
+    )
     return _write(drawn, target, suffix, provenance_of(ds, *([] if against is None else [against])), page)
 
 

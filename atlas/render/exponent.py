@@ -47,7 +47,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         drawn, ax = maps.frame(ds, options.page)
         rgba, legend = paint(plane.regime, largest, norm)
         maps.draw(ax, plane, rgba, options)
-        entries: list[Artist] = [*legend, *mark_no_impact(ax, plane, norm)]
+        entries: list[Artist] = [*legend, *mark_no_impact(ax, plane, norm), *mark_lost(ax, plane)]
         entries += overlays.draw(ax, ds, plane, options)
         colour_bar(drawn, [ax], norm, largest, LABEL)
         options.page.legend(drawn, entries)
@@ -106,7 +106,7 @@ def colour_bar(
         ScalarMappable(norm, colormap),
         ax=list(panels),
         location="bottom" if below else "right",
-        extend=style.beyond(values, *ends),
+        extend=style.beyond(values[np.isfinite(values)], *ends),
         ticks=_ticks(*ends, 3 if below else 5),  # numbers need more room side by side
         aspect=28,
         pad=0.02,
@@ -145,3 +145,8 @@ def mark_no_impact(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm) -> list[Patc
     axes.hatch(ax, plane.x, plane.y, quiet, style.HATCH[NO_IMPACT], ink)
     axes.outline(ax, plane.x, plane.y, _without_dust(quiet), "#1a2433", 0.3)
     return [style.swatch(color, style.name_of(NO_IMPACT), style.HATCH[NO_IMPACT], ink)]
+
+
+def mark_lost(ax: Axes, plane: maps.Plane) -> list[Patch]:
+    """Texture cells whose largest exponent is -inf: a single mass that comes to rest on a stop; the legend entry."""
+    return maps.mark_lost(ax, plane, maps.determined(plane.regime) & np.isneginf(plane[LARGEST.name]), COLORMAP)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -159,6 +160,15 @@ def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> N
         axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
     for code in (UNDETERMINED, INVALID, FAILED):
         _mark_small(ax, plane, shown[code], code, options.size)
+
+
+def mark_lost(ax: Axes, plane: Plane, lost: NDArray[np.bool_], colormap: Colormap) -> list[Patch]:
+    """Texture cells whose exponent is -inf, off any scale, over its lowest colour; the legend entry, if any."""
+    if not lost.any():
+        return []
+    ink = style.ink_on(colormap(0.0))
+    axes.hatch(ax, plane.x, plane.y, lost, style.LOST_HATCH, ink)
+    return [style.swatch(colormap(0.0), r"$-\infty$: no direction is left", style.LOST_HATCH, ink)]
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> None:

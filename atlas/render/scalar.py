@@ -51,7 +51,7 @@ def figure(
         maps.draw(ax, plane, rgba, options)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         if zero is None or np.any(values > 0.0):
-            _colour_bar(drawn, ax, values, norm, scale)
+            colour_bar(drawn, ax, values, norm, scale)
         options.page.legend(drawn, entries)
     return drawn
 
@@ -95,9 +95,11 @@ def color_norm(values: NDArray[np.float64], log: bool, page: Page = STANDARD) ->
     return LogNorm(low, high) if log else Normalize(low, high)
 
 
-def _colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Normalize, scale: Scale) -> None:
+def colour_bar(drawn: Figure, ax: Axes, values: NDArray[np.float64], norm: Normalize, scale: Scale) -> None:
+    """The scale of these values to the right of a plot."""
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
-    extend = style.beyond(values[values > 0.0], low, high)
+    shown = values[values > 0.0] if scale.log else values[np.isfinite(values) & (values != 0.0)]
+    extend = style.beyond(shown, low, high)
     mappable = ScalarMappable(norm, scale.colormap)
     bar = drawn.colorbar(mappable, ax=ax, extend=extend, aspect=28, pad=0.02, extendfrac=0.03)
     bar.set_label(scale.label)

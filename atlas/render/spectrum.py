@@ -69,16 +69,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> N
         marked = np.where(shown[:, i], values, np.nan)
         ax.plot(x.values, marked, ".", color=color(i), markersize=size, markeredgewidth=0, zorder=2)
     lost = np.isneginf(spectrum).any(axis=1)
-    if lost.any():
-        # A direction lost for good has no place on the axis: a mark at its foot says so.
-        ax.plot(
-            x.values[lost],
-            np.full(lost.sum(), 0.015),
-            "v",
-            color="black",
-            markersize=2.5,
-            transform=ax.get_xaxis_transform(),
-        )
+    sweep.mark_lost(ax, x, lost)
     unit = style.unit_text(SPECTRUM.units)
     ax.set_ylabel(
         rf"Lyapunov exponents" "\n" rf"$\lambda_i$ [{unit}]" + ("\n(▾: some $-\\infty$)" if lost.any() else "")

@@ -69,6 +69,9 @@ and black may be the ends of a scale, and green is seen as a shade of chaos with
 HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
 """The ink of those textures; what is not named is drawn in an ink that suits its cells."""
 
+LOST_HATCH = "||"
+"""The texture of exponents that are -inf: at rest on a stop no direction is left."""
+
 
 def name_of(code: int) -> str:
     """A regime's name as a legend says it."""

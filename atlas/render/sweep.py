@@ -1,7 +1,7 @@
 """The sweep: the bifurcation diagram, section values of the first state, over the largest exponent, on one axis."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -21,6 +21,8 @@ Panel: TypeAlias = Callable[[Axes, xr.Dataset, axes.DrawnAxis, Page], None]
 """Draws one panel of a sweep from what was read of it."""
 
 LARGEST_LABEL = "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
+
+LOST_NOTE = "(▾: $-\\infty$)"
 
 _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
 """Height in inches of a figure with one panel, or two, less a share of its width; that share."""
@@ -92,7 +94,16 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> No
     for code in np.unique(regime[regime != PENDING]):
         shown = (regime == code) & np.isfinite(largest)
         _points(ax, x.values[shown], largest[shown], int(code), point_size(x, 1.8, page))
-    ax.set_ylabel(LARGEST_LABEL)
+    lost = np.isneginf(ds[LARGEST.name].values)
+    ax.set_ylabel(LARGEST_LABEL + (f"\n{LOST_NOTE}" if lost.any() else ""))
+    mark_lost(ax, x, lost)
+
+
+def mark_lost(ax: Axes, x: axes.DrawnAxis, lost: Any) -> None:
+    """Mark cells with an exponent of -inf, which has no place on the axis, at its foot."""
+    if lost.any():
+        foot = np.full(lost.sum(), 0.015)
+        ax.plot(x.values[lost], foot, "v", color="black", markersize=2.5, transform=ax.get_xaxis_transform())
 
 
 def point_size(x: axes.DrawnAxis, least: float, page: Page) -> float:

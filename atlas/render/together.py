@@ -284,4 +284,4 @@ def _draw_map(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm | None, options: m
         return entries
     rgba, entries = exponent.paint(plane.regime, _exponents(plane), norm)
     maps.draw(ax, plane, rgba, options)
-    return [*entries, *exponent.mark_no_impact(ax, plane, norm)]
+    return [*entries, *exponent.mark_no_impact(ax, plane, norm), *exponent.mark_lost(ax, plane)]

@@ -60,7 +60,7 @@ def impact_free(oscillators, motions, cells):
 
 @kernel
 def restart_counts(metric, motions, cells):
-    """Count from here on: impacts, slowest impact, time at rest, growth. A frame that lost directions starts anew."""
+    """Count from here on: impacts and their speeds, time at rest, growth. A frame that lost directions starts anew."""
     for r in cells:
         motion = motion_of(motions, r)
         V, tally = motion.V, motion.tally

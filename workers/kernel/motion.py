@@ -12,9 +12,14 @@ from workers.model.oscillator import Held, Oscillator, Signal
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 """Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
 
-UPPER, LOWER, MIN_SPEED, STUCK, EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES = range(11)
-"""What is counted on the way: impacts per stop, slowest impact, time at rest, evaluations, evaluations still
-allowed, directions lost, spread of the frame since it was last orthonormal, impacts recorded, status."""
+(
+    UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
+    EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES,
+) = range(14)  # fmt: skip
+"""What is counted on the way: impacts per stop, slowest and fastest impact, the sum of their speeds, what they take off
+the square of y', time at rest; evaluations, evaluations still allowed, directions lost, spread of the frame since it
+was last orthonormal, impacts recorded, status. An impact that completes a chatter to rest is the fastest and takes
+speed off like any other, but is neither counted at its stop nor summed: their number is infinite."""
 
 RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE = range(4)
 """Status: fine, or why a cell cannot go on."""
@@ -63,7 +68,7 @@ def oscillator_of(oscillators, r):
     return Oscillator(
         signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.swing[r], o.rest[r],
         o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.upper[r], o.lower[r], o.b_upper[r], o.b_lower[r],
-        o.symmetric[r], o.R[r], o.time_unit[r], o.period[r], o.tau[r], o.trace[r],
+        o.symmetric[r], o.R[r], o.gap_mass[r], o.time_unit[r], o.period[r], o.tau[r], o.trace[r],
         Held(
             held.down[r], held.up[r], held.into[r], held.out[r], held.forced[r], signal_of(held.release, r),
             held.push[r],

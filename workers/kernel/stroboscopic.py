@@ -40,13 +40,16 @@ from workers.kernel.motion import (
     EVALUATIONS,
     FREE,
     HELD,
+    LOSS,
     LOST,
     LOWER,
     MARCH_GAVE_UP,
+    MAX_SPEED,
     MIN_SPEED,
     OUT_OF_WORK,
     RECORDED,
     RUNNING,
+    SPEEDS,
     SPREAD,
     STATUS,
     STUCK,
@@ -183,10 +186,13 @@ def needs_reset(spread, more, limit):
 
 
 @piece
-def record_impact(tally, impacts, t, side, speed):
+def record_impact(tally, impacts, t, side, speed, R):
     """Count an impact and, while there is room in impacts (K, 3), write it down."""
     tally[UPPER if side > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
+    tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
+    tally[SPEEDS] += speed
+    tally[LOSS] += (1.0 - R * R) * (speed * speed)
     row = int(tally[RECORDED])
     if row < impacts.shape[0]:
         impacts[row, 0] = t
@@ -209,10 +215,12 @@ def meet_stop(osc, motion, t, side, remaining, arrived, spread):
     y, v, a, scale = arrived
     following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
     if following == REST:
+        tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
+        tally[LOSS] += v * v
         kick(osc, h, -v)
         rest_projection(osc, V)
         return REST
-    record_impact(tally, motion.impacts, t, side, abs(v))
+    record_impact(tally, motion.impacts, t, side, abs(v), osc.R)
     kick(osc, h, -(1.0 + osc.R) * v)
     shift(osc, h, stop_position(osc, side) - y)  # or rounding would add up over many impacts
     saltation(osc.gap.row, osc.gap.row1, osc.kick, osc.kick1, osc.R, V, a / v)

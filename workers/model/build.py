@@ -111,6 +111,7 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         b_lower=b_lower,
         symmetric=np.where((b_upper == b_lower) & ~even & np.all(free.load == 0.0, axis=1), 1.0, 0.0),
         R=R,
+        gap_mass=1.0 / softness,
         time_unit=1.0 / np.sqrt(np.min(free.metric, axis=1)),
         period=period,
         tau=np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase),

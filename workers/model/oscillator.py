@@ -128,6 +128,7 @@ class Oscillator(NamedTuple):
     upper, lower    positions of the stops, infinite where there is none
     b_upper, b_lower  upper - y0 and y0 - lower
     symmetric       1 where z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
+    gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
     time_unit       1 / sqrt(least metric)
     period, tau     forcing period 2 pi / omega and forcing phase at a section
     trace           trace of M^-1 C, the rate at which a flight contracts volume
@@ -149,6 +150,7 @@ class Oscillator(NamedTuple):
     b_lower: Any
     symmetric: Any
     R: Any
+    gap_mass: Any
     time_unit: Any
     period: Any
     tau: Any

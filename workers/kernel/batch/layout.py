@@ -78,6 +78,9 @@ class LaneFields(NamedTuple):
     impacts_upper: int
     impacts_lower: int
     slowest_impact: int
+    fastest_impact: int
+    impact_speeds: int  # their sum
+    impact_loss: int  # what they take off the square of y'
     evaluations: int
     period_cost: int  # evaluations of this period, each flight counted as one at least
     recorded: int

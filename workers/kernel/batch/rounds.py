@@ -51,8 +51,12 @@ def arrival_pass(a, n):
         a[LANE.shift + i] = stop - y if hit else 0.0
         a[LANE.impacts_upper + i] += 1.0 if side == 1.0 else 0.0
         a[LANE.impacts_lower + i] += 1.0 if side == -1.0 else 0.0
-        slowest = a[LANE.slowest_impact + i]
-        a[LANE.slowest_impact + i] = min(slowest, abs(v)) if hit else slowest
+        speed = abs(v)
+        slowest, fastest = a[LANE.slowest_impact + i], a[LANE.fastest_impact + i]
+        a[LANE.slowest_impact + i] = min(slowest, speed) if hit else slowest
+        a[LANE.fastest_impact + i] = max(fastest, speed) if hit else fastest
+        a[LANE.impact_speeds + i] += speed if hit else 0.0
+        a[LANE.impact_loss + i] += (1.0 - r * r) * (speed * speed) if hit else 0.0
         count = a[LANE.flight_evaluations + i]
         cost = max(1.0, count)
         spent = a[LANE.period_cost + i]

@@ -32,11 +32,14 @@ from workers.kernel.jit import inlined, kernel
 from workers.kernel.motion import (
     EVALUATIONS,
     FREE,
+    LOSS,
     LOST,
     LOWER,
+    MAX_SPEED,
     MIN_SPEED,
     RECORDED,
     RUNNING,
+    SPEEDS,
     SPREAD,
     STATUS,
     UPPER,
@@ -117,7 +120,9 @@ def load(a, i, r, head, blocks, harmonics, h, tally):
     a[LANE.event + i], a[LANE.starts + i], a[LANE.renews + i] = FLYING, 1.0, 1.0
     a[LANE.kick + i], a[LANE.shift + i] = 0.0, 0.0
     a[LANE.impacts_upper + i], a[LANE.impacts_lower + i] = tally[r, UPPER], tally[r, LOWER]
-    a[LANE.slowest_impact + i], a[LANE.frame_spread + i] = tally[r, MIN_SPEED], tally[r, SPREAD]
+    a[LANE.slowest_impact + i], a[LANE.fastest_impact + i] = tally[r, MIN_SPEED], tally[r, MAX_SPEED]
+    a[LANE.impact_speeds + i], a[LANE.impact_loss + i] = tally[r, SPEEDS], tally[r, LOSS]
+    a[LANE.frame_spread + i] = tally[r, SPREAD]
     a[LANE.evaluations + i], a[LANE.period_cost + i] = tally[r, EVALUATIONS], 0.0
     a[LANE.rank + i], a[LANE.log_length + i] = 2 * h.shape[1] - tally[r, LOST], np.nan
     a[LANE.recorded + i], a[LANE.cell + i] = tally[r, RECORDED], r
@@ -130,7 +135,9 @@ def save(a, i, r, h, tally):
         b = LANE_SIZE + j * BLOCK_SIZE + i
         h[r, j, 0], h[r, j, 1] = a[b + BLOCK.h0], a[b + BLOCK.h1]
     tally[r, UPPER], tally[r, LOWER] = a[LANE.impacts_upper + i], a[LANE.impacts_lower + i]
-    tally[r, MIN_SPEED], tally[r, SPREAD] = a[LANE.slowest_impact + i], a[LANE.frame_spread + i]
+    tally[r, MIN_SPEED], tally[r, MAX_SPEED] = a[LANE.slowest_impact + i], a[LANE.fastest_impact + i]
+    tally[r, SPEEDS], tally[r, LOSS] = a[LANE.impact_speeds + i], a[LANE.impact_loss + i]
+    tally[r, SPREAD] = a[LANE.frame_spread + i]
     tally[r, EVALUATIONS], tally[r, RECORDED] = a[LANE.evaluations + i], a[LANE.recorded + i]
     tally[r, WORK] -= a[LANE.period_cost + i]
     a[LANE.period_cost + i] = 0.0

@@ -1,0 +1,87 @@
+"""The range of the gap coordinate: exact over orbits, by turning points that no sampling could miss."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests import naive
+from tests.followed import ball_in_flight, follow, on_attractor
+from workers import Settings, solve_tile
+from workers.kernel.excursion import excursions
+from workers.model.oscillator import many_of
+from workers.ranges import FOLLOWED, free_range
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
+
+
+def test_an_orbit_that_hits_both_stops_ranges_over_the_gap_exactly() -> None:
+    found = solve_tile("two-mass", naive.FIGURES[3])
+    assert found["symmetric"]
+    assert found["peak_to_peak"] == 2.0 * naive.FIGURES[3]["b"]
+
+
+def test_motion_without_impact_has_twice_its_amplitude() -> None:
+    """Truth: the amplitude of the first mass from the matrices at the forcing frequency."""
+    p = naive.FIGURES[3] | {"b": 2.0}
+    B = naive.first_order(p)
+    response = np.linalg.solve(1j * p["omega"] * np.eye(4) - B[:4, :4], B[:4, 4])
+    found = solve_tile("two-mass", p)
+    assert found["regime"] == NO_IMPACT
+    assert found["peak_to_peak"] == pytest.approx(2.0 * abs(response[0]), rel=1e-13)
+
+
+def test_turning_points_give_the_same_range_of_motion_without_impact() -> None:
+    osc, _ = naive.two_mass(**(naive.FIGURES[3] | {"b": 2.0}))
+    many, still = many_of(osc), np.zeros((1, 2, 2))
+    one = np.ones(1, dtype=np.int64)
+    ends = excursions(many, still, np.zeros((1, 1), dtype=np.int64), one, 10_000 * one, np.zeros(1, dtype=np.int64))
+    assert ends[0, 1] - ends[0, 0] == pytest.approx(free_range(many, still)[0], rel=1e-12)
+
+
+ONE_SIDED: list[tuple[str, dict[str, float]]] = [
+    ("single-mass", {}),
+    ("two-mass", {"mu_k": 5.0, "zeta": 0.05, "R": 0.8, "omega": 1.9, "b": 0.4, "tau": math.pi}),
+    ("bouncing-ball", ball_in_flight(1.2, 0.5)),
+]
+
+
+@pytest.mark.parametrize(("name", "params"), ONE_SIDED, ids=[name for name, _ in ONE_SIDED])
+def test_an_orbit_ranges_from_its_stop_to_where_it_turns(name: str, params: dict[str, float]) -> None:
+    """Truth: flights by matrix exponentials, turning points by bisection of dense samples."""
+    found = solve_tile(name, params)
+    assert found["regime"] == PERIODIC
+    motion = follow(name, on_attractor(name, params), int(found["period"]))
+    assert found["peak_to_peak"] == pytest.approx(motion.high - motion.low, rel=1e-10)
+
+
+def test_a_mass_that_bounces_to_rest_ranges_from_its_stop() -> None:
+    """The default ball: thrown off by the table, it comes to rest in every period."""
+    found = solve_tile("bouncing-ball", {})
+    assert found["sticks"]
+    # Where it leaves, the table falls with g: A omega^2 sin(phase) = g; then y'' = -g + A omega^2 sin.
+    A, phase = 1.2, math.asin(1.0 / 1.2)
+    t = np.linspace(0.0, 2.0 * math.pi, 2_000_001)
+    y = -0.5 * t**2 + A * (np.sin(phase) - np.sin(phase + t)) + A * np.cos(phase) * t
+    first = int(np.flatnonzero(y[1000:] < 0.0)[0]) + 1000
+    assert found["peak_to_peak"] == pytest.approx(y[:first].max(), rel=1e-9)
+
+
+def test_chaos_that_hits_one_stop_alone_has_the_range_of_64_periods_from_its_state() -> None:
+    params = {"omega": 2.2, "R": 0.9}
+    found = solve_tile("bouncing-ball", params)
+    assert found["regime"] == CHAOTIC
+    start = params | dict(zip(("y", "v"), found["state"].tolist(), strict=True))
+    motion = follow("bouncing-ball", start, FOLLOWED)
+    assert found["peak_to_peak"] == pytest.approx(motion.high - motion.low, rel=1e-6)
+
+
+def test_chaos_that_hits_both_stops_ranges_over_the_gap() -> None:
+    found = solve_tile("two-mass", naive.FIGURES[5], Settings(exponents="none"))
+    assert found["peak_to_peak"] == 2.0 * naive.FIGURES[5]["b"]
+
+
+def test_what_takes_more_evaluations_than_allowed_has_no_range() -> None:
+    osc, _ = naive.two_mass(**naive.FIGURES[5])
+    h, one = np.full((1, 2, 2), 0.01), np.ones(1, dtype=np.int64)
+    ends = excursions(many_of(osc), h, 0 * one[:, None], 64 * one, 100 * one, 0 * one)
+    assert np.isnan(ends).all()

@@ -1,0 +1,49 @@
+"""How far the gap coordinate goes: its range over an orbit, over motion without impact, over some periods of chaos."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.excursion import excursions
+from workers.kernel.motion import FREE, LOWER, UPPER
+from workers.model.oscillator import Oscillator
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+FOLLOWED = 64
+"""Periods over which the range of a motion is looked for that neither closes nor reaches both stops."""
+
+WORK_PER_PERIOD, LEAST_WORK = 1000, 100_000
+"""Evaluations that this may cost: so many for each period, but not less than the second number."""
+
+
+def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows, periods: Rows) -> Array:
+    """Greatest minus least y (N,) of motions with impacts, which have counted ``tally`` (N, TALLIES).
+
+    It is the whole gap where impacts were counted at both stops; else y is followed from block states h (N, n, 2) with
+    contacts (N, 1) over so many periods (N,), through every turning point. NaN where it cannot be followed.
+    """
+    both = (tally[:, UPPER] > 0.0) & (tally[:, LOWER] > 0.0)
+    gap = np.where(both, oscillators.upper, 0.0) - np.where(both, oscillators.lower, 0.0)
+    return np.where(both, gap, _followed(oscillators, h, contact, periods, np.flatnonzero(~both)))
+
+
+def free_range(oscillators: Oscillator, h: Array) -> Array:
+    """Greatest minus least y (N,) of motions without impact from block states h (N, n, 2).
+
+    Twice the amplitude of the forced response where that is a single harmonic and all else has decayed, h = 0; the
+    turning points of one period where it has several, of FOLLOWED periods where the motion does not decay.
+    """
+    N, harmonics = oscillators.gap.sin_part.shape
+    steady = ~np.any(h != 0.0, axis=(1, 2))
+    closed = steady if harmonics == 1 else np.zeros(N, dtype=np.bool_)
+    contact, periods = np.full((N, 1), FREE, dtype=np.int64), np.where(steady, 1, FOLLOWED)
+    followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~closed))
+    return np.where(closed, 2.0 * np.asarray(oscillators.gap.amplitude), followed)
+
+
+def _followed(oscillators: Oscillator, h: Array, contact: Rows, periods: Rows, cells: Rows) -> NDArray[np.float64]:
+    """The range that excursions finds of these cells, 0 for a motion that stays where it is; NaN of the others."""
+    allowance = np.maximum(LEAST_WORK, WORK_PER_PERIOD * periods)
+    ends = excursions(oscillators, h, contact, periods, allowance, cells)
+    return np.where(ends[:, 0] > ends[:, 1], 0.0, ends[:, 1] - ends[:, 0])
