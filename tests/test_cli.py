@@ -167,7 +167,11 @@ BAD_SPECS = {
     "NaN": ("R = 0.7", "R = nan", "R = nan: must be a finite number"),
     "axis repeated": ("[axes.b]", "[axes.omega]", "not a TOML file"),
     "axis without points": ("num = 6", "num = 0", "axes.omega.num: found 0 points"),
-    "three axes": ("[solve]", "[axes.zeta]\nvalues = [0.1]\n[solve]", "axes: found 3 (omega, b, zeta)"),
+    "four axes": (
+        "[solve]",
+        "[axes.zeta]\nvalues = [0.1]\n[axes.f2]\nvalues = [0.1]\n[solve]",
+        "axes: found 4 (omega, b, zeta, f2)",
+    ),
     "no axes": (SPEC, 'system = "two-mass"\n[axes]\n', "axes: found none"),
     "parameter that is an axis": ("R = 0.7", "omega = 1.0", "omega is both a parameter and an axis"),
     "not TOML": (SPEC, "{]", "not a TOML file"),

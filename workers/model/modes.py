@@ -18,7 +18,8 @@ COUPLED = 1e-9
 """Coupling of the modes by the damping, relative to the largest damping, from which on it is not classical."""
 
 FREE = 8.0 * np.finfo(np.float64).eps
-"""Squared frequency, relative to the largest one and for each coordinate, below which a mode is rigid."""
+"""Squared frequency, relative to the largest one and for each coordinate, below which a mode is rigid; likewise damping
+below which it is undamped: what rounding leaves of zero."""
 
 SINGULAR = 1e-10
 """Determinant, relative to its size, below which a plane's coordinates are no h and h'; its inverse bounds how much
@@ -60,7 +61,7 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     unstable = np.any(lam < 0.0, axis=1) | np.any(eta < -COUPLED * size[:, None], axis=1)
     weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
     found = Modes(
-        eta=np.maximum(eta, 0.0),
+        eta=np.where(eta <= FREE * n * size[:, None], 0.0, eta),
         lam=lam,
         to_blocks=_interleaved(weighted),
         to_physical=np.ascontiguousarray(_interleaved(modes.swapaxes(1, 2)).swapaxes(1, 2)),
