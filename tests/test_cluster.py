@@ -102,6 +102,7 @@ def test_the_local_cluster_is_open_to_this_machine_only() -> None:
     assert {host for host, _ in opened} == {"127.0.0.1"}
 
 
+@pytest.mark.slow
 def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(tmp_path: Path, client: Client) -> None:
     held: list[int] = []
     options = RunOptions(

@@ -24,6 +24,8 @@ from workers.orbit.extended import GRAZE, Condition
 from workers.orbit.follow import BUDGET, CLOSED, EDGE
 from workers.orbit.linear import Family, family_of
 
+pytestmark = pytest.mark.slow
+
 TWO_MASS = find_system("two-mass")
 
 ONE_CONDITION = [record for record in CURVES if record["kind"] != "codimension_two" and record["times"]]

@@ -110,6 +110,7 @@ def test_an_overview_of_a_tile_that_is_not_done_is_found(whole: store.Header) ->
     ]
 
 
+@pytest.mark.slow
 def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(whole: store.Header, made: Path) -> None:
     flip(whole.path / "overviews/1/largest/c/1/1")
     report = verify(whole.path, sample=0, repair=True)
@@ -145,6 +146,7 @@ def test_overviews_with_damaged_metadata_are_not_read(whole: store.Header) -> No
     assert_view_is_true(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "lost"),
     [("largest/zarr.json", False), ("largest/zarr.json", True), ("omega/c/0", True), ("class/c/0", False)],

@@ -64,6 +64,7 @@ def arrays_of(path: Path) -> dict[str, bytes]:
     return {str(name): ds[name].values.tobytes() for name in ds.variables}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [2, 3])
 def test_a_refined_atlas_has_the_bits_of_one_computed_from_scratch(
     old: Path, tmp_path: Path, client: Client, factor: int

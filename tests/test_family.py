@@ -157,6 +157,7 @@ def test_section_states_of_machines_of_every_kind_are_the_simulated_ones(n: int,
     assert_sections_agree(drawn(100, n, **KINDS[kind]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", SIZES)
 def test_the_jacobian_of_a_random_machine_is_that_of_simulated_orbits(n: int) -> None:
     assert_jacobians_agree(drawn(0, n))

@@ -19,6 +19,8 @@ from tests.test_maps import drawn
 from workers.model.system import System, find_system
 from workers.results import PERIODIC
 
+pytestmark = pytest.mark.slow
+
 SINGLE, DAMPER = find_system("single-mass"), find_system("impact-damper")
 LOADED = System.from_mapping(
     {

@@ -152,6 +152,7 @@ def test_an_axis_may_have_the_most_points() -> None:
     assert spec.shape == (MAX_POINTS,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [Settings(max_periods=1), Settings(**BRIEF)], ids=["adaptive", "fixed"])
 def test_a_portrait_may_have_the_least_of_a_motion(settings: Settings, tmp_path: Path) -> None:
     atlas.portrait(ORBIT, settings=settings, path=tmp_path / "cell.png")

@@ -20,6 +20,8 @@ from tests.oracle.free_mass import (
 )
 from tests.oracle.machines import bouncing_ball, impact_pair, single_mass
 
+pytestmark = pytest.mark.slow
+
 
 def distance(a: list, b: list) -> mp.mpf:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))

@@ -15,6 +15,8 @@ from tests.oracle import Machine, dense_violation, first_impact_dense, section_j
 from tests.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
 from tests.oracle.simulate import first_hit
 
+pytestmark = pytest.mark.slow
+
 EARLIER: dict[str, Any] = json.loads((Path(__file__).parent / "data" / "oracle_two_mass.json").read_text())
 FREE = {"upper": math.inf, "lower": -math.inf}
 

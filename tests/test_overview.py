@@ -257,6 +257,7 @@ def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None
     assert levels_of(whole).count == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"version": 2}])
 def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     whole: store.Header, attributes: dict[str, object]
@@ -431,6 +432,7 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     assert arrays_of(header.path, "overviews/1") == arrays_of(whole.path, "overviews/1")
 
 
+@pytest.mark.slow
 def test_a_kill_while_levels_are_created_leaves_a_store_that_works_and_goes_on(
     filled: store.Header, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -81,6 +81,7 @@ def test_commands_that_read_answer_as_of_the_store(header: store.Header, packed:
     assert of_store == of_file
 
 
+@pytest.mark.slow
 def test_a_packed_atlas_can_be_extended_into_a_folder(client: Client, tmp_path: Path) -> None:
     spec = plane_of()
     atlas.run(spec, tmp_path / "a.zarr", client)

@@ -112,6 +112,7 @@ print(len(before), *sorted(compiled() - before))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponents", ["none", "largest", "spectrum"])
 def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
     """Cells of every kind, alone and side by side, sticking and overdamped ones among them."""

@@ -46,6 +46,7 @@ def test_an_example_costs_what_its_probe_says_within_a_factor_of_two(name: str, 
     assert 0.5 < found.seconds_per_cell * done.cells_solved / done.processor_seconds < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("continuation", ["forward", pytest.param("backward", marks=pytest.mark.slow)])
 def test_a_sweep_by_continuation_takes_the_periods_that_parts_of_it_tell(continuation: str) -> None:
     spec = coarse("fig6", {"continuation": continuation})

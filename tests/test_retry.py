@@ -145,6 +145,7 @@ def test_a_tile_at_the_edge_is_unfinished_too_while_it_is_written_again(
     assert edge in done_tiles(header)
 
 
+@pytest.mark.slow
 def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixture(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -248,6 +248,7 @@ def test_a_script_without_a_main_guard_is_refused_with_the_remedy(tmp_path: Path
     assert 'if __name__ == "__main__":' in ended.stderr.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_the_memory_of_a_worker_is_its_own_and_not_that_of_the_process_that_started_it() -> None:
     ballast = np.ones(100_000_000)
     child = [sys.executable, "-c", "from atlas.task.task import peak_memory; print(peak_memory())"]

@@ -393,6 +393,7 @@ print(json.dumps(out))
 """
 
 
+@pytest.mark.slow
 def test_kernels_run_as_plain_python_give_the_same_results() -> None:
     """NUMBA_DISABLE_JIT=1, warnings are errors: periodic, sticking, impact-free and inelastic cells."""
     cells = [

@@ -118,6 +118,7 @@ def test_a_transient_of_eight_thousand_periods_is_not_called_chaos() -> None:
     assert found["largest"] == pytest.approx(-0.0074, abs=5e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("index", "weakest", "strongest"), [(1, 0.018, 0.07), (3, 0.06, 0.07)])
 def test_motion_that_changes_to_a_weaker_chaos_is_averaged_anew(index: int, weakest: float, strongest: float) -> None:
     """From a dozen starts, watched for 80,000 periods: nearly all have changed. Truth: another simulator's."""
