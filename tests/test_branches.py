@@ -12,6 +12,8 @@ from workers.orbit.equations import Itinerary, Orbit
 from workers.orbit.follow import BUDGET, EDGE, Way
 from workers.orbit.linear import family_of
 
+pytestmark = pytest.mark.slow
+
 TWO_MASS = find_system("two-mass")
 
 

@@ -67,6 +67,7 @@ def overview_faults(header: store.Header) -> list[str]:
 # Overviews
 
 
+@pytest.mark.slow
 def test_sound_overviews_are_read_whole_and_found_sound(whole: store.Header) -> None:
     report = verify(whole.path, sample=0)
     files = [path for path in (whole.path / "overviews").rglob("*") if path.is_file() and "c" in path.parts]
@@ -122,6 +123,7 @@ def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(wh
         xr.testing.assert_identical(before.load(), after.load())
 
 
+@pytest.mark.slow
 def test_a_bad_tile_takes_all_overviews_of_it_with_it(whole: store.Header) -> None:
     flip(whole.path / "largest/c/0/0")
     report = verify(whole.path, sample=0, repair=True)

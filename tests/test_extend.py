@@ -97,6 +97,7 @@ def test_kept_cells_keep_all_their_results(old: Path, tmp_path: Path, client: Cl
     assert new.sum() == marked.sum() + summary.periods
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tile", [[1, 1], [5, 7], [3, 2]])
 def test_the_tiles_need_not_be_those_of_the_old_store(
     old: Path, tmp_path: Path, client: Client, tile: list[int]
@@ -303,6 +304,7 @@ def test_an_axis_with_one_value_is_refined_by_no_factor() -> None:
         refined(spec, {"omega": 2})
 
 
+@pytest.mark.slow
 def test_a_store_does_not_grow_in_place_or_into_one_of_another_origin(
     old: Path, tmp_path: Path, client: Client
 ) -> None:

@@ -68,6 +68,7 @@ def test_a_reference_orbit_has_its_multipliers_and_its_section_state(record: dic
     assert state == pytest.approx(record["state"], abs=2e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_a_reference_orbit_is_admissible(record: dict[str, Any]) -> None:
     family, event, values = reference_event(record, tuple(record["free"]))

@@ -149,6 +149,7 @@ def test_shares_weigh_cells_by_their_widths_on_a_log_axis(tmp_path: Path) -> Non
         np.testing.assert_allclose(coarse.regime_share.sel({"class": "chaotic"}), chaotic, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_one_failed_cell_is_shown_at_every_level(header: store.Header, level: int) -> None:
     for index in indices(header):
@@ -287,6 +288,7 @@ def test_overviews_from_before_there_was_a_regime_are_made_anew_by_a_run(whole: 
     assert_view_is_true(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Consolidated metadata")
 @pytest.mark.parametrize("name", ["reason", "min_impact_speed", "survived"])
 def test_a_result_that_an_older_store_lacks_is_lacking_in_its_overviews(filled: store.Header, name: str) -> None:

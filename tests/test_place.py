@@ -138,6 +138,7 @@ def test_worker_processes_write_to_a_url(bucket: str) -> None:
     assert atlas.run(spec, f"{bucket}/processes/sweep.zarr", options=atlas.RunOptions(workers=1)).tiles_done == 2
 
 
+@pytest.mark.slow
 def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) -> None:
     atlas.run(plane_of(), str(place), client=client)
     before = arrays_of(place)
@@ -152,6 +153,7 @@ def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) 
     assert arrays_of(place) == before
 
 
+@pytest.mark.slow
 def test_every_command_takes_a_url(bucket: str, tmp_path: Path, client: Client) -> None:
     def call(*args: object) -> str:
         result = CliRunner().invoke(main, [str(arg) for arg in args])

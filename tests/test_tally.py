@@ -136,6 +136,7 @@ def test_shares_in_a_window_of_a_half_done_atlas_read_its_border_alone(
     assert found == pytest.approx(fractions(block.load().copy()), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [np.geomspace(1.0, 50.0, 80), np.linspace(1.0, 4.0, 80) ** 2])
 def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np.ndarray) -> None:
     spec = atlas.Spec("two-mass", axes={"omega": values, "b": np.geomspace(0.1, 5.0, 40)})
