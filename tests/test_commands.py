@@ -62,12 +62,23 @@ tolerance = 0.1
 max_periods = 500
 survival = 0
 """
+POINTS = """
+system = "two-mass"
+[points]
+file = "table.csv"
+[solve]
+tolerance = 0.05
+max_periods = 2000
+"""
 FILES = {
     # A file goes before the example of that name in the package.
     "omega-b": PLANE,
     "omega-b-fine": PLANE,
     "plane.toml": PLANE,
     "wider.toml": PLANE.replace("stop = 4.0\nnum = 9", "stop = 4.5\nnum = 11"),
+    "stack.toml": PLANE.replace("[solve]", "[axes.R]\nvalues = [0.7, 0.8]\n[solve]").replace("[3, 4]", "[1, 3, 4]"),
+    "points.toml": POINTS,
+    "table.csv": "omega,b,R\n2.5,0.1,0.8\n3.0,0.2,0.6\n",
     "fig6": LINE.format(more=""),
     "up.toml": LINE.format(more='continuation = "forward"'),
     "down.toml": LINE.format(more='continuation = "backward"'),
@@ -122,6 +133,9 @@ def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, folder: Path) -> 
         if name in page.read_text():
             (folder / "another.toml").write_text(PLANE.replace("[axes.omega]", f"[parameters]\nR = {R}\n[axes.omega]"))
             run(["atlas", "run", "another.toml", "-o", name], folder)
+    for name in ("stack", "points"):
+        if f"{name}.zarr" in page.read_text():
+            run(["atlas", "run", f"{name}.toml", "-o", f"{name}.zarr"], folder)
     for name, text in files(page).items():
         (folder / name).write_text(text)
     for number, (language, text) in enumerate(runnable(page)):
