@@ -9,7 +9,7 @@ from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEA
 from workers.kernel.impact import LEAVE, REST, kick, outcome, shift, stay_on_stop, stop_position
 from workers.kernel.jit import kernel, piece
 from workers.kernel.motion import AT_REST, FREE, oscillator_of
-from workers.kernel.stroboscopic import arrive
+from workers.kernel.stroboscopic import AT_THE_END, arrive
 from workers.model.oscillator import COLUMN, Signal
 
 
@@ -109,6 +109,9 @@ def excursion(osc, start, contact, periods, allowance):
                 t += s
                 phase += gap.omega * s
                 own, kind = contact, ON_STOP_RELEASED
+                if osc.period - t <= AT_THE_END * osc.period:  # as propagate does
+                    contact = np.int64(contact * AT_REST)
+                    break
             s, side, evaluations = next_crossing(gap, h, phase, 0.0, high, low, own, kind, osc.period - t, scratch)
             spent += max(1, evaluations)
             leaves = (side == 1 and high < osc.b_upper) or (side == -1 and low > -osc.b_lower)

@@ -129,33 +129,32 @@ def which(side):
 
 
 @kernel
+def changed_blocks(matrix, shift, given, given_response, phase, found, found_response):
+    """Write other block coordinates of a state, both without their forced responses.
+
+    found + its response = shift + matrix (given + its response), given (n, 2) and found (m, 2), matrix (2m, 2n).
+    """
+    for i in range(found.shape[0]):
+        for k in range(2):
+            found[i, k] = shift[i, k] - forced_state(found_response, phase, i, k)
+    for j in range(given.shape[0]):
+        for c in range(2):
+            full = given[j, c] + forced_state(given_response, phase, j, c)
+            for i in range(found.shape[0]):
+                for k in range(2):
+                    found[i, k] += matrix[2 * i + k, 2 * j + c] * full
+
+
+@kernel
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
-    down, into, forced, free = osc.held.down, osc.held.into[which(side)], osc.held.forced, osc.forced
-    for i in range(u.shape[0]):
-        for k in range(2):
-            u[i, k] = into[i, k] - forced_state(forced, phase, i, k)
-    for j in range(h.shape[0]):
-        for c in range(2):
-            full = h[j, c] + forced_state(free, phase, j, c)
-            for i in range(u.shape[0]):
-                for k in range(2):
-                    u[i, k] += down[2 * i + k, 2 * j + c] * full
+    changed_blocks(osc.held.down, osc.held.into[which(side)], h, osc.forced, phase, u, osc.held.forced)
 
 
 @kernel
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
-    up, out, forced, free = osc.held.up, osc.held.out[which(side)], osc.held.forced, osc.forced
-    for j in range(h.shape[0]):
-        for c in range(2):
-            h[j, c] = out[j, c] - forced_state(free, phase, j, c)
-    for i in range(u.shape[0]):
-        for k in range(2):
-            full = u[i, k] + forced_state(forced, phase, i, k)
-            for j in range(h.shape[0]):
-                for c in range(2):
-                    h[j, c] += up[2 * j + c, 2 * i + k] * full
+    changed_blocks(osc.held.up, osc.held.out[which(side)], u, osc.held.forced, phase, h, osc.forced)
 
 
 @kernel
