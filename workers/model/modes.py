@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import schur
-from scipy.linalg.lapack import dtrsen
 
 Array = NDArray[np.float64]
 
@@ -153,6 +151,9 @@ def _planes(A: Array) -> tuple[Array, Array, Array]:
     The rows W of a plane, orthonormal, satisfy W A = B W; h = alpha W z with the unit vector alpha that makes
     h and h' = alpha B W z most independent, scaled so that h' has a velocity row of unit length.
     """
+    from scipy.linalg import schur  # here, since it takes longer to import than all else that most machines need
+    from scipy.linalg.lapack import dtrsen
+
     T, Q = schur(A.T, output="real")
     n = len(A) // 2
     eta, lam, rows = np.empty(n), np.empty(n), np.full((2 * n, 2 * n), np.nan)
