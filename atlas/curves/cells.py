@@ -113,5 +113,3 @@ def _groups(keys: Sequence[Hashable | None]) -> Iterator[NDArray[np.intp]]:
         if key is not None:
             found.setdefault(key, []).append(place)
     return (np.array(places) for places in found.values())
-
-

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import each
+from workers.model.oscillator import Signal, each
 from workers.orbit.admissible import first_fault
 from workers.orbit.equations import Impacts, Itinerary, Orbit, check_orbits, linearised, residual, unknown_offset
 from workers.orbit.extended import NEWTON_STEPS
@@ -95,15 +95,20 @@ def attract(family: Family, orbits: Many) -> Mask:
     for k, row in enumerate(rows):
         if good[row]:
             one, own = np.array([k]), _rows(points, np.array([k]))
-            signal = None if signals is None else each(signals, lambda field, k=k: field[k])
+            signal = None if signals is None else _one_signal(signals, k)
             good[row] = _is_orbit(taken(lin, one), signal, orbits.itinerary, own)
     return good
 
 
-def _is_orbit(lin: Linear, signal: object, itinerary: Itinerary, points: Impacts) -> bool:
+def _one_signal(signals: Signal, k: int) -> Signal:
+    found: Signal = each(signals, lambda field: field[k])
+    return found
+
+
+def _is_orbit(lin: Linear, signal: Signal | None, itinerary: Itinerary, points: Impacts) -> bool:
     if not is_minimal(itinerary, points, float(itinerary.span(lin)[0]), float(lin.omega[0])):
         return False
-    return signal is None or first_fault(signal, lin, itinerary, points, np.zeros(0)) is None  # type: ignore[arg-type]
+    return signal is None or first_fault(signal, lin, itinerary, points, np.zeros(0)) is None
 
 
 def _points(X: Array, m: int, shift: int) -> Impacts:
