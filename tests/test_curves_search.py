@@ -1,7 +1,11 @@
 """Finding the curves of a plane through the whole service: what is found, by whom, and after an interruption."""
 
 import math
+import os
 import shutil
+import signal
+import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +30,7 @@ from atlas.store.store import create, read_header
 from atlas.store.tiles import write_tile
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
+from tests.faults import ATLAS, ROOT
 from workers.orbit import Orbit
 from workers.results import CHAOTIC
 
@@ -88,7 +93,7 @@ def test_a_store_that_has_the_curves_gives_them_at_once(searched: tuple[Path, Cu
     assert not list(part_names(read_header(path)))
 
 
-@pytest.mark.parametrize("stop_after", [2, 5])
+@pytest.mark.parametrize("stop_after", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_search_that_was_stopped_goes_on_and_finds_the_same_to_the_bit(
     fresh: Path, searched: tuple[Path, CurvesSummary], client: Client, stop_after: int
 ) -> None:
@@ -109,6 +114,7 @@ def test_a_search_that_was_stopped_goes_on_and_finds_the_same_to_the_bit(
     assert all_same(resumed.found, searched[1].found)
 
 
+@pytest.mark.slow
 def test_parts_of_another_search_are_not_used(
     fresh: Path, searched: tuple[Path, CurvesSummary], client: Client
 ) -> None:
@@ -121,6 +127,7 @@ def test_parts_of_another_search_are_not_used(
     assert all_same(find_curves(fresh, client=client).found, searched[1].found)
 
 
+@pytest.mark.slow
 def test_a_budget_that_is_spent_is_told(fresh: Path, client: Client) -> None:
     summary = find_curves(fresh, CurveSettings(curves=1), client=client)
     assert len(summary.found) == 1
@@ -128,12 +135,14 @@ def test_a_budget_that_is_spent_is_told(fresh: Path, client: Client) -> None:
     assert "not followed" in str(summary)
 
 
+@pytest.mark.slow
 def test_a_curve_cut_short_by_the_budget_of_points_says_so(fresh: Path, client: Client) -> None:
     summary = find_curves(fresh, CurveSettings(points=20), client=client)
     assert summary.found.report["points"] <= 22
     assert any("budget" in curve.ends for curve in summary.found)
 
 
+@pytest.mark.slow
 def test_an_event_elsewhere_on_a_known_curve_is_on_it_and_one_of_another_orbit_at_the_same_place_is_not(
     solved: Path,
 ) -> None:
@@ -162,6 +171,7 @@ def test_verify_and_plain_xarray_and_a_zip_file_take_a_store_with_curves(
     assert all_same(find_curves(tmp_path / "out.zip").found, summary.found)
 
 
+@pytest.mark.slow
 def test_an_extended_atlas_begins_without_curves(
     searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client
 ) -> None:
@@ -182,6 +192,7 @@ def test_the_accessor_gives_the_curves_as_a_table_and_one_kind_of_them(
         ds.atlas.curves("folt")
 
 
+@pytest.mark.slow
 def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tuple[Path, CurvesSummary]) -> None:
     """Along b the event lies where the curve of that kind has the cell's f2: on b = const |Y(f2)|."""
     path, summary = searched
@@ -265,6 +276,26 @@ def test_worker_processes_find_the_same_to_the_bit(fresh: Path, searched: tuple[
     assert all_same(found.found, searched[1].found)
 
 
+@pytest.mark.slow
+def test_after_a_kill_the_same_command_finds_the_same_to_the_bit(
+    fresh: Path, searched: tuple[Path, CurvesSummary], tmp_path: Path
+) -> None:
+    command = [*ATLAS, "curves", str(fresh), "--workers", "2"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with (tmp_path / "log").open("w") as log:
+        running = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
+        while running.poll() is None and len(list(part_names(read_header(fresh)))) < 4:
+            time.sleep(0.1)
+        assert running.poll() is None, (tmp_path / "log").read_text()
+        os.killpg(running.pid, signal.SIGKILL)
+        running.wait()
+    assert read_curves(read_header(fresh)) is None
+    subprocess.run(command, env=environment, check=True, capture_output=True, timeout=600)
+    found = read_curves(read_header(fresh))
+    assert found is not None
+    assert all_same(found, searched[1].found)
+
+
 class TestBadInput:
     """One line, exit code 2, nothing written."""
 
@@ -305,12 +336,14 @@ class TestBadInput:
             CurveSettings(curves=0)
 
 
+@pytest.mark.slow
 def test_damaged_curves_are_found_anew(searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client) -> None:
     path = Path(shutil.copytree(searched[0], tmp_path / "out.zarr"))
     (path / "curves" / "position" / "c" / "0" / "0").write_bytes(b"nothing that anybody wrote")
     assert all_same(find_curves(path, client=client).found, searched[1].found)
 
 
+@pytest.mark.slow
 def test_curves_of_cells_that_were_solved_again_are_found_anew(
     searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client
 ) -> None:
