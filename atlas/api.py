@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 from atlas import errors
 from atlas.cell.point import point
 from atlas.check.verify import verify
+from atlas.curves.settings import CurveSettings
 from atlas.query.open import open_atlas
 from atlas.render import portrait
+from atlas.service.curves import find_curves
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
@@ -20,12 +22,14 @@ if TYPE_CHECKING:
     import xarray
 
 __all__ = [
+    "CurveSettings",
     "Retry",
     "RunOptions",
     "Settings",
     "Spec",
     "errors",
     "extend",
+    "find_curves",
     "open",
     "pack",
     "point",
