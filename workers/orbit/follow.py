@@ -47,7 +47,7 @@ DOUBT = 1e-4
 
 
 class Way(NamedTuple):
-    """Points in order, those of events among them; events on the way in order; how it ends at either end; Newton steps."""
+    """Points in order, those of events among them; events in order; how it ends at either end; Newton steps taken."""
 
     points: list[Point]
     events: list[Event]
