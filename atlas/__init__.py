@@ -4,7 +4,8 @@
 store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``extend`` computes a larger or finer atlas
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
 a run computes, ``Retry`` which cells it solves again.
-Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``solve_tile`` takes arrays of parameters.
+Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``branch`` follows its orbit along a
+parameter, ``solve_tile`` takes arrays of parameters.
 ``errors`` has what they raise.
 """
 
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from atlas import errors
-    from atlas.api import Retry, RunOptions, Settings, Spec, extend, open, pack, point, portrait, run, verify
+    from atlas.api import Retry, RunOptions, Settings, Spec, branch, extend, open, pack, point, portrait, run, verify
     from workers import solve_tile
 
     __version__: str
@@ -23,6 +24,7 @@ __all__ = [
     "Settings",
     "Spec",
     "__version__",
+    "branch",
     "errors",
     "extend",
     "open",
