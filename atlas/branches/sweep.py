@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 MOST = 100
 """Branches that are followed through a sweep."""
-LONGEST = 24
+LONGEST = 16
 """Impacts of the orbits that are followed: longer ones, mostly late in a cascade, cost much and would not be seen."""
 NEAR = 1e-3
-"""Distance of section states, in parts of their extent, from which an orbit is held for one of a branch at once: between
-two points of a branch a straight line is off by less.
+"""Distance of section states, in parts of their extent, below which an orbit is held for one of a branch at once: a
+straight line between two points of a branch is mostly off by less.
 """
 
 _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "sticks", "state")

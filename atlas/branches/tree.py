@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -76,36 +76,38 @@ class Tree:
         self.twins = bool(self.system.build(self.values).symmetric)
 
     def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
-        """Follow the branch of an orbit, and with ``leaving`` those that leave it, and them, nearest first.
+        """Follow the branch of an orbit, and with ``leaving`` those that leave it or that it leaves, and so on.
 
         ValueError, in one line, where the orbit itself cannot be followed.
         """
         first = len(self.branches)
         self._add(branch(self.family, orbit, value, self.window), orbit.itinerary)
-        waiting = deque(self._leaving(first)) if leaving else deque()
+        waiting = deque(self._meetings(first)) if leaving else deque()
         while waiting:
-            parent, event = waiting.popleft()
-            if self._is_known(event):
+            number, event = waiting.popleft()
+            ends = len(event.point.orbit.times) < len(self.branches[number].itinerary.sides)
+            if self._is_known(event, ends):
                 continue
             if len(self.branches) >= self.most:
-                self.untried.append(Untried(parent, event, f"{self.most} branches followed"))
+                self.untried.append(Untried(number, event, f"{self.most} branches followed"))
             elif 2 * len(event.point.orbit.times) > self.longest:
-                self.untried.append(Untried(parent, event, f"more than {self.longest} impacts"))
-            elif self._follow(parent, event):
-                waiting.extend(self._leaving(len(self.branches) - 1))
+                self.untried.append(Untried(number, event, f"more than {self.longest} impacts"))
+            elif self._follow_shorter(number, event) if ends else self._follow(number, event):
+                waiting.extend(self._meetings(len(self.branches) - 1))
             else:
-                self.untried.append(Untried(parent, event, "no orbit found beside it"))
+                self.untried.append(Untried(number, event, "no orbit found beside it"))
 
     def states(self, point: Point, shift: float = 0.0) -> Array:
         """The section states (n, 2d) of a point."""
         given = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
         return section_states(self.system, given, [point.orbit], shift)[0]
 
-    def _leaving(self, number: int) -> list[tuple[int, Event]]:
+    def _meetings(self, number: int) -> list[tuple[int, Event]]:
+        """The events of a branch at which another one leaves it, or it leaves another."""
         return [(number, event) for event in self.branches[number].way.events if event.kind in LEAVES]
 
     def _follow(self, parent: int, event: Event) -> bool:
-        """Add the branch that leaves at an event; False where none is found that comes back to it."""
+        """Add the branch that leaves at an event; whether one is found that comes back to it."""
         low, high = self.window
         for amplitude in AMPLITUDES:
             try:
@@ -120,15 +122,29 @@ class Tree:
                 return True
         return False
 
-    def _is_known(self, event: Event) -> bool:
-        """Whether the branch that leaves at an event is there already: it is one that ends there."""
-        ends = (
-            end
+    def _follow_shorter(self, number: int, event: Event) -> bool:
+        """Add the branch of the shorter orbit that a branch ends at; whether it could be followed."""
+        try:
+            way = branch(self.family, event.point.orbit, float(event.point.values[0]), self.window)
+        except ValueError:
+            return False
+        origin = next((each for each in way.events if self._same(each, event)), None)
+        self.branches[number] = replace(self.branches[number], parent=len(self.branches), origin=origin)
+        self._add(way, event.point.orbit.itinerary)
+        return True
+
+    def _is_known(self, event: Event, ends: bool) -> bool:
+        """Whether the branch that leaves at an event is there already: one that ends there.
+
+        Where a branch ``ends`` at it, whether that is there which it leaves.
+        """
+        others = (
+            other
             for branch in self.branches
-            for end in branch.way.events
-            if len(end.point.orbit.times) != len(branch.itinerary.sides)
+            for other in branch.way.events
+            if ends == (len(other.point.orbit.times) == len(branch.itinerary.sides))
         )
-        return any(self._same(event, end) for end in ends)
+        return any(self._same(event, other) for other in others)
 
     def _same(self, one: Event, other: Event) -> bool:
         """Whether two events are one, or mirror images."""
