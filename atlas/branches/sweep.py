@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 MOST = 100
 """Branches that are followed through a sweep."""
-LONGEST = 16
-"""Impacts of the orbits that are followed: longer ones, mostly late in a cascade, cost much and would not be seen."""
+LONGEST = 12
+"""Impacts of the orbits that are followed: longer ones, mostly late in a cascade, would crowd the picture."""
 NEAR = 1e-3
 """Distance of section states, in parts of their extent, below which an orbit is held for one of a branch at once: a
 straight line between two points of a branch is mostly off by less.

@@ -25,8 +25,8 @@ INK = "#1a1a1a"
 """The colour of branches."""
 DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
 """Those of stable and of unstable parts."""
-_WIDTHS = {True: 1.1, False: 0.7}
-_MARKER = 4.2
+_WIDTHS = {True: 1.1, False: 0.6}
+_MARKER = 3.6
 """Size of an event's marker in points."""
 
 
