@@ -63,6 +63,7 @@ _KINDS = {
     "period": _Kind(axes=2, variable="period", scale=False),
     "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
     "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
+    "regions": _Kind(axes=2, variable="impacts_upper", scale=False),
     "combined": _Kind(axes=2, variable=LARGEST.name),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
