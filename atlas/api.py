@@ -9,8 +9,10 @@ from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.cell.point import point
 from atlas.check.verify import verify
+from atlas.curves.settings import CurveSettings
 from atlas.query.open import open_atlas
 from atlas.render import portrait
+from atlas.service.curves import find_curves
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from atlas.accessor import DrawnBranches
 
 __all__ = [
+    "CurveSettings",
     "Retry",
     "RunOptions",
     "Settings",
@@ -33,6 +36,7 @@ __all__ = [
     "branch",
     "errors",
     "extend",
+    "find_curves",
     "open",
     "pack",
     "point",

@@ -10,6 +10,7 @@ import click
 from atlas.cli.branch import branch
 from atlas.cli.cell import point, portrait, systems
 from atlas.cli.compare import compare
+from atlas.cli.curves import curves
 from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
@@ -78,6 +79,7 @@ for command in (
     pack,
     query,
     compare,
+    curves,
     render,
     figures,
     point,

@@ -22,8 +22,9 @@ BETWEEN, BESIDE, BASINS = range(3)
 
 
 class Groups:
-    """The edges of a plane by border: the two regions that meet there, 0 for all cells of regions below ``least`` and of
-    none. Edges between two of these are on no border.
+    """The edges of a plane by border: the two regions that meet there, those below ``least`` cells counted as none.
+
+    Edges between two cells of none are on no border.
     """
 
     def __init__(self, plane: Plane, least: int) -> None:

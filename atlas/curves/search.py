@@ -74,19 +74,24 @@ class Search:
         self._pending: list[_Event] = []
         self._stages = self._run()
         self._results: list[Result] = []
-        self._stage = 0
+        self.stage = 0
         self.doing = ""
 
     def tasks(self) -> dict[str, Task]:
         """The tasks of the next stage by name; empty at the end."""
         for found in self._stages:
             if found:
-                made = {f"{self._stage:05d}-{k:05d}": task for k, task in enumerate(found)}
-                self._stage += 1
+                made = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(found)}
+                self.stage += 1
                 self._names = list(made)
                 return made
             self._results = []
         return {}
+
+    @property
+    def settled(self) -> int:
+        """Edges about which there is nothing more to find out."""
+        return int(np.sum(self.verdicts != OPEN))
 
     def take(self, results: list[Result]) -> None:
         """The results of the last tasks, in their order."""
