@@ -5,6 +5,7 @@ rest passes through regions without changing what is seen in them, and is left o
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,9 +16,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from atlas.curves import stored
+from atlas.curves import asking
 from atlas.curves.table import Corner, Curve, Curves
 from atlas.errors import InputError
+from atlas.query.window import axis_names
 from atlas.render import axes, maps
 from atlas.render.events import LOOKS, corner_name, line_entry
 
@@ -34,9 +36,12 @@ _SAME = 1.0
 def of(ds: xr.Dataset, who: str) -> Curves:
     """The curves of a map; InputError, in one line, where ``who`` needs them and there are none."""
     try:
-        return stored.stored_curves(ds)
+        found = asking.curves_of(ds)
     except InputError as error:
         raise InputError(f"{who}: {error}") from None
+    if found.axes != axis_names(ds):
+        raise InputError(f"{who}: curves over {', '.join(found.axes)}, found a map of {', '.join(axis_names(ds))}")
+    return found
 
 
 def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
@@ -83,66 +88,74 @@ def corners(found: Curves) -> list[Corner]:
 
 def _draw_corners(ax: Axes, found: Curves, options: maps.Options) -> list[Artist]:
     """Mark points of codimension two in view, and name those whose name has room; the legend entry."""
-    width, height = options.size
-    scale = options.page.scale
-    taken: list[tuple[float, float, float, float]] = []
-    marked: list[tuple[str, float, float]] = []
+    look: dict[str, Any] = {
+        "linestyle": "", "marker": "o", "markersize": _MARKER * options.page.scale, "color": "white",
+        "markeredgecolor": "black", "markeredgewidth": 0.9,
+    }  # fmt: skip
+    marked: list[tuple[str, Array]] = []
     for corner in corners(found):
         name = corner_name(corner.kind)
-        across, up = axes.in_points(ax, np.array([[corner.x, corner.y]]), options.size)[0]
-        inside = 0.0 <= across <= width and 0.0 <= up <= height
-        if not inside or any(name == n and np.hypot(x - across, y - up) < _SAME for n, x, y in marked):
-            continue
-        marked.append((name, float(across), float(up)))
-        ax.plot(
-            corner.x, corner.y, marker="o", markersize=_MARKER * scale, color="white", markeredgecolor="black",
-            markeredgewidth=0.9, zorder=4.2, gid="corner",
-        )  # fmt: skip
-    for _, across, up in marked:  # every mark keeps its place from names
-        reach = 0.6 * _MARKER * scale
-        taken.append((across - reach, up - reach, across + reach, up + reach))
-    for name, across, up in marked:
-        _name(ax, name, (across, up), taken, options)
+        at = axes.in_points(ax, np.array([[corner.x, corner.y]]), options.size)[0]
+        if np.all((at >= 0.0) & (at <= options.size)) and not any(
+            name == other and np.hypot(*(at - there)) < _SAME for other, there in marked
+        ):
+            marked.append((name, at))
+            ax.plot(corner.x, corner.y, zorder=4.2, gid="corner", **look)
     if not marked:
         return []
-    return [
-        Line2D(
-            [], [], linestyle="", marker="o", markersize=_MARKER * scale, color="white", markeredgecolor="black",
-            markeredgewidth=0.9, label="codimension two",
-        )
-    ]  # fmt: skip
+    lines = [_dense(axes.in_points(ax, line, options.size)) for curve in found for line in bounding(curve)]
+    _name_all(ax, marked, np.concatenate(lines), options)
+    return [Line2D([], [], label="codimension two", **look)]
 
 
-def _name(
-    ax: Axes,
-    name: str,
-    at: tuple[float, float],
-    taken: list[tuple[float, float, float, float]],
-    options: maps.Options,
-) -> None:
-    """Write a name beside a mark, right, left, above or below, where it covers none of the boxes taken; or nowhere."""
-    size = _TYPE * options.page.scale
-    wide, tall, gap = 0.52 * size * len(name), 1.1 * size, 0.75 * _MARKER * options.page.scale
-    places = {
-        ("left", "center"): (gap, 0.0, gap, -tall / 2),
-        ("right", "center"): (-gap, 0.0, -gap - wide, -tall / 2),
-        ("center", "bottom"): (0.0, gap, -wide / 2, gap),
-        ("center", "top"): (0.0, -gap, -wide / 2, -gap - tall),
-    }
-    for (ha, va), (dx, dy, left, low) in places.items():
-        box = (at[0] + left, at[1] + low, at[0] + left + wide, at[1] + low + tall)
-        if box[0] < 0.0 or box[1] < 0.0 or box[2] > options.size[0] or box[3] > options.size[1]:
+def _name_all(ax: Axes, marked: list[tuple[str, Array]], lines: Array, options: maps.Options) -> None:
+    """Write names beside marks, each where it covers no other and no mark, and the fewest points of the lines.
+
+    All lengths and ``lines`` (N, 2) are in points from the corner of the plot. A name that finds no room is left out.
+    """
+    size, mark = _TYPE * options.page.scale, _MARKER * options.page.scale
+    taken = [np.concatenate([at - 0.6 * mark, at + 0.6 * mark]) for _, at in marked]
+    for name, at in marked:
+        rows = name.split("\n")
+        wide, tall = 0.5 * size * max(map(len, rows)), 1.15 * size * len(rows)
+        best: tuple[int, int, int, Array] | None = None
+        for across, up in _AROUND:
+            middle = at + np.array([across * (0.8 * mark + wide / 2), up * (0.8 * mark + tall / 2)])
+            half = np.array([wide / 2, tall / 2])
+            box = np.concatenate([middle - half, middle + half])
+            if np.any(box[:2] < 0.0) or np.any(box[2:] > options.size) or any(_overlap(box, each) for each in taken):
+                continue
+            covered = int(np.sum(np.all((lines > box[:2]) & (lines < box[2:]), axis=1)))
+            if best is None or covered < best[0]:
+                best = covered, across, up, box
+        if best is None:
             continue
-        if all(box[2] < b[0] or b[2] < box[0] or box[3] < b[1] or b[3] < box[1] for b in taken):
-            taken.append(box)
-            x, y = ax.transData.inverted().transform(
-                ax.transAxes.transform((at[0] / options.size[0], at[1] / options.size[1]))
-            )
-            ax.annotate(
-                name, (x, y), xytext=(dx, dy), textcoords="offset points", ha=ha, va=va, fontsize=size, zorder=4.3,
-                path_effects=[withStroke(linewidth=2.0, foreground="white")], gid="corner name",
-            )  # fmt: skip
-            return
+        _, across, up, box = best
+        taken.append(box)
+        place = ax.transData.inverted().transform(ax.transAxes.transform(at / options.size))
+        ax.annotate(
+            name, (float(place[0]), float(place[1])), xytext=(0.8 * mark * across, 0.8 * mark * up),
+            textcoords="offset points", ha={1: "left", 0: "center", -1: "right"}[across],
+            va={1: "bottom", 0: "center", -1: "top"}[up], fontsize=size, linespacing=0.95, zorder=4.3,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")], gid="corner name",
+        )  # fmt: skip
+
+
+_AROUND = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1))
+"""Where a name may stand beside its mark: to the right and left, above and below."""
+
+
+def _overlap(one: Array, other: Array) -> bool:
+    """Whether two boxes (left, low, right, high) meet."""
+    return bool(np.all(one[:2] < other[2:]) and np.all(other[:2] < one[2:]))
+
+
+def _dense(line: Array) -> Array:
+    """The points (M, 2) of a line with others between them, about two points of the page apart at most."""
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.linspace(0.0, along[-1], 2 + int(along[-1] / 2.0))
+    return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)])
 
 
 def _is_in_view(ax: Axes, line: Array) -> bool:

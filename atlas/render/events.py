@@ -41,12 +41,12 @@ CORNERS = {
 
 
 def corner_name(kind: str) -> str:
-    """A point of codimension two as pictures name it: ``graze_fold`` is graze–fold."""
+    """A point of codimension two as pictures name it, in one line or two: ``graze_fold`` is graze–fold."""
     if kind in CORNERS:
         return CORNERS[kind]
     for name, look in LOOKS.items():
         if kind.endswith(f"_{name}"):
-            return f"{corner_name(kind.removesuffix(f'_{name}'))}–{look.label}"
+            return f"{corner_name(kind.removesuffix(f'_{name}'))}–\n{look.label}"
     return LOOKS[kind].label if kind in LOOKS else kind.replace("_", " ")
 
 

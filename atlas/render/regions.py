@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -33,30 +34,31 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         axes.scale_y(ax, plane.y)
         others = maps.Options(tuple(name for name in options.overlays if name != "curves"), page, options.asked)
         entries: list[Artist] = [*curves.draw_lines(ax, found, options, 0.0), *overlays.draw(ax, ds, plane, others)]
-        page.legend(drawn, entries, beside="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        title = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
+        page.legend(drawn, entries, beside=title, handlelength=2.6)
         page.fit(drawn)
         drawn.draw_without_rendering()  # from here on the plot has its size
-        names = [(cells, name, "white") for name, cells in regions(ds, plane, found)]
+        taken = crossed(plane, found) | _covered(ax, plane)
+        names = [(cells & ~taken, name, "white") for name, cells in regions(ds, plane)]
         name_regions(ax, plane, names, _LABEL_SIZE * page.scale, _MOST)
     return drawn
 
 
-def regions(ds: xr.Dataset, plane: maps.Plane, found: Curves) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """The name of every class of motion and its cells (y, x), without those that a curve runs through.
+def regions(ds: xr.Dataset, plane: maps.Plane) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """The name of every class of motion and its cells (y, x).
 
     Where motions have mirror images, which of the two a cell holds hangs on the start: both are one class, named with
     the larger number of impacts above.
     """
-    free = ~crossed(plane, found)
     n, p, q = (plane[name] for name in VARIABLES)
     if _has_twins(ds, plane):
         p, q = np.maximum(p, q), np.minimum(p, q)
     periodic = (plane.regime == PERIODIC) & (p >= 0) & (n >= 1)
     for kind in np.unique(np.stack([n, p, q], axis=-1)[periodic], axis=0):
         motion = ImpactPattern(*map(int, kind))
-        yield motion.label, free & periodic & (n == motion.n) & (p == motion.p) & (q == motion.q)
+        yield motion.label, periodic & (n == motion.n) & (p == motion.p) & (q == motion.q)
     for code, name in OTHERS.items():
-        yield name, free & (plane.regime == code)
+        yield name, plane.regime == code
 
 
 def crossed(plane: maps.Plane, found: Curves) -> NDArray[np.bool_]:
@@ -76,6 +78,17 @@ def crossed(plane: maps.Plane, found: Curves) -> NDArray[np.bool_]:
                 places = np.floor(ends[0] + np.linspace(0.0, 1.0, steps + 1)[:, None] * (ends[1] - ends[0]))
                 columns, rows = np.minimum(places, np.array(inside.shape[::-1]) - 1).astype(int).T
                 inside[rows, columns] = True
+    return inside
+
+
+def _covered(ax: Axes, plane: maps.Plane) -> NDArray[np.bool_]:
+    """The cells (y, x) that names of points of codimension two stand on."""
+    inside = np.zeros(plane.regime.shape, dtype=bool)
+    for text in ax.texts:
+        (left, low), (right, high) = ax.transData.inverted().transform(text.get_window_extent())
+        columns = (plane.x.edges[1:] >= left) & (plane.x.edges[:-1] <= right)
+        rows = (plane.y.edges[1:] >= low) & (plane.y.edges[:-1] <= high)
+        inside |= rows[:, None] & columns
     return inside
 
 
