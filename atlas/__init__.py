@@ -3,8 +3,8 @@
 ``Spec`` says what to compute, ``Settings`` how one cell is solved; ``run`` computes it into a store, ``open`` gives the
 store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``extend`` computes a larger or finer atlas
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
-a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of a
-plane, within the budget of ``CurveSettings``.
+a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
+a plane, within the budget of ``CurveSettings``.
 Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``branch`` follows its orbit along a
 parameter, ``solve_tile`` takes arrays of parameters.
 ``errors`` has what they raise.

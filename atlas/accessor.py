@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell
 from atlas.branches.table import Branches
+from atlas.curves import asking
 from atlas.errors import InputError
 from atlas.query import connected
 from atlas.query import queries as query
@@ -25,6 +26,7 @@ from atlas.spec.system import resolved_system
 from workers import Settings
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -114,6 +116,20 @@ class AtlasAccessor:
     def per_unit_time(self) -> xr.Dataset:
         """The atlas with its exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
         return query.per_unit_time(self._ds)
+
+    def curves(self, kind: str | None = None) -> "pd.DataFrame":
+        """The curves that ``atlas curves`` found in this plane, of one kind or all, ``curves("fold")``: a row a point.
+
+        See ``atlas.curves.asking.frame``.
+        """
+        return asking.frame(asking.curves_of(self._ds), kind)
+
+    def distance_to(self, kind: str | None = None, **point: float) -> list[dict[str, Any]]:
+        """How far an operating point is from events of its orbit, ``distance_to("neimark_sacker", omega=3, b=0.15)``.
+
+        Along each axis either way the first event, the nearest first. See ``atlas.curves.asking.distance_to``.
+        """
+        return asking.distance_to(self._ds, kind, point)
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
         """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.

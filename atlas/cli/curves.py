@@ -45,6 +45,7 @@ def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @click.pass_context
 def curves(
     ctx: click.Context,
+    /,
     store: str,
     out: Path | None,
     scheduler: str | None,

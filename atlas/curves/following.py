@@ -63,35 +63,37 @@ class Followed(NamedTuple):
 
 def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> list[Located]:
     """The events at which the orbit of a cell gains or loses stability, or ends, on the way to its neighbour and on, so
-    many cells in all; the nearest first. Empty where the branch cannot be followed.
+    many cells in all; in order along its branch. Empty where that cannot be followed.
     """
-    plane = orbits.plane
-    here, there = plane.values(np.array([start, beyond]))
-    axis = 0 if here[0] != there[0] else 1
-    orbit = orbits.of(start)
+    plane, orbit = orbits.plane, orbits.of(start)
     if orbit is None:
         return []
-    name, reach = plane.axes[axis], cells * (there[axis] - here[axis])
-    low, high = plane.window[name]
-    end = float(np.clip(here[axis] + reach, low, high))
-    behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
+    here, there = plane.values(np.array([start, beyond]))
+    axis = 0 if here[0] != there[0] else 1
+    low, high = plane.window[plane.axes[axis]]
+    end = float(np.clip(here[axis] + cells * (there[axis] - here[axis]), low, high))
     try:
-        way = branch(
-            orbits.along(axis, here),
-            orbit,
-            float(here[axis]),
-            (min(behind, end), max(behind, end)),
-            resolution=min(STEP, STEP * 2.0 / cells),
-        )
+        return events_towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
     except (ValueError, np.linalg.LinAlgError):
         return []
+
+
+def events_towards(
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float
+) -> list[Located]:
+    """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
+    to ``end``; in order along its branch, which may turn back. Raises as ``workers.orbit.branch``.
+    """
+    behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
+    window = (min(behind, end), max(behind, end))
+    way = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution)
     found = []
-    for event in way.events:
+    for event in way.events if behind < end else way.events[::-1]:
         if event.point.unstable == 0 and len(event.conditions) == 1:
             values = here.copy()
             values[axis] = event.point.values[0]
             found.append(_located(event, values))
-    return sorted(found, key=lambda event: abs(event.values[axis] - here[axis]))
+    return found
 
 
 def _located(event: Event, values: Array) -> Located:

@@ -145,6 +145,7 @@ class _Coordinator:
     processor_seconds: float = 0.0
     begin: float = field(default_factory=time.monotonic)
     told: float = 0.0
+    last: str = ""
 
     def run(self) -> CurvesSummary:
         """Do the stages that are due, and write the curves."""
@@ -198,9 +199,9 @@ class _Coordinator:
         settled, edges = search.settled, len(search.edges)
         curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
         stage = f"{doing}: {curves}, {settled} of {edges} edges settled"
-        passing = now - self.told < LOG_INTERVAL
+        passing = now - self.told < LOG_INTERVAL or stage == self.last
         if not passing:
-            self.told = now
+            self.told, self.last = now, stage
         self.options.report(Progress(stage, cells=edges, cells_done=settled, passing=passing))
 
 
