@@ -91,6 +91,9 @@ OVERLAYS = tuple(_OVERLAYS)
 store keeps. On a sweep: the branches of its orbits.
 """
 
+MAP_OVERLAYS = tuple(name for name, axes in _OVERLAYS.items() if axes == 2)
+"""Those of a map."""
+
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
 
@@ -102,6 +105,7 @@ __all__ = [
     "KINDS",
     "LOOK",
     "MAPS",
+    "MAP_OVERLAYS",
     "OVERLAYS",
     "branch_figure",
     "check_path",
