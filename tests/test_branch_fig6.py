@@ -1,4 +1,4 @@
-"""The branches of the machine of Fig. 6 on its line b = 0.15 against direct simulation: its map, and sweeps both ways."""
+"""The branches of the machine of Fig. 6 on its line b = 0.15 against direct simulation: its map, sweeps both ways."""
 
 from collections.abc import Iterator
 from typing import NamedTuple

@@ -420,9 +420,7 @@ def test_exponents_without_a_slope_have_no_isolines() -> None:
 
 
 def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
-    with pytest.raises(
-        InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines, cur"
-    ):
+    with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines, cur"):
         render.figure(plane(), overlays=["grid"])
 
 

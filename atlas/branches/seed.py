@@ -88,8 +88,10 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
         raise InputError(f"this cell is {name}{why}: a branch starts from a periodic one")
     if bool(cell["sticks"]):
         raise InputError("this cell's orbit rests on a stop: branches are of orbits with impacts alone")
+    # Without impacts it is its own mirror image wherever orbits have one.
+    symmetric = bool(cell["symmetric"]) or (regime == NO_IMPACT and bool(record.build(values).symmetric))
     try:
-        orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]) or 1, bool(cell["symmetric"]))
+        orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]) or 1, symmetric)
     except ValueError as error:
         raise InputError(f"this cell: {error}") from None
     return Seed(record, values, orbit)
