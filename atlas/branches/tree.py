@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 from workers.model.system import System
 from workers.orbit import Event, Family, Itinerary, Orbit, Point, Way, branch, family_of, leaving_branch, section_states
+from workers.orbit.seeds import refined
 
 Array = NDArray[np.float64]
 
 AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
 """How far from an event the branch that leaves there is looked for, in turn: one that is near comes back to it."""
+
+BESIDE = 1e-3
+"""How far from an event, as a share of the window, the orbit is taken that goes on through it."""
 
 LEAVES = ("symmetry_breaking", "period_doubling")
 """Kinds of events at which a branch leaves."""
@@ -123,9 +127,15 @@ class Tree:
         return False
 
     def _follow_shorter(self, number: int, event: Event) -> bool:
-        """Add the branch of the shorter orbit that a branch ends at; whether it could be followed."""
+        """Add the branch of the shorter orbit that a branch ends at; whether it could be followed.
+
+        It starts beside the event, where what changes sign has one.
+        """
+        (low, high), here = self.window, float(event.point.values[0])
+        beside = here + BESIDE * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
         try:
-            way = branch(self.family, event.point.orbit, float(event.point.values[0]), self.window)
+            start = refined(self.family, event.point.orbit, np.array([beside]))
+            way = branch(self.family, start, beside, self.window)
         except ValueError:
             return False
         origin = next((each for each in way.events if self._same(each, event)), None)
