@@ -14,6 +14,7 @@ from atlas.curves.table import Corner, Curve, Curves, read_curves, write_curves
 from atlas.errors import ChunkError, InputError
 from atlas.spec.spec import Spec
 from atlas.store.store import Header, create
+from tests.curve_planes import same
 
 FOLD = Curve(
     kind="fold",
@@ -43,13 +44,6 @@ BOTH = Curves(("omega", "b"), (FOLD, GRAZE), {"seeds": 2})
 def header(tmp_path: Path) -> Header:
     axes = {"omega": {"start": 2.0, "stop": 3.0, "num": 3}, "b": {"start": 0.1, "stop": 0.2, "num": 2}}
     return create(tmp_path / "store.zarr", Spec("two-mass", axes), (2, 3))
-
-
-def same(one: Curve, other: Curve) -> bool:
-    arrays = ("points", "unstable")
-    equal = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
-    rest = [{name: value for name, value in vars(curve).items() if name not in arrays} for curve in (one, other)]
-    return equal and rest[0] == rest[1]
 
 
 @pytest.mark.parametrize("curves", [BOTH, Curves(("omega", "b"), ())], ids=["two", "none"])
