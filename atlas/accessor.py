@@ -11,6 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from atlas.branches.branch import MOST, tree_from
+from atlas.branches.seed import seed_of_cell
+from atlas.branches.table import Branches
 from atlas.curves import asking
 from atlas.errors import InputError
 from atlas.query import connected
@@ -18,7 +21,7 @@ from atlas.query import queries as query
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
-from atlas.render import LOOK, check_path, compared_figure, figure, portrait, side_by_side
+from atlas.render import LOOK, branch_figure, check_path, compared_figure, figure, portrait, side_by_side
 from atlas.spec.system import resolved_system
 from workers import Settings
 
@@ -36,6 +39,17 @@ class DrawnComparison(Comparison):
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``. See ``render.compared_figure``.
         """
         return compared_figure(self, path, **look)
+
+
+class DrawnBranches(Branches):
+    """Branches that can draw themselves."""
+
+    def plot(self, path: str | Path | None = None, **look: Any) -> "Figure":
+        """A matplotlib Figure of section values over the parameter, stable parts solid and unstable ones dashed.
+
+        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``. See ``render.branch_figure``.
+        """
+        return branch_figure(self, path, **look)
 
 
 @xr.register_dataset_accessor("atlas")
@@ -123,6 +137,15 @@ class AtlasAccessor:
         See ``compare.Comparison``.
         """
         return DrawnComparison.of(self._ds, other, window)
+
+    def branch(
+        self, along: str, window: tuple[float, float], leaving: bool = False, budget: int = MOST, **point: float
+    ) -> DrawnBranches:
+        """The branch of the orbit of the cell nearest to a point, ``branch("omega", (2, 4), omega=3, b=0.15)``.
+
+        It starts from the orbit as it is stored. See ``atlas.branch``.
+        """
+        return DrawnBranches.of(tree_from(seed_of_cell(self._ds, point), along, window, leaving, budget))
 
     def beside(
         self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Any

@@ -1,8 +1,11 @@
 """Atlases made by hand, and what tests read off the pictures of them."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import xarray as xr
@@ -11,6 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from atlas.cell.orbit import CellOrbit
+from atlas.curves.table import Corner, Curve, Curves
 from atlas.render import style
 from workers import Settings
 from workers.model.system import find_system
@@ -161,3 +165,32 @@ def orbit() -> CellOrbit:
         section=states[:1],
         running=exact * settled,
     )
+
+
+def curve(kind: str, points: Any, unstable: Any = 0, corners: tuple[Corner, ...] = (), **orbit: Any) -> Curve:
+    """A curve of the 1-1-1 orbit, or of another; ``unstable`` along all of it or point by point."""
+    at = np.asarray(points, dtype=float)
+    own: dict[str, Any] = {"period": 1, "impacts_upper": 1, "impacts_lower": 1, "symmetric": False} | orbit
+    return Curve(kind, points=at, unstable=np.broadcast_to(unstable, len(at)), ends=("edge", "edge"), corners=corners,
+                 **own)  # fmt: skip
+
+
+def curves() -> Curves:
+    """Three curves over ``plane``, that of the doubling with a part where its orbit is otherwise unstable."""
+    x = np.linspace(1.0, 5.0, 41)
+    corner = Corner("graze_period_doubling", 3.0, 0.37, 20)
+    return Curves(
+        ("omega", "b"),
+        (
+            curve("fold", np.column_stack([x, 0.2 + 0.02 * x])),
+            curve("period_doubling", np.column_stack([x, 0.31 + 0.02 * x]), np.where(x > 3.0, 1, 0), (corner,)),
+            curve("graze", np.column_stack([x, 0.58 - 0.07 * x]), np.where(x < 3.0, 1, 0), (corner,)),
+        ),
+    )
+
+
+@contextmanager
+def keeping(found: Curves) -> Iterator[None]:
+    """Every atlas, made by hand too, keeps these curves."""
+    with patch("atlas.curves.asking.curves_of", return_value=found):
+        yield

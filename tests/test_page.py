@@ -1,6 +1,7 @@
 """Claims about the page of a picture: its size in a file, its type and scale, axes of one's own; nothing is clipped."""
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,16 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from tests.pictures import line, orbit, plane
+from tests.pictures import curves, keeping, line, orbit, plane
 from tests.synthetic import complete
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True)
+def _curves() -> Iterator[None]:
+    with keeping(curves()):
+        yield
 
 
 def draw(kind: str, **look: Any) -> Figure:
@@ -38,7 +45,7 @@ def draw(kind: str, **look: Any) -> Figure:
     if kind == "hysteresis":
         return render.figure(line("forward", 5), against=line("backward", 3), **look)
     if kind in render.MAPS:
-        return render.figure(plane(), kind, overlays=render.OVERLAYS, **look)
+        return render.figure(plane(), kind, overlays=render.MAP_OVERLAYS, **look)
     return render.figure(line(), kind, **look)
 
 

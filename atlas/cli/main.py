@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from atlas.cli.branch import branch
 from atlas.cli.cell import point, portrait, systems
 from atlas.cli.compare import compare
 from atlas.cli.curves import curves
@@ -83,6 +84,7 @@ for command in (
     figures,
     point,
     portrait,
+    branch,
     systems,
 ):
     main.add_command(command)

@@ -1,8 +1,8 @@
 """Pictures: one file per kind, drawn from a dataset or an orbit alone, without a display and without pyplot.
 
 To add a kind: write ``figure`` in a file of its own, for a map ``figure(ds, options) -> Figure`` with
-``maps.Options``, for a sweep ``figure(ds, page) -> Figure``, and name the file in ``_KINDS``. The tests take it up from
-there; ``python -m tests.reference`` draws the reference picture that they ask for.
+``maps.Options``, for a sweep ``figure(ds, page, branches) -> Figure``, and name the file in ``_KINDS``. The tests take
+it up from there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,13 +19,25 @@ from atlas.query.window import Window, axis_names, within
 from atlas.spec.spec import MOST_AXES
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
+from workers.results import (
+    ERROR,
+    FAILED,
+    INVALID,
+    LARGEST,
+    PENDING,
+    REGIME,
+    REGIMES,
+    SECTION,
+    SPECTRUM,
+    UNDETERMINED,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
     from atlas.query.compare import Comparison
     from atlas.render.page import Look, Page
@@ -51,6 +63,7 @@ _KINDS = {
     "period": _Kind(axes=2, variable="period", scale=False),
     "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
     "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
+    "regions": _Kind(axes=2, variable="impacts_upper", scale=False),
     "combined": _Kind(axes=2, variable=LARGEST.name),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
@@ -71,8 +84,15 @@ MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
 SCALAR = "scalar"
 """The kind that maps a variable that is named, any number that an atlas holds."""
 
-OVERLAYS = ("grazing", "boundaries", "isolines")
-"""Lines that any map of two axes can carry: |Y| = b, borders of regimes, lines of equal exponent."""
+_OVERLAYS = {"grazing": 2, "boundaries": 2, "isolines": 2, "curves": 2, "branches": 1}
+"""How many axes an overlay is drawn over."""
+OVERLAYS = tuple(_OVERLAYS)
+"""Lines over a picture. On a map of two axes: |Y| = b, borders of regimes, lines of equal exponent, the curves that its
+store keeps. On a sweep: the branches of its orbits.
+"""
+
+MAP_OVERLAYS = tuple(name for name, axes in _OVERLAYS.items() if axes == 2)
+"""Those of a map."""
 
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
@@ -85,7 +105,9 @@ __all__ = [
     "KINDS",
     "LOOK",
     "MAPS",
+    "MAP_OVERLAYS",
     "OVERLAYS",
+    "branch_figure",
     "check_path",
     "compared_figure",
     "figure",
@@ -153,15 +175,14 @@ def _drawn(
     module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
     drawn: Figure
     with counted() as reads:
-        if against is not None:
-            drawn = module.figure(shown, within(against, window), page)
-        elif len(axis_names(ds)) == 2:
+        if len(axis_names(ds)) == 1:
+            sweeps = [shown] if against is None else [shown, within(against, window)]
+            drawn = module.figure(*sweeps, page, _branches(sweeps) if "branches" in overlays else None)
+        else:
             from atlas.render import maps
 
             options = maps.Options(overlays, page, pixels)
             drawn = module.figure(shown, options) if wanted is None else module.figure(shown, wanted, log, options)
-        else:
-            drawn = module.figure(shown, page)
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     page.fit(drawn)
@@ -211,8 +232,21 @@ def _check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-    if overlays and len(axes) != 2:
-        raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_AXES[len(axes)]} ({', '.join(axes)})")
+        if _OVERLAYS[overlay] != len(axes):
+            kind = {1: "a sweep", 2: "a map"}[_OVERLAYS[overlay]]
+            raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {_AXES[len(axes)]} ({', '.join(axes)})")
+
+
+def _branches(sweeps: "Sequence[xr.Dataset]") -> "Branches":
+    """The branches through sweeps, of an atlas of which sections are drawn."""
+    from atlas.branches.sweep import tree_through  # with it Numba
+    from atlas.branches.table import Branches
+
+    if any(SECTION.name not in each for each in sweeps):
+        raise InputError(
+            "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
+        )
+    return Branches.of(tree_through(sweeps))
 
 
 def _drawn_stack(
@@ -427,6 +461,25 @@ def portrait(
     drawn = orbit_figure(orbit, **look)
     if path is not None:
         render_orbit(orbit, path, drawn, **look)
+    return drawn
+
+
+def branch_figure(branches: "Branches", path: str | Path | None = None, **look: "Unpack[Look]") -> "Figure":
+    """A matplotlib Figure of branches, section values over the parameter; written to ``path`` too if given.
+
+    ``look`` is size, type and resolution, as in ``render``, without the ends of a scale. Raises InputError for a path
+    that cannot be written.
+    """
+    target = None if path is None else _target(path)
+    from atlas.render import branch as picture
+    from atlas.render.page import page as page_of
+
+    page = page_of(**look)
+    page.refuse_ends("branches are lines")
+    drawn: Figure = picture.figure(branches, page)
+    page.fit(drawn)
+    if target is not None:
+        _write(drawn, *target, picture.provenance(branches), page)
     return drawn
 
 
