@@ -1,0 +1,58 @@
+"""How Sphinx builds the site: ``scripts/docs``. Everything a page needs is in the site; nothing is fetched."""
+
+import sys
+from importlib.metadata import version as installed
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS / "_ext"), str(DOCS.parent)]
+
+project = "impact-atlas"
+author = "impact-atlas contributors"
+copyright = author
+version = release = installed("impact-atlas")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "docstrings", "mathml"]
+exclude_patterns = ["_ext"]
+highlight_language = "text"
+nitpicky = False
+suppress_warnings = [
+    "config.cache",  # myst-nb keeps a function in its configuration
+]
+
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+myst_links_external_new_tab = False
+
+# Pages that are notebooks are run by the build, in a temporary folder each: what they show is what happens.
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 88
+add_module_names = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "impact-atlas"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "navbar_align": "left",
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "show_prev_next": True,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "back_to_top_button": False,
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
