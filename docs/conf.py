@@ -12,12 +12,13 @@ author = "impact-atlas contributors"
 copyright = author
 version = release = installed("impact-atlas")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "docstrings", "mathml"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "docstrings", "formulas"]
 exclude_patterns = ["_ext"]
 highlight_language = "text"
 nitpicky = False
 suppress_warnings = [
     "config.cache",  # myst-nb keeps a function in its configuration
+    "myst-nb.lexer",  # of notebooks that are not run while one writes
 ]
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
@@ -42,7 +43,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "impact-atlas"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_math_renderer = "mathml"
+html_math_renderer = "drawn"
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
