@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from atlas.cli.cell import point, portrait, systems
+from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
-from atlas.cli.options import INTERRUPTED
+from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
 from atlas.cli.run import cancel, extend, plan, run, submit
@@ -55,32 +55,50 @@ class _Group(click.Group):
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*self.commands]  # as they follow each other in use, not in the alphabet
 
-@click.group("atlas", cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            whole = 1000  # characters: a summary is never cut
+            formatter.write_dl([(name, each.get_short_help_str(whole)) for name, each in self.commands.items()])
+
+
+@click.group(
+    "atlas",
+    cls=_Group,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=examples(
+        "atlas example omega-b > plane.toml",
+        "atlas run plane.toml -o plane.zarr",
+        "atlas render plane.zarr -o chaos.png",
+    ),
+)
 @click.version_option(package_name="impact-atlas", prog_name="atlas")
 def main() -> None:
     """Maps of chaos in vibro-impact oscillators.
 
-    A SPEC is a TOML file, or the name of an example in the package. Exit codes: 0 done, 1 failed, 2 bad usage or
-    input, 130 interrupted.
+    A SPEC is a TOML file, or the name of an example in the package; a STORE is a folder, a URL or a zip file that holds
+    an atlas. Exit codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """
 
 
 for command in (
+    systems,
+    example,
     plan,
     run,
-    submit,
-    cancel,
-    extend,
     status,
-    verify,
-    pack,
     query,
-    compare,
     render,
-    figures,
+    compare,
     point,
     portrait,
-    systems,
+    extend,
+    verify,
+    pack,
+    submit,
+    cancel,
+    figures,
 ):
     main.add_command(command)

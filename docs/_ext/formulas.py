@@ -1,4 +1,4 @@
-"""Formulas as drawings in the page itself: no script, no font and no LaTeX is needed, neither here nor where it is read.
+"""Formulas as drawings in the page itself: it takes no script, no font and no LaTeX, here or where it is read.
 
 ziamath draws them with the outlines of a font of its own. A browser that draws MathML itself takes what font for
 formulas the reader's machine has, and without one draws matrices wrong; MathJax would add megabytes of scripts.
