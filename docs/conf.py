@@ -1,11 +1,23 @@
 """How Sphinx builds the site: ``scripts/docs``. Everything a page needs is in the site; nothing is fetched."""
 
+import atexit
+import os
+import shutil
 import sys
+import tempfile
 from importlib.metadata import version as installed
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS / "_ext"), str(DOCS.parent)]
+
+# The kernels of notebooks: nothing of the user's own settings, and the magic of these pages.
+KERNELS = tempfile.mkdtemp()
+atexit.register(shutil.rmtree, KERNELS, ignore_errors=True)
+STARTUP = Path(KERNELS) / "profile_default/startup"
+STARTUP.mkdir(parents=True)
+shutil.copy(DOCS / "_ext/shell.py", STARTUP / "00-shell.py")
+os.environ["IPYTHONDIR"] = KERNELS
 
 project = "impact-atlas"
 author = "impact-atlas contributors"
@@ -44,6 +56,7 @@ html_title = "impact-atlas"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_math_renderer = "drawn"
+html_sidebars = {"gallery": [], "index": []}
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
