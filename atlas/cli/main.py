@@ -84,21 +84,21 @@ def main() -> None:
 
 
 for command in (
-    systems,
     example,
     plan,
     run,
-    status,
-    query,
-    render,
-    compare,
-    point,
-    portrait,
-    extend,
-    verify,
-    pack,
     submit,
     cancel,
+    extend,
+    status,
+    verify,
+    pack,
+    query,
+    compare,
+    render,
     figures,
+    point,
+    portrait,
+    systems,
 ):
     main.add_command(command)
