@@ -55,12 +55,10 @@ class _Group(click.Group):
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*self.commands]  # as they follow each other in use, not in the alphabet
-
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands in the order of their use, with summaries that are never cut."""
+        whole = 1000  # characters
         with formatter.section("Commands"):
-            whole = 1000  # characters: a summary is never cut
             formatter.write_dl([(name, each.get_short_help_str(whole)) for name, each in self.commands.items()])
 
 
