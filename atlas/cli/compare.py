@@ -5,7 +5,16 @@ from typing import Any
 
 import click
 
-from atlas.cli.options import input_errors, json_option, look_options, read_bounds, read_pairs, say, window_option
+from atlas.cli.options import (
+    examples,
+    input_errors,
+    json_option,
+    look_options,
+    read_bounds,
+    read_pairs,
+    say,
+    window_option,
+)
 from atlas.cli.output import print_table, to_json
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
@@ -13,7 +22,7 @@ from atlas.render import check_path, compared_figure
 from atlas.text import plural
 
 
-@click.command()
+@click.command(epilog=examples("atlas compare plane.zarr other.zarr -o difference.png"))
 @click.argument("store")
 @click.argument("other")
 @window_option

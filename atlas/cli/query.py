@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.cli.options import (
+    examples,
     input_errors,
     json_option,
     read_bounds,
@@ -33,7 +34,15 @@ SHOWN = 40
 _PATTERN = ("regime", "period", "impacts")
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "atlas query plane.zarr --window omega=2:3",
+        "atlas query plane.zarr --at omega=3 --at b=0.15",
+        "atlas query plane.zarr --windows period=3",
+        "atlas query plane.zarr --extremes max_impact_speed --by period",
+        "atlas query plane.zarr --window omega=2:3 -o part.csv",
+    )
+)
 @store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @window_option

@@ -293,13 +293,21 @@ def example_names() -> list[str]:
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def _example(name: str) -> str:
+def example_text(name: str) -> str:
+    """The packaged example of that name, as TOML; InputError with the nearest name otherwise."""
     names = example_names()
-    if name in names:
-        return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+    if name not in names:
+        raise InputError(unknown_name("example", name, names))
+    return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _example(name: str) -> str:
     if name.endswith(".toml") or "/" in name:
         raise InputError("no such file")
-    raise InputError(f"no such file, and {unknown_name('example', name, names)}")
+    try:
+        return example_text(name)
+    except InputError as error:
+        raise InputError(f"no such file, and {error}") from None
 
 
 def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
