@@ -5,6 +5,7 @@ KIND_MEANINGS = {
     "period": "one colour for each period",
     "impacts": "motions by name, n-p-q: periods, impacts at the upper and the lower stop",
     "symmetry": "periodic motions that are their own mirror image, and those with a twin",
+    "regions": "the exact curves of a plane and the motions between them by name, as papers print it",
     "combined": "the period where motion is periodic, the exponent where it is chaotic",
     "error": "error of the exponent",
     "cost": "forcing periods simulated",
@@ -19,4 +20,6 @@ OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
     "boundaries": "borders between regimes",
     "isolines": "lines of equal exponent",
+    "curves": "the exact bifurcations and grazes that atlas curves has found in the store",
+    "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
