@@ -10,17 +10,20 @@ from numpy.typing import NDArray
 from atlas.spec.spec import Slices, Spec
 from workers.results import (
     APERIODIC,
+    ATTRACTOR,
     CHAOTIC,
     FAILED,
     INVALID,
     NO_IMPACT,
     NO_REASON,
     NOT_STATIONARY,
+    PENDING,
     PERIODIC,
     QUASIPERIODIC,
     REASON,
     REASONS,
     REGIME,
+    UNDETERMINED,
     result_variables,
 )
 
@@ -43,6 +46,36 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     ``arrays`` holds the result variables over the cells ``slices``; a rule about one that is not among them is left
     out. Where the spectrum is stored, its sum is held against the exact law of ``workers.exponents``.
     """
+    if spec.attractors is not None:
+        return _broken_of_many(spec, slices, arrays)
+    return _broken(spec, slices, arrays)
+
+
+def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
+    """The rules of one attractor for each, and those of all together."""
+    many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra}
+    shape = tuple(part.stop - part.start for part in slices)
+    count, tried = arrays["attractors"], arrays["starts"]
+    found: dict[str, Mask] = {}
+    assert spec.attractors is not None
+    for k in range(spec.attractors.keep):
+        place = (slice(None),) * len(shape) + (k,)
+        one = {name: values[place] if name in many else values for name, values in arrays.items()}
+        there = k < np.maximum(count, 1)
+        found |= {f"attractor {k}: {text}": mask & there for text, mask in _broken(spec, slices, one).items()}
+        found[f"attractor {k} has a regime, and there is none"] = ~there & (one[REGIME.name] != PENDING)
+        found[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
+    share = np.nan_to_num(arrays["share"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        told = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
+        found["shares, undecided and left do not add up to 1"] = (tried > 0) & ~(np.abs(told - 1.0) < SAME)
+    found["shares do not fall"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
+    found["own is none of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
+    found["starts are more than were asked for"] = tried > spec.attractors.count
+    return {text: mask for text, mask in found.items() if mask.any()}
+
+
+def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
         found = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
         if {"spectrum", "sum_law_defect", "impacts_per_period", "sticks"} <= arrays.keys():

@@ -37,7 +37,7 @@ from workers.results import (
     REGIMES,
     UNDETERMINED,
     Variable,
-    result_variables,
+    of_one,
 )
 
 SHOWN = 1 / 16
@@ -64,7 +64,7 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
     Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
     """
     found: list[Variable] = []
-    for variable in results:
+    for variable in map(of_one, results):
         if variable.extra or variable.name in (REASON.name, REGIME.name):
             continue
         if variable.name in CLASSES:
@@ -82,7 +82,7 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
 
 def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
     """Bytes of all levels of an atlas, uncompressed."""
-    results = result_variables(spec.settings)
+    results = spec.variables
     sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
     return Levels(spec.shape, tile, kept=spec.kept).cell_count() * sum(sizes)
 
