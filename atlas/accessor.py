@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import connected
 from atlas.query import queries as query
+from atlas.query.attractors import leading
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
@@ -40,19 +41,23 @@ class DrawnComparison(Comparison):
 class AtlasAccessor:
     """Queries of the atlas that a dataset is, and pictures of it.
 
+    Of an atlas of all attractors every method but ``at`` takes the one with the largest share in each cell;
+    ``ds.isel(attractor=1).atlas`` that with the next one.
     All take any selection of an atlas along its axes. A ``window`` limits any axis to values from low to high, given as
     (low, high). Bad input raises ``atlas.errors.InputError`` in one line.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
-        self._ds = ds
+        self._whole, self._ds = ds, leading(ds)
 
     def at(self, **point: float) -> dict[str, Any]:
         """The cell nearest to a point, ``at(omega=3, b=0.15)``: all its results, and its distance on each axis.
 
+        Of an atlas of all attractors ``coexisting`` lists them.
+
         See ``queries.at``.
         """
-        return query.at(self._ds, point)
+        return query.at(self._whole, point)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
         """The atlas with the results of all other regimes taken out, ``where_regime("chaotic")``.
@@ -106,7 +111,7 @@ class AtlasAccessor:
 
         See ``compare.Comparison``.
         """
-        return DrawnComparison.of(self._ds, other, window)
+        return DrawnComparison.of(self._ds, leading(other), window)
 
     def beside(
         self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Any
@@ -122,7 +127,7 @@ class AtlasAccessor:
 
         ``plot("period", width="85mm", overlays="grazing")``. See ``atlas.render.figure``.
         """
-        return figure(self._ds, kind, window=window, **options)
+        return figure(self._whole, kind, window=window, **options)
 
     def portrait(self, path: str | Path | None = None, **options: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.

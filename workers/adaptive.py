@@ -192,13 +192,12 @@ class Course:
         most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
         self.transient[new] = np.clip(self.memory[new], LEAST_TRANSIENT, most)
         self.stretch[rows] = np.minimum(flown, np.maximum(self.transient[rows] - flown, 1))
-        done = flown >= self.transient[rows]
-        cells.since[rows[done]] = cells.flown[rows[done]]
-        left = done.copy()
-        left[done] = self.leaves(rows[done])
-        rows, done = rows[~left], rows[done & ~left]
-        self.observe(done)
-        return rows
+        over = flown >= self.transient[rows]
+        cells.since[rows[over]] = cells.flown[rows[over]]
+        left = over.copy()
+        left[over] = self.leaves(rows[over])
+        self.observe(rows[over & ~left])
+        return rows[~left]
 
     def observe(self, rows: Rows) -> None:
         """Average these cells from here on, whose transients are over, or watch them where there are no exponents."""

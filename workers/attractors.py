@@ -49,7 +49,10 @@ STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
 
 
 def solve_attractors(
-    system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None, starts: Starts | None = None
+    system: str | System,
+    params: Mapping[str, ArrayLike],
+    settings: Settings | None = None,
+    starts: Starts | None = None,
 ) -> Solution:
     """All attractors of every cell, as arrays of the parameters' broadcast shape; as solve_cells else.
 
@@ -173,12 +176,12 @@ class Coexistence:
                 return
         metric = self.oscillators.gap.metric[cell]
         scale = float(scale_at(metric, self.oscillators.swing[cell], new.h))
-        for old in stable:
-            if old.regime != new.regime or old.period != new.period:
-                continue
+        alike = [a for a in stable if a.regime == new.regime and a.period == new.period]
+        for old in alike:
             if on_orbit(metric, old.orbit, new.h, scale):
                 old.starts.append(start)
                 return
+        for old in alike:
             if on_orbit(metric, old.orbit, new.twin, scale):
                 old.mirror, new.mirror = new, old
         new.starts.append(start)
@@ -283,7 +286,7 @@ class Coexistence:
                 found["exact"][c, k] = each.regime in STABLE
                 found["lumped"][c, k] = each.lumped
                 if each.lumped:
-                    found["distance"][c, k] = each.distance
+                    found["lumped_distance"][c, k] = each.distance
                 if each.regime in (CHAOTIC, APERIODIC):
                     found["survived"][c, k] = each.pooled
                 symmetric = bool(each.result["symmetric"]) or (

@@ -165,7 +165,7 @@ _COEXISTENCE = (
     Variable("own", "int32", -1, "attractor that the spec's own initial state reaches; -1 if none is kept", "1"),
     Variable("undecided", "int32", 0, "initial states whose attractor is not known", "1"),
     Variable("left", "int32", 0, "initial states on attractors that are not kept", "1"),
-    Variable("unseen_share", "float64", _NAN, "share from which on an attractor is missed in 5 % of cases or fewer", "1"),
+    Variable("unseen_share", "float64", _NAN, "share of an attractor that 5 % of such cells miss", "1"),
     _of_each("share", "float64", _NAN, "share of the initial states that reach the attractor"),
     _of_each("share_error", "float64", _NAN, "standard error of the share, of Wilson's interval"),
     _of_each("share_low", "float64", _NAN, "lower end of the 95 % Wilson interval of the share"),
@@ -173,7 +173,7 @@ _COEXISTENCE = (
     _of_each("mirror", "int32", -1, "attractor that is its mirror image; itself where it is symmetric; -1 if none"),
     _of_each("exact", "bool", False, "initial states are told to reach it exactly, not by statistics"),
     _of_each("lumped", "int32", 0, "initial states put to it by statistics"),
-    _of_each("distance", "float64", _NAN, "largest distance of those from it, in standard errors"),
+    _of_each("lumped_distance", "float64", _NAN, "largest distance of those from it, in standard errors"),
 )
 
 

@@ -11,7 +11,7 @@ from workers.cells import Array, Cells, Mask, Rows
 from workers.identity import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, SECOND_LOOK, batch_moments
 from workers.kernel.cells import impact_free, physical_states
 from workers.known import Known
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Oscillator, each
 from workers.orbit.newton import Orbits
 from workers.outcome import put_impact_free, put_periodic, put_stopped
 from workers.results import APERIODIC, CHAOTIC, NO_REASON, PENDING, QUASIPERIODIC, empty_results, result_variables
@@ -60,7 +60,7 @@ class Found:
         return Found(
             self.label[rows],
             {name: values[rows] for name, values in self.arrays.items()},
-            Orbits(*(values[rows] for values in self.orbits)),
+            each(self.orbits, lambda values: values[rows]),
             self.used[rows],
             self.flown[rows],
             self.distance[rows],
@@ -107,7 +107,8 @@ class _Search(Course):
             waiting = np.setdiff1d(waiting, cells.run(waiting))
         rows = rows[~put_stopped(cells, rows)]
         rows = self.recognise(rows)
-        budget = np.maximum(cells.settings.max_periods + cells.settings.survival - cells.used, cells.settings.max_periods)
+        least = cells.settings.max_periods
+        budget = np.maximum(least + cells.settings.survival - cells.used, least)
         settled = cells.settle(rows, budget, np.full(len(cells.used), NEAR_LATER))
         put_periodic(cells, rows[settled])
         return rows[~settled]

@@ -68,7 +68,12 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
     share = np.nan_to_num(arrays["share"])
     with np.errstate(invalid="ignore", divide="ignore"):
         told = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
-        found["shares, undecided and left do not add up to 1"] = (tried > 0) & ~(np.abs(told - 1.0) < SAME)
+        found["shares, undecided and left do not add up to 1"] = np.asarray((tried > 0) & ~(np.abs(told - 1.0) < SAME))
+    mirror = arrays["mirror"]
+    back = np.take_along_axis(mirror, np.maximum(mirror, 0), axis=-1)
+    found["mirror of a mirror image is another one"] = ((mirror >= 0) & (back != np.arange(spec.attractors.keep))).any(
+        axis=-1
+    )
     found["shares do not fall"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
     found["own is none of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
     found["starts are more than were asked for"] = tried > spec.attractors.count

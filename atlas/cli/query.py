@@ -20,6 +20,7 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import print_table, text, to_json
 from atlas.errors import InputError
+from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.service.progress import reason_lines
@@ -88,9 +89,9 @@ def query(
     with input_errors(), counted() as reads:
         ds = selected(open_atlas(store), plane)
         if windows:
-            _windows(ds, windows, bounds, 1 if least is None else least, out, as_json)
+            _windows(leading(ds), windows, bounds, 1 if least is None else least, out, as_json)
         elif extremes:
-            _extremes(ds, extremes, by or "regime", bounds, out, as_json)
+            _extremes(leading(ds), extremes, by or "regime", bounds, out, as_json)
         else:
             _cells(ds, wanted, bounds, out, as_json)
     if not point and out is None and not as_json:
@@ -111,15 +112,25 @@ def _cells(
         say("reading and writing")
         found = {"file": str(out), "cells": export(ds, out, bounds)}
     else:
-        found = questions.at(ds, point) if point else questions.fractions(ds, bounds)
-    why = questions.reasons(ds, bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
+        found = questions.at(ds, point) if point else questions.fractions(leading(ds), bounds)
+    why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
     if as_json:
         click.echo(to_json(found | ({"reasons": why} if why else {})))
     elif point or out:
+        several: list[dict[str, Any]] = found.pop("coexisting", [])
         print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+        _print_attractors(several)
     else:
         print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
         click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
+
+
+def _print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
+    """The attractors of one cell as a table, a column each."""
+    if several:
+        names = [name for name, value in several[0].items() if not isinstance(value, list)]
+        rows = [(name, *(text(each.get(name, "")) for each in several)) for name in names]
+        print_table("attractors", ["", *map(str, range(len(several)))], rows)
 
 
 def _windows(

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
+from atlas.query.attractors import leading
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.spec.spec import MOST_AXES
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
+from workers.results import ATTRACTOR, ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +56,9 @@ _KINDS = {
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
+    "attractors": _Kind(axes=2, variable="attractors", scale=False),
+    "share": _Kind(axes=2, variable="share"),
+    "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
     "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
@@ -144,13 +148,14 @@ def _drawn(
     variable: str | None = None,
     log: bool = False,
 ) -> "Figure":
+    every, ds = ds, leading(ds)
     if len(axis_names(ds)) == MOST_AXES:
         return _drawn_stack(ds, kind, window, overlays, against, pixels, page, variable, log)
     wanted = _scalar(ds, kind, variable, against) if kind == SCALAR or variable is not None or log else None
     chosen = "variable" if wanted is not None else _chosen(ds, kind, against, page)
     _check_overlays(ds, overlays)
     _check_units(ds)
-    module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
+    module, shown = import_module(f"atlas.render.{chosen}"), within(every if chosen == "coexistence" else ds, window)
     drawn: Figure
     with counted() as reads:
         if against is not None:
@@ -162,10 +167,20 @@ def _drawn(
             drawn = module.figure(shown, options) if wanted is None else module.figure(shown, wanted, log, options)
         else:
             drawn = module.figure(shown, page)
+    if ds.attrs.get(ATTRACTOR, 0):
+        _say_fewer(drawn, ds.attrs[ATTRACTOR])
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     page.fit(drawn)
     return drawn
+
+
+def _say_fewer(drawn: "Figure", place: int) -> None:
+    """Say in the legends that cells without a result may have too few attractors for this place."""
+    for legend in [*drawn.legends, *(ax.get_legend() for ax in drawn.axes)]:
+        for label in legend.get_texts() if legend is not None else ():
+            if label.get_text() == "pending":
+                label.set_text(f"not more than {place}")
 
 
 def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", page: "Page") -> str:
@@ -332,7 +347,7 @@ def side_by_side(
     target = None if path is None else _target(path)
     from atlas.render import together
 
-    page = _several_page(look)
+    page, atlases = _several_page(look), [leading(ds) for ds in atlases]
     for ds in atlases:
         _check_units(ds)
     return _several(together.side_by_side(atlases, kind, window, names, page), page, target, atlases)

@@ -147,7 +147,9 @@ def _check_retry(target: Target, header: Header | None) -> None:
     if header is None:
         raise InputError(f"{target.place}: no such store, so there is nothing to retry")
     if target.spec.attractors is not None:
-        raise InputError(f"{target.place}: an atlas of all attractors cannot be retried: run it again with more periods")
+        raise InputError(
+            f"{target.place}: an atlas of all attractors cannot be retried: run it again with more periods"
+        )
     if target.spec.continuation is not None:
         raise InputError(
             f"{target.place}: a continued sweep cannot be retried: each cell of it depends on those before it"

@@ -17,12 +17,9 @@ MOST_COST = 2**31 - 1
 
 def checked_attractors(given: object, record: System, settings: Settings) -> Starts | None:
     """The initial states that a table asks for; InputError that names the key for what is wrong. None for None."""
-    if given is None or isinstance(given, Starts):
-        table = None if given is None else resolved_attractors(given)
-    else:
-        table = given
-    if table is None:
+    if given is None:
         return None
+    table: object = resolved_attractors(given) if isinstance(given, Starts) else given
     if not isinstance(table, Mapping):
         raise InputError(f"attractors: found {shown(table)}, must be a table")
     check_names("key in attractors", table, KEYS)
@@ -33,9 +30,10 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
         made = Starts(**whole, box=_checked_box(table.get("box", {}), record))
     except ValueError as error:
         raise error if isinstance(error, InputError) else InputError(f"attractors.{error}") from None
-    if made.count * (settings.max_periods + settings.survival) > MOST_COST:
+    each = settings.max_periods + settings.survival
+    if made.count * each > MOST_COST:
         raise InputError(
-            f"attractors.starts: found {made.count}, of at most {settings.max_periods + settings.survival} periods each "
+            f"attractors.starts: found {made.count}, of at most {each} periods each "
             f"(solve.max_periods and survival); together they must be at most {MOST_COST}"
         )
     names = {variable.name for variable in result_variables(settings, attractors=True)}
