@@ -15,6 +15,7 @@ from atlas.errors import InputError
 from atlas.query import connected
 from atlas.query import queries as query
 from atlas.query.attractors import leading
+from atlas.query.basins import basins
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
@@ -95,6 +96,10 @@ class AtlasAccessor:
     ) -> xr.DataArray:
         """Which of these windows each cell belongs to, by its label; 0 for none. See ``connected.labels``."""
         return connected.labels(self._ds, by, value, window, least)
+
+    def basins(self, window: Window | None = None) -> dict[str, Any]:
+        """Of a plane of initial states: its attractors, their shares, entropy and dimension. See ``basins.basins``."""
+        return basins(self._ds, window)
 
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None

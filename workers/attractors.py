@@ -21,7 +21,7 @@ from workers.adaptive import WITHOUT_RIVAL
 from workers.cells import Array, Rows, taken
 from workers.identity import DIFFERENT, distance, on_orbit
 from workers.kernel.cells import scale_at
-from workers.known import Attractor, Known, attractor_of_orbit
+from workers.known import Attractor, Known, attractor_of_orbit, mirrored
 from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
 from workers.results import (
@@ -36,7 +36,7 @@ from workers.results import (
     empty_results,
     result_variables,
 )
-from workers.search import Found, search, watch
+from workers.search import Found, sampled, search, watch
 from workers.settings import Settings
 from workers.starts import Starts, initial_states, unseen_share, wilson
 from workers.tile import Solution
@@ -128,6 +128,7 @@ class Coexistence:
             invalid = (self.reasons != NO_REASON)[going]
             going = going[~invalid & ~np.array([self._is_done(self.tallies[c], wave.stop) for c in going], dtype=bool)]
         self._watch()
+        self._pair()
 
     def _is_done(self, tally: Tally, started: int) -> bool:
         one = len(tally.attractors) == 1 and not tally.undecided
@@ -159,12 +160,18 @@ class Coexistence:
                 tally.tried += 1
             if found.label[r] >= 0:
                 known.attractors[found.label[r]].join(int(number[r]), found, r)
-            elif regime in STABLE:
-                self._put_orbit(int(owner[r]), int(number[r]), found, r)
-            elif regime in STATISTICAL and found.reference[r] is not None:
-                self._put_statistical(tally, int(number[r]), found, r)
             else:
-                tally.undecided.append(int(number[r]))
+                self.put(int(owner[r]), int(number[r]), found, r)
+
+    def put(self, cell: int, start: int, found: Found, r: int) -> None:
+        """Put a motion that was solved in full to its attractor, the same as a known one or a new one."""
+        regime = int(found.arrays["regime"][r])
+        if regime in STABLE:
+            self._put_orbit(cell, start, found, r)
+        elif regime in STATISTICAL and found.reference[r] is not None:
+            self._put_statistical(self.tallies[cell], start, found, r)
+        else:
+            self.tallies[cell].undecided.append(start)
 
     def _put_orbit(self, cell: int, start: int, found: Found, r: int) -> None:
         tally = self.tallies[cell]
@@ -262,6 +269,36 @@ class Coexistence:
         chosen = np.array(kept, dtype=np.int64)
         if len(chosen):
             self._assign(owner[chosen], number[chosen], found.only(chosen), known)
+
+    def _pair(self) -> None:
+        """Pair chaos and tori with their mirror images: batches of each motion's mirror image tell them."""
+        alone = [
+            (c, each)
+            for c, tally in enumerate(self.tallies)
+            if self.oscillators.symmetric[c] > 0.0
+            for each in tally.attractors
+            if each.reference is not None and sum(other.regime == each.regime for other in tally.attractors) > 1
+        ]
+        if not alone:
+            return
+        owner = np.array([c for c, _ in alone])
+        oscillators = taken(self.oscillators, owner)
+        states = mirrored(oscillators, np.stack([each.last[0] for _, each in alone]))
+        known = Known(self.oscillators, [[] for _ in self.tallies])
+        found, used = sampled(oscillators, states, self.settings, known, owner)
+        for (c, each), batches, cost in zip(alone, found, used.tolist(), strict=True):
+            self.tallies[c].used += cost
+            alike = [other for other in self.tallies[c].attractors if other.regime == each.regime]
+            apart = (
+                [distance(other.reference, batches) for other in alike if other.reference is not None]
+                if (batches is not None)
+                else []
+            )
+            if apart and min(apart) <= DIFFERENT:
+                each.mirror = alike[int(np.argmin(apart))]
+        for _, each in alone:
+            if each.mirror is not None and each.mirror.mirror is not each:
+                each.mirror = None
 
     def write(self, found: dict[str, NDArray[Any]]) -> None:
         """Write the result arrays of these cells."""

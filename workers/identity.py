@@ -87,6 +87,25 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
 
 
 @kernel
+def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
+    """Periods (len(rows),) after which sections of these motions stay within NEAR_ORBIT of those a turn later.
+
+    flown (N,) periods gone through, of which the last ``kept`` (N,) sections are known; period (len(rows),) of the
+    orbit that each falls into.
+    """
+    found = np.empty(len(rows), dtype=np.int64)
+    last = sections.shape[1] - 1
+    for e in range(len(rows)):
+        r, p = rows[e], period[e]
+        k = last
+        near = NEAR_ORBIT * scale_at(metric[r], swing[r], sections[r, last])
+        while k - p > last - kept[r] and separation(metric[r], sections[r, k], sections[r, k - p]) <= near:
+            k -= 1
+        found[e] = flown[r] - (last - k) - p
+    return found
+
+
+@kernel
 def turn(oscillators, r, h, contact, steps, half):
     """So many steps of the map from a block state h (n, 2) of oscillator r: each state, h the first, and the Jacobian.
 

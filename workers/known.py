@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from workers.cells import Array, Cells, Rows
 from workers.identity import KnownOrbits, distance, orbits_reached, turn
+from workers.kernel.cells import physical_states, start_motions
+from workers.kernel.motion import motions_at
 from workers.model.oscillator import COLUMN, Oscillator
 from workers.results import NO_IMPACT
 
@@ -84,6 +86,18 @@ def attractor_of_orbit(oscillators: Oscillator, cell: int, found: "Found", r: in
     return new
 
 
+def mirrored(oscillators: Oscillator, states: Array) -> Array:
+    """Physical states (N, 2n) on the mirror images of N motions through these ones."""
+    N, n = oscillators.gap_row.shape
+    motions = motions_at(np.zeros((N, n, 2)))
+    rows = np.arange(N)
+    start_motions(oscillators, motions, states, rows)
+    for r in range(N):
+        states_after, _ = turn(oscillators, r, motions.h[r], int(motions.contact[r, 0]), 1, np.bool_(True))
+        motions.h[r] = states_after[1]
+    return np.asarray(physical_states(oscillators, motions, rows))
+
+
 class Known:
     """The attractors of many cells, each motion to be compared with those of its own cell.
 
@@ -125,6 +139,10 @@ class Known:
             gap.metric, cells.oscillators.swing, cells.batch.sections, cells.kept(), rows, owner, self.orbits
         )
         return np.where(found >= 0, self.places[np.maximum(found, 0)], -1)
+
+    def periods(self, labels: Rows) -> Rows:
+        """The periods of known orbits."""
+        return np.array([self.attractors[k].period for k in labels], dtype=np.int64)
 
     def has_reference(self, cells: Rows) -> NDArray[np.bool_]:
         """Of which of these cells chaos or a torus is known."""

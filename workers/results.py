@@ -177,12 +177,20 @@ _COEXISTENCE = (
 )
 
 
-def result_variables(settings: Settings, attractors: bool = False) -> tuple[Variable, ...]:
+UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
+LABEL = Variable("label", "int32", UNKNOWN_LABEL, "attractor that the initial state reaches; -1 if not known", "1")
+SETTLED = Variable("settled", "int32", 0, "forcing periods until the motion is on the attractor", "1")
+
+
+def result_variables(settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
     """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
 
     With ``attractors`` those of all attractors of each cell: every result but the cost has the dimension ``attractor``.
+    With ``basins`` those of initial states that are told by the attractors that they reach.
     """
     found = _of_one(settings)
+    if basins:
+        return (LABEL, SETTLED, *found)
     if not attractors:
         return found
     many = [v if v.name == "periods_used" else replace(v, extra=(ATTRACTOR, *v.extra)) for v in found]

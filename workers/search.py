@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from workers.adaptive import NEAR_LATER, Course
 from workers.cells import Array, Cells, Mask, Rows
-from workers.identity import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, SECOND_LOOK, batch_moments
+from workers.identity import (
+    BATCH,
+    DIFFERENT,
+    FIRST_LOOK,
+    REFERENCE,
+    SECOND_LOOK,
+    batch_moments,
+    periods_to_settle,
+)
 from workers.kernel.cells import impact_free, physical_states
 from workers.known import Known
 from workers.model.oscillator import Oscillator, each
@@ -30,6 +38,8 @@ class Found:
     arrays       result arrays by name (N, ...); regime PENDING where a motion was recognised
     orbits       where these are of an orbit
     used, flown  (N,) periods that it cost, and that its motion went through
+    settled      (N,) periods until it was on the attractor: within a hundredth of the motion's scale where it was
+                 recognised to reach an orbit, else as many as it went through
     distance     (N,) in standard errors from the attractor that it was put to by statistics
     reference    batches of a new chaos or torus, of others None
     state_after  (N, 2n) the physical state at which the motion was left; flown_after (N,) periods on the attractor
@@ -41,6 +51,7 @@ class Found:
     orbits: Orbits
     used: Rows
     flown: Rows
+    settled: Rows
     distance: Array
     reference: list[Array | None]
     state_after: Array
@@ -63,6 +74,7 @@ class Found:
             each(self.orbits, lambda values: values[rows]),
             self.used[rows],
             self.flown[rows],
+            self.settled[rows],
             self.distance[rows],
             [self.reference[r] for r in rows],
             self.state_after[rows],
@@ -79,6 +91,7 @@ class _Search(Course):
         N = len(owner)
         self.known, self.owner = known, owner
         self.label = np.full(N, -1)
+        self.settled = np.full(N, -1)
         self.left = np.zeros(N, dtype=np.bool_)
         self.distance = np.full(N, np.nan)
         self.compared = np.zeros(N, dtype=np.int64)
@@ -86,8 +99,16 @@ class _Search(Course):
 
     def recognise(self, rows: Rows) -> Rows:
         """Those that fall into no known orbit."""
-        self.label[rows] = self.known.reached(self.cells, rows, self.owner)
-        return rows[self.label[rows] < 0]
+        cells = self.cells
+        label = self.known.reached(cells, rows, self.owner)
+        self.label[rows] = label
+        done = rows[label >= 0]
+        if len(done):
+            self.settled[done] = periods_to_settle(
+                cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.sections, cells.kept(), done,
+                cells.flown, self.known.periods(label[label >= 0]),
+            )  # fmt: skip
+        return rows[label < 0]
 
     def leaves(self, rows: Rows) -> Mask:
         """Those of whose cell chaos or a torus is known."""
@@ -147,16 +168,18 @@ def search(
     settings: Settings,
     known: Known,
     owner: Rows,
+    references: bool = True,
 ) -> Found:
     """What N motions from physical states (N, 2n) come to; those with a reason have no oscillator.
 
-    owner   (N,) the cell of each, whose known attractors it is compared with
+    owner       (N,) the cell of each, whose known attractors it is compared with
+    references  whether what is on a new chaos or torus goes on to tell what it is by
     """
     course, ready = _begun(oscillators, reasons, states, settings, known, owner)
     with np.errstate(all="ignore"):
         course.take(ready)
         course.compare()
-        return _with_references(course, oscillators)
+        return _with_references(course) if references else _found(course, [None] * len(owner))
 
 
 def watch(
@@ -175,6 +198,18 @@ def watch(
     return _found(course, [None] * len(owner))
 
 
+def sampled(
+    oscillators: Oscillator, states: Array, settings: Settings, known: Known, owner: Rows
+) -> tuple[list[Array | None], Rows]:
+    """The batches of N motions from physical states (N, 2n), None of one that settles; and the periods used."""
+    reasons = np.full(len(owner), NO_REASON, dtype=np.int8)
+    course, rows = _begun(oscillators, reasons, states, settings, known, owner)
+    with np.errstate(all="ignore"):
+        going, means = course.sample(rows, REFERENCE)
+    there = dict(zip(going.tolist(), means, strict=True))
+    return [there.get(r) for r in range(len(owner))], course.cells.used
+
+
 def _begun(
     oscillators: Oscillator,
     reasons: NDArray[np.int8],
@@ -191,7 +226,7 @@ def _begun(
     return _Search(cells, known, owner), ready
 
 
-def _with_references(course: _Search, oscillators: Oscillator) -> Found:
+def _with_references(course: _Search) -> Found:
     """The motions as found; those that are on a chaos or torus that is not known go on, to tell what it is by.
 
     One that settles meanwhile is on an orbit.
@@ -226,6 +261,7 @@ def _found(course: _Search, references: list[Array | None]) -> Found:
         orbits=cells.orbits,
         used=cells.used.copy(),
         flown=cells.flown.copy(),
+        settled=np.where(course.settled >= 0, course.settled, cells.flown),
         distance=course.distance,
         reference=references,
         state_after=course.state,

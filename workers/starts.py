@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +122,7 @@ def _points(size: int, count: int, seed: int) -> Array:
     return points
 
 
-def wilson(hits: Array | int, count: Array | int, z: float = NORMAL_95) -> tuple[Array, Array]:
+def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMAL_95) -> tuple[Array, Array]:
     """The ends of Wilson's interval of a share of which ``hits`` of ``count`` were seen, z standard errors wide.
 
     (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n.
@@ -137,6 +138,6 @@ def wilson(hits: Array | int, count: Array | int, z: float = NORMAL_95) -> tuple
     return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
 
 
-def unseen_share(count: Array | int) -> Array:
+def unseen_share(count: NDArray[Any] | int) -> Array:
     """The share of an attractor that so many starts all miss with probability CONFIDENCE: 1 - 0.05^(1/n)."""
     return np.asarray(1.0 - CONFIDENCE ** (1.0 / np.asarray(count, dtype=np.float64)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from atlas.spec.spec import Spec
 from atlas.store.schema import ALLOWANCES
-from workers.results import CHAOTIC, PERIODIC, REGIME, REGIMES, leading
+from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, REGIMES, leading
 
 ERRORS = 5.0
 """So many errors of both solutions may lie between the largest exponents that two machines give."""
@@ -38,7 +38,11 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
 
     block = tuple(slice(i, i + 1) for i in sample.cell)
     if spec.attractors is not None:
-        return solve_block(spec, block).arrays
+        arrays = solve_block(spec, block).arrays
+        if spec.basins:  # what lies beyond the table gets its label when all cells are known
+            beyond = arrays[LABEL.name] == BEYOND_TABLE
+            arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
+        return arrays
     given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
     settings = replace(spec.settings, **given)
     return solve_cells(spec.record, spec.cell_params(block), settings).arrays

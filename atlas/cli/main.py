@@ -12,7 +12,7 @@ from atlas.cli.compare import compare
 from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
-from atlas.cli.run import cancel, extend, plan, run, submit
+from atlas.cli.run import basins, cancel, extend, plan, run, submit
 from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -72,6 +72,7 @@ for command in (
     submit,
     cancel,
     extend,
+    basins,
     status,
     verify,
     pack,

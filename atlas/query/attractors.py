@@ -46,11 +46,12 @@ def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
     found = []
     for k in range(min(int(cell["attractors"]), cell.sizes[ATTRACTOR])):
         values = {name: cell[name].isel({ATTRACTOR: k}).values.tolist() for name in names}
-        found.append(_in_words(values))
+        found.append(in_words(values))
     return found
 
 
-def _in_words(values: Mapping[str, Any]) -> dict[str, Any]:
+def in_words(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of one attractor, its shares first, the regime and the reason by name."""
     words = {REGIME.name: _NAMES[int(values[REGIME.name])]}
     if REASON.name in values and values[REASON.name] != NO_REASON:
         words[REASON.name] = REASONS[int(values[REASON.name])].text

@@ -58,6 +58,7 @@ _KINDS = {
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
     "attractors": _Kind(axes=2, variable="attractors", scale=False),
     "share": _Kind(axes=2, variable="share"),
+    "basins": _Kind(axes=2, variable="label", scale=False),
     "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
@@ -191,7 +192,9 @@ def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", pa
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, found {_AXES[len(axes)]} ({', '.join(axes)})")
-    chosen = next((name for name in possible if _KINDS[name].variable in ds), possible[0]) if kind is None else kind
+    held = [name for name in possible if _KINDS[name].variable in ds]
+    held = ["basins"] if "basins" in held else held
+    chosen = (held or possible)[0] if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")
     if chosen not in fitting:

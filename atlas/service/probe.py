@@ -143,8 +143,9 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
         if spec.attractors is None:
             return solve_cells(spec.record, params, settings)
         from workers.attractors import solve_attractors
+        from workers.basins import solve_basins
 
-        return solve_attractors(spec.record, params, settings, spec.attractors)
+        return (solve_basins if spec.basins else solve_attractors)(spec.record, params, settings, spec.attractors)
     return solve_lines(spec.record, params, settings, backward=spec.continuation[1])
 
 

@@ -48,7 +48,8 @@ class Spec:
     The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty.
     Columns win over ``parameters``.
     ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a ``workers.starts.Starts``,
-    asks for all attractors of each cell that so many initial states reach; None for that of its own.
+    asks for all attractors of each cell that so many initial states reach; None for that of its own. Where all axes are
+    components of the initial state it asks for their basins: which of the attractors of the one machine each reaches.
     Raises InputError for anything that cannot be solved.
     """
 
@@ -191,7 +192,26 @@ class Spec:
     @property
     def variables(self) -> tuple[Variable, ...]:
         """The results of each cell, ``regime`` last."""
-        return result_variables(self.settings, attractors=self.attractors is not None)
+        return result_variables(self.settings, attractors=self.coexistence, basins=self.basins)
+
+    def with_attractors(self) -> "Spec":
+        """The same spec, which asks for all attractors from the default initial states."""
+        store = None if self.tile is None else {"tile": list(self.tile)}
+        axes = None if self.points else {axis.name: axis for axis in self.axes}
+        points = self.points or None
+        return Spec(self.record, axes, self.parameters, self.settings, store, points, Starts())
+
+    @property
+    def basins(self) -> bool:
+        """Whether it asks which attractor each initial state of one machine reaches: all its axes are such states."""
+        states = {*self.record.states}
+        names = [*self.points] if self.points else [axis.name for axis in self.axes]
+        return self.attractors is not None and states.issuperset(names)
+
+    @property
+    def coexistence(self) -> bool:
+        """Whether it asks for all attractors of each cell."""
+        return self.attractors is not None and not self.basins
 
     @property
     def digest(self) -> str:

@@ -57,7 +57,7 @@ class Origin:
 def extra_sizes(spec: Spec) -> dict[str, int]:
     """Lengths of the dimensions that a variable may have after the axes."""
     states = len(spec.record.states)
-    kept = {} if spec.attractors is None else {ATTRACTOR: spec.attractors.keep}
+    kept = {ATTRACTOR: spec.attractors.keep} if spec.attractors is not None and spec.coexistence else {}
     return {"exponent": states, "state": states, "sample": spec.settings.section_samples} | kept
 
 
