@@ -45,6 +45,9 @@ class _Kind:
     scale: bool = True
 
 
+BASINS = "basins"
+"""The kind that is drawn of planes of initial states."""
+
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
 # imported at first use: the command's help needs the names and neither matplotlib nor xarray.
 _KINDS = {
@@ -58,7 +61,7 @@ _KINDS = {
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
     "attractors": _Kind(axes=2, variable="attractors", scale=False),
     "share": _Kind(axes=2, variable="share"),
-    "basins": _Kind(axes=2, variable="label", scale=False),
+    BASINS: _Kind(axes=2, variable="label", scale=False),
     "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
@@ -70,8 +73,8 @@ MOST_PANELS = 12
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "sticking" for two axes, the others for one; "hysteresis" takes two atlases."""
 
-MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
-"""Those of them that are drawn over two axes, and take overlays."""
+MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2 and name != BASINS)
+"""Those of them that are drawn over two axes of a parameter plane, and take overlays."""
 
 SCALAR = "scalar"
 """The kind that maps a variable that is named, any number that an atlas holds."""
@@ -193,7 +196,7 @@ def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", pa
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, found {_AXES[len(axes)]} ({', '.join(axes)})")
     held = [name for name in possible if _KINDS[name].variable in ds]
-    held = ["basins"] if "basins" in held else held
+    held = [BASINS] if BASINS in held else held
     chosen = (held or possible)[0] if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")

@@ -13,7 +13,6 @@ COUNTS = {1: "#dfe8ee", 2: "#8fb8d8", 3: "#4a7fb5", 4: "#f0b13c", 5: "#d9622b"}
 """The colour of each number of attractors; the last of all larger ones."""
 MOST = max(COUNTS) + 1
 MORE = "#7a1f5c"
-NONE = "#a3ff0d"
 
 
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
@@ -24,7 +23,8 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     plane = overlays.read(ds, ["attractors"], "attractors", options)
     with options.page.context():
         drawn, ax = maps.frame(ds, options.page)
-        rgba, legend = paint(plane.regime, np.rint(plane["attractors"]).astype(np.int64))
+        known = maps.determined(plane.regime)
+        rgba, legend = paint(plane.regime, np.where(known, np.rint(plane["attractors"]), 0).astype(np.int64))
         maps.draw(ax, plane, rgba, options)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         options.page.legend(drawn, entries, beside="")

@@ -24,8 +24,8 @@ MIRROR_LIGHTNESS = 0.8
 """Lightness of a mirror image's colour, whose hue is that of its twin, on the way to white 1."""
 SLOW = 0.55
 """How dark the initial states are that take longest to settle, black 0."""
-DARKEST, BRIGHTEST = 95.0, 5.0
-"""Per cent of initial states that settle sooner than those drawn darkest; and sooner than any that is shaded."""
+SOONEST, LATEST = 5.0, 95.0
+"""Per cent of initial states that settle sooner than any that is shaded, and than those drawn darkest."""
 
 
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
@@ -35,7 +35,11 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """
     if LABEL.name not in ds:
         raise InputError("kind 'basins' draws labels: both axes must be initial states, and the spec have [attractors]")
-    known = table(ds)
+    return picture(ds, table(ds), options)
+
+
+def picture(ds: xr.Dataset, known: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
+    """As ``figure``, with the table of the attractors given."""
     plane = overlays.read(ds, [LABEL.name, "settled"], "basins", options)
     labels = np.rint(plane[LABEL.name]).astype(np.int64)
     colors = colors_of(known)
@@ -45,7 +49,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         maps.draw(ax, plane, rgba, options)
         entries: list[Artist] = [*legend, *_draw_points(ax, known, plane, colors)]
         entries += overlays.draw(ax, ds, plane, options)
-        options.page.legend(drawn, entries, beside="")
+        options.page.legend(drawn, entries)
     return drawn
 
 
@@ -75,8 +79,9 @@ def paint(
     rgba = np.zeros((*labels.shape, 4), dtype=np.uint8)
     there = labels >= 0
     shade = np.ones(labels.shape)
+    soon = late = 0.0
     if there.any():
-        soon, late = np.percentile(settled[there], [BRIGHTEST, DARKEST])
+        soon, late = np.percentile(settled[there], [SOONEST, LATEST])
         slow = np.clip((settled - soon) / max(late - soon, 1.0), 0.0, 1.0)
         shade = 1.0 - (1.0 - SLOW) * slow
     legend = []
@@ -85,6 +90,8 @@ def paint(
         if cells.any():
             rgba[cells] = style.rgb(color)
             legend.append(style.swatch(color, name_of(known.isel({ATTRACTOR: k}), k)))
+    if late > soon:
+        legend.append(style.swatch("#808080", f"darker: settles in {late:.0f} periods, not {soon:.0f}"))
     rgba[there, :3] = (rgba[there, :3] * shade[there][:, None]).astype(np.uint8)
     return rgba, legend + maps.paint_regimes(rgba, regime, ~there)
 

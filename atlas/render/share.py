@@ -6,7 +6,6 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from atlas.render import maps, overlays, scalar
-from workers.results import FAILED, INVALID, PENDING
 
 COLORMAP = LinearSegmentedColormap.from_list(
     "share", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"), N=512
@@ -20,5 +19,5 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     It is that of the attractor with the largest share unless another one was selected.
     """
     plane = overlays.read(ds, ["share"], "share", options)
-    solved = ~np.isin(plane.regime, (PENDING, INVALID, FAILED))
-    return scalar.figure(ds, plane, np.where(solved, plane["share"], np.nan), SCALE, options)
+    share = np.where(maps.determined(plane.regime), plane["share"], np.nan)
+    return scalar.figure(ds, plane, share, SCALE, options)
