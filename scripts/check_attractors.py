@@ -32,7 +32,7 @@ NEITHER = (QUASIPERIODIC, CHAOTIC, APERIODIC)
 
 @dataclass
 class Checked:
-    """One cell: shares of the attractors among the many, and which of them the few have found and with what interval."""
+    """One cell: shares of the attractors among the many; which of them the few have found, whose interval covers."""
 
     cell: dict[str, float]
     shares: list[float]

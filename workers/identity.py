@@ -101,7 +101,7 @@ def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
         near = NEAR_ORBIT * scale_at(metric[r], swing[r], sections[r, last])
         while k - p > last - kept[r] and separation(metric[r], sections[r, k], sections[r, k - p]) <= near:
             k -= 1
-        found[e] = flown[r] - (last - k) - p
+        found[e] = flown[r] - (last - k) - p + 1
     return found
 
 

@@ -157,6 +157,7 @@ class _Search(Course):
                     self.label[r], self.distance[r] = label, away[k]
             rows = rows[away > DIFFERENT]
         self.compared[rows] = 0
+        self.watched[rows] += (FIRST_LOOK + SECOND_LOOK) * BATCH  # they were to decide nothing
         self.observe(rows)
         self.take(rows)
 

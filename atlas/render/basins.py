@@ -31,7 +31,8 @@ SOONEST, LATEST = 5.0, 95.0
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The basins as a figure: colours are attractors, darker where motion takes longer to settle.
 
-    Their section points lie on top. A mirror image has a paler tone of its twin's hue. InputError where the atlas is not one of basins.
+    Their section points lie on top. A mirror image has a paler tone of its twin's hue. InputError where the atlas is
+    not one of basins.
     """
     if LABEL.name not in ds:
         raise InputError("kind 'basins' draws labels: both axes must be initial states, and the spec have [attractors]")
@@ -91,7 +92,7 @@ def paint(
             rgba[cells] = style.rgb(color)
             legend.append(style.swatch(color, name_of(known.isel({ATTRACTOR: k}), k)))
     if late > soon:
-        legend.append(style.swatch("#808080", f"darker: settles in {late:.0f} periods, not {soon:.0f}"))
+        legend.append(style.swatch("#808080", f"from pale to dark: settles in {soon:.0f} to {late:.0f} periods"))
     rgba[there, :3] = (rgba[there, :3] * shade[there][:, None]).astype(np.uint8)
     return rgba, legend + maps.paint_regimes(rgba, regime, ~there)
 
