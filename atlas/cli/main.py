@@ -14,7 +14,7 @@ from atlas.cli.curves import curves
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
-from atlas.cli.run import cancel, extend, plan, run, submit
+from atlas.cli.run import basins, cancel, extend, plan, run, submit
 from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -90,6 +90,7 @@ for command in (
     submit,
     cancel,
     extend,
+    basins,
     status,
     verify,
     pack,
