@@ -9,6 +9,7 @@ import click
 
 from atlas.cli.cell import point, portrait, systems
 from atlas.cli.compare import compare
+from atlas.cli.explore import explore
 from atlas.cli.options import INTERRUPTED
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
@@ -81,6 +82,7 @@ for command in (
     figures,
     point,
     portrait,
+    explore,
     systems,
 ):
     main.add_command(command)

@@ -19,8 +19,10 @@ from atlas.render.style import house
 DPI = 110.0
 SCALE = 0.85
 """The size of the type relative to that of the standard page."""
-BAR_PIXELS = 16
-"""Width of a colour bar."""
+GAP = 16
+"""Pixels between the plot area and what is beside it."""
+BAR_ASPECT = 28.0
+"""Height of a colour bar over its width, as all pictures have it."""
 _drawing = threading.Lock()
 """Matplotlib's settings belong to the whole process."""
 
@@ -67,11 +69,10 @@ def screen(
         _bare(ax, ds)
         ax.set_position(area)
         bars = [each for each in drawn.axes if each is not ax]
-        low = _move_legend(drawn, ax, (width + BAR_PIXELS) / whole)
-        for bar in bars:
-            bar.set_box_aspect(None)
-            bar.set_aspect("auto")
-            bar.set_position(((width + BAR_PIXELS) / whole, low + 0.04, BAR_PIXELS / whole, 0.92 - low))
+        low = _move_legend(drawn, ax, (width + GAP) / whole)
+        tall = 0.92 - low
+        for bar in bars:  # of the proportions that a bar with pointed ends insists on
+            bar.set_position(((width + GAP) / whole, low + 0.04, tall * height / BAR_ASPECT / whole, tall))
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())
         low_end, high_end = bars[0].get_ylim() if len(bars) == 1 else (0.0, 0.0)
