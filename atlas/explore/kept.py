@@ -36,6 +36,7 @@ PAUSE = 1.0
 MOST_WAITING = 4096
 """Tiles that wait for their turn; of more the oldest are not kept."""
 OPEN_SHEETS = 64
+RECENT = 60.0
 LOOK = 5.0
 """Seconds after which it is looked for what other explorers have written."""
 
@@ -76,10 +77,15 @@ class _Sheet:
 
 
 class Keeper:
-    """The kept tiles of a subject. ``trouble`` says why tiles are not kept at this moment, "" while they are."""
+    """The kept tiles of a subject. ``trouble`` says why tiles are not kept at this moment, "" while they are.
 
-    def __init__(self, subject: Subject, most_bytes: int = MOST_BYTES, wanted: bool = True) -> None:
-        self._subject, self._most = subject, most_bytes
+    What was looked at in the last ``recent`` seconds is not dropped, however much it is.
+    """
+
+    def __init__(
+        self, subject: Subject, most_bytes: int = MOST_BYTES, wanted: bool = True, recent: float = RECENT
+    ) -> None:
+        self._subject, self._most, self._recent = subject, most_bytes, recent
         self._lock, self._stopped = threading.RLock(), threading.Event()
         self._waiting: OrderedDict[tuple[Plane, TileKey], Arrays] = OrderedDict()
         self._open: OrderedDict[tuple[Plane, SheetKey], _Sheet] = OrderedDict()
@@ -199,7 +205,7 @@ class Keeper:
             ending = self._stopped.wait(PAUSE)
             with self._lock:
                 batch = [(key, self._waiting[key]) for key in list(self._waiting)[:TOGETHER]]
-            if self.header is not None and (batch or (self._seen and time.monotonic() - noted > 60.0 * PAUSE)):
+            if self.header is not None and (batch or (self._seen and time.monotonic() - noted > RECENT)):
                 noted = time.monotonic()
                 self._turn(self.header, batch)
             with self._lock:
@@ -276,7 +282,7 @@ class Keeper:
                 self._sizes[each] = sheet_bytes(header, *each)
         seen = seen_sheets(header) | self._seen
         total = sum(self._sizes[each] for each in all_sheets)
-        recent = time.time() - 60.0 * PAUSE
+        recent = time.time() - self._recent
         for each in sorted(all_sheets, key=lambda one: (seen.get(one, 0.0), -_depth(one[1]))):
             if total <= self._most or seen.get(each, 0.0) > recent:
                 break

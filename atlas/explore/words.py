@@ -5,6 +5,7 @@ import html
 import math
 import re
 import shlex
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import fields
 from io import BytesIO
@@ -38,7 +39,7 @@ def plain(symbol: str) -> str:
     text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", symbol)
     text = re.sub(r"\\([A-Za-z]+)", lambda found: GREEK.get(found[1], found[1]), text)
     text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda found: _lowered(found[1] or found[2]), text)
-    return re.sub(r"[{}$\\,]", "", text)
+    return unicodedata.normalize("NFC", re.sub(r"[{}$\\,]", "", text))
 
 
 def _lowered(text: str) -> str:

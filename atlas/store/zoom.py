@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+from atlas.store.archive import ZipPlace
 from atlas.store.location import LocalPlace, ObjectPlace, Place
 from atlas.store.store import ROOT, ZOOM, Header
 from workers.results import REGIME
@@ -40,7 +41,9 @@ def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None
 
 
 def sheets(header: Header) -> list[tuple[str, str]]:
-    """The planes and the names of all sheets."""
+    """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
+    if isinstance(header.place, ZipPlace):
+        return []
     parts = [key.split("/") for key in _roots(header)]
     return sorted((each[1], each[2]) for each in parts)
 
@@ -72,7 +75,7 @@ def note_seen(header: Header, seen: Mapping[tuple[str, str], float]) -> None:
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
         group = json.loads(header.place.get(key) or b"{}")
-        noted = {sheet: round(when) for (of, sheet), when in seen.items() if of == plane}
+        noted = {sheet: when for (of, sheet), when in seen.items() if of == plane}
         if group and group["attributes"].get(_SEEN) != noted:
             group["attributes"][_SEEN] = noted
             header.place.put(key, json.dumps(group).encode())
