@@ -182,7 +182,7 @@ def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Clie
 def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise PermissionError(30, "Read-only file system")
 
     monkeypatch.setattr("atlas.store.sidecar.Folder.put", refuse)

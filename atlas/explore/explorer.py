@@ -87,6 +87,12 @@ class Explorer:
         if told is None:
             self.patches.want(who, ())
 
+    @property
+    def listeners(self) -> list[Hashable]:
+        """Who is told of solved tiles."""
+        with self._lock:
+            return list(self._listeners)
+
     def keep_plane(self, plane: Plane) -> None:
         """Keep this plane too, with what is known of it."""
         with self._lock:

@@ -6,6 +6,7 @@ race with the user.
 
 import html
 import logging
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -32,7 +33,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.explore.actions import new_atlas, picture_file, portrait_image
 from atlas.explore.chosen import Chosen, from_address, to_address
 from atlas.explore.controls import Controls
@@ -80,6 +81,7 @@ class Page:
         self._document, self._explorer, self._subject = document, explorer, explorer.subject
         self._chosen, self._folder = chosen, folder
         self._rests, self.trouble = True, ""
+        self._lock, self._closed = threading.Lock(), False
         self._pointer: tuple[float, float] | None = None
         self._box: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._ends: tuple[float | None, float | None] = (None, None)
@@ -95,14 +97,22 @@ class Page:
         document.add_periodic_callback(self._say_progress, 500)
         self._painter = Painter(
             explorer,
-            lambda painted: document.add_next_tick_callback(partial(self._show, painted)),
-            lambda why: document.add_next_tick_callback(partial(self._refused, why)),
+            lambda painted: self._later(partial(self._show, painted)),
+            lambda why: self._later(partial(self._refused, why)),
         )
 
     def close(self) -> None:
         """Free what the page holds."""
+        with self._lock:
+            self._closed = True
         self._painter.close()
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _later(self, act: Callable[[], None]) -> None:
+        """Have something done in the thread of the page's document, for as long as there is one."""
+        with self._lock:
+            if not self._closed:
+                self._document.add_next_tick_callback(act)
 
     def _make_plot(self) -> None:
         subject, chosen = self._subject, self._chosen
@@ -270,7 +280,7 @@ class Page:
         self.trouble = ""
 
     def _refused(self, why: str) -> None:
-        self.trouble = why
+        self.trouble, self._hovering = why, False
 
     def _say_progress(self) -> None:
         explorer = self._explorer
@@ -382,11 +392,13 @@ class Page:
         def run() -> None:
             try:
                 show = work(given)
-            except (InputError, OSError) as error:
+            except (InputError, RunError, OSError) as error:
                 show = partial(self._refused, str(error))
-            self._document.add_next_tick_callback(show)
+            self._later(show)
 
-        self._thread.submit(run)
+        with self._lock:
+            if not self._closed:
+                self._thread.submit(run)
 
 
 def _heard(act: Callable[[], None]) -> Callable[[str, Any, Any], None]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.explore.chosen import Chosen, Range, beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.lattice import Lattice
@@ -113,7 +113,7 @@ class Painter:
                 elif self._stale and not self._fresh:
                     self._stale = False
                     self._paint()
-            except InputError as error:
+            except (InputError, RunError) as error:
                 self._refuse(str(error))
             except OSError as error:
                 self._refuse(f"the store cannot be read: {error.strerror or error}")
