@@ -70,6 +70,24 @@ class Tab:
         left, top, width, height = box
         return left, top, width, height
 
+    def wheel(self, times: int, at: tuple[float, float] = (0.3, 0.6)) -> None:
+        """Turn the wheel so often, at once, over a point of the plane, given as shares of its width and height."""
+        left, top, width, height = self.plot()
+        self.page.evaluate(
+            """([x, y, times]) => {
+                let node = document.elementFromPoint(x, y)
+                for (let inner = node; inner; node = inner || node) {
+                    inner = node.shadowRoot && node.shadowRoot.elementFromPoint(x, y)
+                    if (!inner || inner === node) break
+                    node = inner
+                }
+                for (let k = 0; k < times; k++)
+                    node.dispatchEvent(new WheelEvent("wheel",
+                        {clientX: x, clientY: y, deltaY: -120, bubbles: true, composed: true, cancelable: true}))
+            }""",
+            [left + at[0] * width, top + at[1] * height, times],
+        )
+
     def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> Any:
         """What a condition gives, once it is true; fails after so many seconds."""
         end = time.monotonic() + seconds
@@ -82,7 +100,7 @@ class Tab:
 
 
 @contextmanager
-def opened(url: str, width: int = 1280, height: int = 760) -> Iterator[Tab]:
+def opened(url: str, width: int = 1000, height: int = 440) -> Iterator[Tab]:
     """A tab that shows an address."""
     needs_browser()
     from playwright.sync_api import sync_playwright
@@ -90,7 +108,7 @@ def opened(url: str, width: int = 1280, height: int = 760) -> Iterator[Tab]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         try:
-            tab = Tab(browser.new_page(viewport={"width": width, "height": height}))
+            tab = Tab(browser.new_context(viewport={"width": width, "height": height}).new_page())
             tab.page.goto(url)
             yield tab
         finally:

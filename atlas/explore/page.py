@@ -176,8 +176,7 @@ class Page:
         ):
             widget.on_change(name, _heard(self._chose))
         for name, slider in controls.sliders.items():
-            slider.on_change("value", partial(self._slid, name, False))
-            slider.on_change("value_throttled", partial(self._slid, name, True))
+            slider.on_change("value", partial(self._slid, name))
         controls.rescale.on_click(self._rescale)
         controls.keep.on_click(lambda on: self._explorer.keep_plane(self._chosen.plane) if on else None)
         for suffix, button in controls.files.items():
@@ -257,9 +256,9 @@ class Page:
         self._chosen, self._rests, self.trouble = replace(self._chosen, **controls.read()), True, ""
         self._update()
 
-    def _slid(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
+    def _slid(self, name: str, attribute: str, old: Any, new: Any) -> None:
         plane = self._subject.moved(self._chosen.plane, name, float(new))
-        self._chosen, self._rests = replace(self._chosen, plane=plane), rests
+        self._chosen, self._rests = replace(self._chosen, plane=plane), False
         self._title.text = title(self._subject, plane)
         self._controls.keep.update(
             visible=plane != self._subject.plane and self._subject.header is not None, active=False

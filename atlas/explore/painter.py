@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 REST = 0.15
 """Seconds without a change after which a view is looked up."""
+STAY = 0.7
+"""Seconds without a change after which a plane that a slider moves to is solved in full."""
 PAUSE = 0.35
 """Seconds between two pictures, at least."""
 SHARE = 0.6
@@ -74,12 +76,17 @@ class Painter:
         self._thread.start()
 
     def show(self, chosen: Chosen, size: tuple[int, int], rests: bool = True) -> None:
-        """Show this on so many pixels. While a slider moves nothing ``rests``, and the first stage alone is solved."""
+        """Show this on so many pixels. While a slider moves, nothing ``rests``: at first the first stage is solved."""
         if (chosen, size, rests) == self._asked:
             return
         self._asked, self._changed, self._fresh = (chosen, size, rests), time.monotonic(), True
         self.generation += 1
         self._wake.set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not looked up yet, or not solved."""
+        return self._fresh or self._stale or self._explorer.patches.left(self) > 0
 
     def rescale(self) -> None:
         """Choose the ends of the scale anew, by what is in view."""
@@ -109,6 +116,9 @@ class Painter:
             try:
                 if self._fresh and time.monotonic() - self._changed >= REST:
                     self._fresh = False
+                    self._look(*self._asked)
+                elif not self._fresh and not self._asked[2] and time.monotonic() - self._changed >= STAY:
+                    self._asked = (*self._asked[:2], True)
                     self._look(*self._asked)
                 elif self._stale and not self._fresh:
                     self._stale = False
