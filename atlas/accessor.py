@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from atlas.explore.session import Exploration
+
 
 class DrawnComparison(Comparison):
     """A comparison that can draw itself."""
@@ -172,6 +174,15 @@ class AtlasAccessor:
         ``plot("period", width="85mm", overlays="grazing")``. See ``atlas.render.figure``.
         """
         return figure(self._whole, kind, window=window, **options)
+
+    def explore(self, **options: Any) -> "Exploration":
+        """A page on this atlas to look anywhere in it, at any depth; a notebook shows it in place.
+
+        Options ``client``, ``workers``, ``tolerance``, ``keep``: see ``session.explore``. ``stop()`` ends it.
+        """
+        from atlas.explore.session import explore_dataset
+
+        return explore_dataset(self._ds, **options)
 
     def portrait(self, path: str | Path | None = None, **options: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.

@@ -11,6 +11,7 @@ from atlas.cli.branch import branch
 from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
 from atlas.cli.curves import curves
+from atlas.cli.explore import explore
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
@@ -102,6 +103,7 @@ for command in (
     point,
     portrait,
     branch,
+    explore,
     systems,
 ):
     main.add_command(command)

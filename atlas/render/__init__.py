@@ -49,13 +49,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class _Kind:
     """How many axes and how many atlases a kind of picture draws, a variable that it cannot do without, and whether
-    it draws numbers on a scale, which may be given ends.
+    it draws numbers on a scale, which may be given ends; of maps, the ``others`` that they draw.
     """
 
     axes: int
     variable: str
     atlases: int = 1
     scale: bool = True
+    others: tuple[str, ...] = ()
 
 
 BASINS = "basins"
@@ -66,10 +67,10 @@ BASINS = "basins"
 _KINDS = {
     "exponent": _Kind(axes=2, variable=LARGEST.name),
     "period": _Kind(axes=2, variable="period", scale=False),
-    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
-    "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
+    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
+    "symmetry": _Kind(axes=2, variable="symmetric", scale=False, others=("impacts_upper", "impacts_lower")),
     "regions": _Kind(axes=2, variable="impacts_upper", scale=False),
-    "combined": _Kind(axes=2, variable=LARGEST.name),
+    "combined": _Kind(axes=2, variable=LARGEST.name, others=("period",)),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
@@ -120,12 +121,24 @@ __all__ = [
     "check_path",
     "compared_figure",
     "figure",
+    "has_scale",
+    "needs",
     "orbit_figure",
     "portrait",
     "render",
     "render_orbit",
     "side_by_side",
 ]
+
+
+def needs(kind: str) -> list[str]:
+    """The variables that a map of this kind draws, besides the regimes."""
+    return [_KINDS[kind].variable, *_KINDS[kind].others]
+
+
+def has_scale(kind: str) -> bool:
+    """Whether pictures of this kind have a scale whose ends can be chosen."""
+    return _KINDS[kind].scale
 
 
 def figure(

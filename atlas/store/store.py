@@ -42,6 +42,8 @@ READERS = 8
 """Tiles read at once: a disk or a network answers several as soon as one."""
 ROOT = "zarr.json"
 """The object that makes a store one: before it there is none."""
+ZOOM = "zoom"
+"""The group of what was explored, see ``store.zoom``."""
 TRIAL = ".trial-"
 
 
@@ -312,6 +314,18 @@ def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:
             create_variable(group, variable, header.spec, header.tiling, variable_attributes(variable, fixed))
     if any(each.name not in header.arrays for each in wanted):  # not even where a run made it and was killed at once
         consolidate(group)
+        _leave_out(header.place, f"{ZOOM}/")
+
+
+def _leave_out(place: Place, prefix: str) -> None:
+    """Take what lies under a prefix out of the root's copy of the metadata: it comes and goes without it."""
+    root = json.loads(place.get(ROOT) or b"{}")
+    nodes = root.get("consolidated_metadata", {}).get("metadata", {})
+    foreign = [name for name in nodes if f"{name}/".startswith(prefix)]
+    for name in foreign:
+        del nodes[name]
+    if foreign:
+        place.put(ROOT, json.dumps(root).encode())
 
 
 def _zarr_store(place: Place, mode: str) -> Any:
