@@ -51,7 +51,11 @@ from atlas.service.progress import reporter
 @click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
-    "--overlay", "overlays", type=click.Choice(OVERLAYS), multiple=True, help="Lines over a map; may be given again."
+    "--overlay",
+    "overlays",
+    type=click.Choice(OVERLAYS),
+    multiple=True,
+    help="Lines over a map or a sweep; may be given again.",
 )
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
