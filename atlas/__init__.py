@@ -3,8 +3,10 @@
 ``Spec`` says what to compute, ``Settings`` how one cell is solved; ``run`` computes it into a store, ``open`` gives the
 store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``extend`` computes a larger or finer atlas
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
-a run computes, ``Retry`` which cells it solves again.
-Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``solve_tile`` takes arrays of parameters.
+a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
+a plane, within the budget of ``CurveSettings``.
+Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``branch`` follows its orbit along a
+parameter, ``solve_tile`` takes arrays of parameters.
 ``errors`` has what they raise.
 """
 
@@ -12,19 +14,37 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from atlas import errors
-    from atlas.api import Retry, RunOptions, Settings, Spec, extend, open, pack, point, portrait, run, verify
+    from atlas.api import (
+        CurveSettings,
+        Retry,
+        RunOptions,
+        Settings,
+        Spec,
+        branch,
+        extend,
+        find_curves,
+        open,
+        pack,
+        point,
+        portrait,
+        run,
+        verify,
+    )
     from workers import solve_tile
 
     __version__: str
 
 __all__ = [
+    "CurveSettings",
     "Retry",
     "RunOptions",
     "Settings",
     "Spec",
     "__version__",
+    "branch",
     "errors",
     "extend",
+    "find_curves",
     "open",
     "pack",
     "point",

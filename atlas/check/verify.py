@@ -210,7 +210,7 @@ def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Call
         for k, one in enumerate(samples, 1):
             notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
             again = solve_again(header.spec, one)
-            different = unequal(one.stored, again) if exact else beyond_error(one.stored, again)
+            different = unequal(one.stored, again) if exact else beyond_error(header.spec, one.stored, again)
             if different:
                 found = Fault(one.tile, f"cell {place_in(header.spec, one.cell)}: {different}")
                 (faults if exact else doubts).append(found)

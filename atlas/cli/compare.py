@@ -36,6 +36,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
 
     Differences are OTHER's minus STORE's.
     """
+    from atlas.query.attractors import leading
     from atlas.query.compare import Comparison
 
     bounds = read_pairs("--window", window, read_bounds)
@@ -46,7 +47,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
     elif given:
         raise InputError(f"--{given[0].replace('_', '-')} goes with -o, the picture")
     with input_errors():
-        compared = Comparison.of(open_atlas(store), open_atlas(other), bounds)
+        compared = Comparison.of(leading(open_atlas(store)), leading(open_atlas(other)), bounds)
         message = compared.as_dict()
         if out is not None:
             say("drawing")

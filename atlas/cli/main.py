@@ -7,12 +7,14 @@ from typing import Any
 
 import click
 
+from atlas.cli.branch import branch
 from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
+from atlas.cli.curves import curves
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
-from atlas.cli.run import cancel, extend, plan, run, submit
+from atlas.cli.run import basins, cancel, extend, plan, run, submit
 from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -88,15 +90,18 @@ for command in (
     submit,
     cancel,
     extend,
+    basins,
     status,
     verify,
     pack,
     query,
     compare,
+    curves,
     render,
     figures,
     point,
     portrait,
+    branch,
     systems,
 ):
     main.add_command(command)

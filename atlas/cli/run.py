@@ -117,6 +117,33 @@ def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, worke
     _report(ctx, summary)
 
 
+@click.command(epilog=examples("atlas basins basins.toml -o basins.zarr"))
+@click.argument("spec")
+@click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
+@scheduler_option
+@workers_option
+@click.pass_context
+def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None) -> None:
+    """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
+
+    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas render and
+    atlas query --basins.
+    """
+    check_workers(scheduler, workers)
+    read = Spec.from_toml(spec)
+    read = read if read.attractors is not None else read.with_attractors()
+    if not read.basins:
+        names = ", ".join(axis.name for axis in read.axes)
+        states = ", ".join(read.record.states)
+        raise InputError(
+            f"{spec}: the axes of basins must be components of the initial state ({states}), found {names}"
+        )
+    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx))
+    with _shown(ctx, options, "the same command resumes") as shown:
+        summary = run_spec(read, out, options=shown)
+    _report(ctx, summary)
+
+
 @click.command(epilog=examples("atlas submit plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786"))
 @_run_options
 @click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")

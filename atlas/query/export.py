@@ -48,7 +48,7 @@ def export(
     shown = within(ds, window)
     count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
     try:
-        with _whole(target) as unfinished:
+        with written_whole(target) as unfinished:
             if target.suffix.lower() == ".csv":
                 _write_csv(shown, unfinished, csv_cells)
             else:
@@ -71,7 +71,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     Raises InputError for a path that cannot be written.
     """
     try:
-        with _whole(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+        with written_whole(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
@@ -80,7 +80,8 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 @contextmanager
-def _whole(target: Path) -> Iterator[Path]:
+def written_whole(target: Path) -> Iterator[Path]:
+    """A path to write to that takes the place of the target at the end; at an error nothing of it stays."""
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
         yield unfinished

@@ -1,4 +1,4 @@
-"""Tiles out to the workers and their outcomes back: a window of them under way, again for those that went wrong."""
+"""Jobs out to the workers and their outcomes back: a window of them under way, again for those that went wrong."""
 
 import math
 import time
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from atlas.errors import NetworkError, RunError
 from atlas.service.cluster import LOST, worker_threads
@@ -35,44 +35,69 @@ class Refusal:
     passing: bool = False
 
 
-def outcomes(
+class Numbered(Protocol):
+    """A job: what it is told apart by."""
+
+    @property
+    def index(self) -> tuple[int, ...]:
+        """Of its tile, or its place among others."""
+
+
+J = TypeVar("J", bound=Numbered)
+R = TypeVar("R")
+
+
+def tile_outcomes(
     client: "Client", jobs: Iterable[Job], tick: Callable[[int, dict[str, str]], None], timing: Timing = TIMING
 ) -> Iterator[Receipt | TileFailure]:
+    """The outcomes of tiles; see ``outcomes``."""
+    return outcomes(client, run_job, jobs, tick, timing)
+
+
+def outcomes(
+    client: "Client",
+    act: Callable[[J], R],
+    jobs: Iterable[J],
+    tick: Callable[[int, dict[str, str]], None],
+    timing: Timing = TIMING,
+) -> Iterator[R | TileFailure]:
     """Submit jobs in a window and give each one's outcome as it ends; what is under way is dropped on the way out.
+
+    ``act``, a function of a module, does a job on a worker.
 
     ``tick`` is called about every ``timing.tick`` seconds, with the number of worker threads and the reasons of the
     workers that refuse, and may raise to end it. Raises RunError where the cluster is lost, all workers refuse, or the
     store has no room.
     """
-    return _Window(client, jobs, timing).run(tick)
+    return _Window(client, act, jobs, timing).run(tick)
 
 
-def work(job: Job) -> Receipt | Refusal:
+def work(act: Callable[[J], R], job: J) -> R | Refusal:
     """What a worker runs: the job, with a refusal as a value that names the worker."""
     from distributed import get_worker
 
     try:
-        return run_job(job)
+        return act(job)
     except RefusedError as error:
         return Refusal(get_worker().address, str(error))
     except NetworkError as error:
         return Refusal(get_worker().address, str(error), passing=True)
 
 
-class _Window:
-    def __init__(self, client: "Client", jobs: Iterable[Job], timing: Timing) -> None:
-        self.client, self.waiting, self.timing = client, iter(jobs), timing
+class _Window(Generic[J, R]):
+    def __init__(self, client: "Client", act: Callable[[J], R], jobs: Iterable[J], timing: Timing) -> None:
+        self.client, self.act, self.waiting, self.timing = client, act, iter(jobs), timing
         self.token = uuid.uuid4().hex[:8]
-        self.running: dict[Future[Receipt | Refusal], tuple[Job, int]] = {}
-        self.again: deque[tuple[Job, int]] = deque()
-        self.ended: SimpleQueue[Future[Receipt | Refusal]] = SimpleQueue()
+        self.running: dict[Future[R | Refusal], tuple[J, int]] = {}
+        self.again: deque[tuple[J, int]] = deque()
+        self.ended: SimpleQueue[Future[R | Refusal]] = SimpleQueue()
         self.refused: dict[str, str] = {}
         self.away: set[str] = set()
         self.threads: dict[str, int] = {}
         self.submitted = self.most_workers = 0
         self.last_good = time.monotonic()
 
-    def run(self, tick: Callable[[int, dict[str, str]], None]) -> Iterator[Receipt | TileFailure]:
+    def run(self, tick: Callable[[int, dict[str, str]], None]) -> Iterator[R | TileFailure]:
         ticked = -math.inf
         try:
             while True:
@@ -118,10 +143,11 @@ class _Window:
                 return
             self.submit(*item, willing)
 
-    def submit(self, job: Job, attempt: int, willing: list[str]) -> None:
+    def submit(self, job: J, attempt: int, willing: list[str]) -> None:
         self.submitted += 1  # a key of its own for each attempt: Dask remembers a failed one's
         future = self.client.submit(
             work,
+            self.act,
             job,
             key=(f"tile-{self.token}", self.submitted, *job.index),
             workers=willing if self.refused else None,
@@ -130,13 +156,13 @@ class _Window:
         self.running[future] = (job, attempt)
         future.add_done_callback(self.ended.put)
 
-    def outcome(self, future: "Future[Receipt | Refusal]") -> Receipt | TileFailure | None:
+    def outcome(self, future: "Future[R | Refusal]") -> R | TileFailure | None:
         """The outcome of a job; None where it is to be tried again."""
         job, attempt = self.running.pop(future)
         if future.status == "finished":
             result = future.result()
             future.release()
-            if isinstance(result, Receipt):
+            if not isinstance(result, Refusal):
                 for worker in self.away:  # the store answers, so perhaps these too
                     self.refused.pop(worker, None)
                 self.away.clear()

@@ -11,7 +11,7 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import outcomes
+from atlas.service.dispatch import tile_outcomes
 from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
@@ -27,6 +27,7 @@ from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, add_allowances, create, done_tiles, find
 from atlas.store.tally import TallyKeeper, done_mask
 from atlas.store.tiles import read_tile
+from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.task import Job, Receipt
@@ -98,10 +99,10 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
         if client is None and options.scheduler is not None:
             options.report(Progress(f"connecting to {options.scheduler}", passing=True))
             client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
-        plan = make_plan(target.spec, _worker_count(client, options), header.tile if header else None)
+        plan = make_plan(target.spec, worker_count(client, options), header.tile if header else None)
         if target.place.local is not None:
             check_disk(plan, target.place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
-        claim = stack.enter_context(_claimed(target.place, options))
+        claim = stack.enter_context(claimed_place(target.place, options))
         return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
 
 
@@ -138,6 +139,9 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
 
         if work.due.any() and client is not None:
             _solve(client, header, work.due, options, claim, totals, written)
+        if target.spec.basins:
+            options.report(totals.progress("labelling the attractors"))
+            complete_basins(header)
         overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
         tallies.finish(lambda tiles: options.report(totals.progress(f"counting the cells of {plural(tiles, 'tile')}")))
     return totals.summary(str(header.place))
@@ -146,13 +150,18 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
 def _check_retry(target: Target, header: Header | None) -> None:
     if header is None:
         raise InputError(f"{target.place}: no such store, so there is nothing to retry")
+    if target.spec.attractors is not None:
+        raise InputError(
+            f"{target.place}: an atlas of all attractors cannot be retried: run it again with more periods"
+        )
     if target.spec.continuation is not None:
         raise InputError(
             f"{target.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
         )
 
 
-def _worker_count(client: "Client | None", options: RunOptions) -> int:
+def worker_count(client: "Client | None", options: RunOptions) -> int:
+    """Threads of the cluster that a run works on, or the processes that it is going to start."""
     if client is None:
         return options.workers or default_workers()
     waiting = Progress("waiting for the scheduler's first worker")
@@ -160,7 +169,7 @@ def _worker_count(client: "Client | None", options: RunOptions) -> int:
 
 
 @contextmanager
-def _claimed(place: Place, options: RunOptions) -> Iterator[Claim]:
+def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
     """The claim of a store. What dead runs left half made is removed when it begins, their notes when it ends.
 
     Its beats have the place's own patience: one that fails is followed by another, and none may delay for long the end
@@ -264,7 +273,7 @@ def _solve(
     job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience)
     totals.start()
     try:
-        for outcome in outcomes(client, (replace(job, index=index) for index in order), tick, options.timing):
+        for outcome in tile_outcomes(client, (replace(job, index=index) for index in order), tick, options.timing):
             totals.add(outcome)
             if isinstance(outcome, Receipt):
                 order.note(outcome.index, outcome.solve_seconds)

@@ -41,7 +41,7 @@ def curve(
         condition = condition._replace(kappa=event.kappa)
     orbit, contacts = event.point.orbit, event.point.contacts
     if condition.kind == SPEED:
-        orbit, condition, contacts = _without(orbit, condition.impact)
+        orbit, condition, contacts = without_impact(orbit, condition.impact)
     equations = Extended(family, orbit, (condition,), values, bounds.width)
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
     equations.follow(X)
@@ -54,7 +54,7 @@ def curve(
     return follow(equations, found.X, bounds, resolution, budget)
 
 
-def _without(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
+def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
     """The orbit without an impact whose speed is zero, its graze there, and the time of that."""
     kept = [i for i in range(len(orbit.times)) if i != impact]
     sides = tuple(orbit.itinerary.sides[i] for i in kept)

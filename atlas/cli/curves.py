@@ -1,0 +1,74 @@
+"""The command about a plane's curves."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import click
+
+from atlas.cli.options import (
+    INTERRUPTED,
+    check_workers,
+    examples,
+    interruptible,
+    json_option,
+    say,
+    scheduler_option,
+    store_argument,
+    timing_of,
+    workers_option,
+)
+from atlas.cli.output import to_json
+from atlas.curves.export import check_path, export
+from atlas.curves.settings import CurveSettings
+from atlas.service.curves import find_curves
+from atlas.service.options import RunOptions
+from atlas.service.progress import reporter
+
+_DEFAULTS = {each.name: each.default for each in fields(CurveSettings)}
+
+
+def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return click.option(f"--{name}", type=click.IntRange(min=1), default=_DEFAULTS[name], show_default=True, help=text)
+
+
+@click.command(epilog=examples("atlas curves plane.zarr", "atlas curves plane.zarr -o curves.csv"))
+@store_argument
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Also write them to this file, .csv or .json.")
+@_budget("seeds", "Places beside edges where events are looked for, at most.")
+@_budget("curves", "Curves followed, at most.")
+@_budget("points", "Points of all curves, at most.")
+@_budget("least", "Cells that a region must have for events to be looked for beside it.")
+@scheduler_option
+@workers_option
+@json_option
+@click.pass_context
+def curves(
+    ctx: click.Context,
+    /,
+    store: str,
+    out: Path | None,
+    scheduler: str | None,
+    workers: int | None,
+    as_json: bool,
+    **budget: int,
+) -> None:
+    """Find the exact curves that bound the regions of STORE, a finished plane: bifurcations and grazes of its orbits.
+
+    They are kept in STORE; where it has them already nothing is computed. Prints which share of the borders between
+    regions they explain. The same command resumes a search that was stopped.
+    """
+    check_workers(scheduler, workers)
+    if out is not None:
+        check_path(out)
+    try:
+        with interruptible(), reporter(sys.stderr) as show:
+            options = RunOptions(workers, scheduler, on_progress=show, timing=timing_of(ctx))
+            summary = find_curves(store, CurveSettings(**budget), options=options)
+    except KeyboardInterrupt:
+        say("interrupted: what is found is kept; the same command resumes")
+        ctx.exit(INTERRUPTED)
+    if out is not None:
+        export(summary.found, out)
+    click.echo(to_json(summary.as_dict()) if as_json else str(summary))

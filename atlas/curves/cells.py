@@ -1,0 +1,115 @@
+"""The orbits of a plane's cells: found from what the atlas stores, taken to other cells, and to points of curves."""
+
+from collections.abc import Hashable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.curves.plane import Cells, Plane
+from workers.orbit import Family, Orbit, family_of, orbit_from_state
+from workers.orbit.equations import Itinerary, check_orbits
+from workers.orbit.identity import same_orbit
+from workers.orbit.linear import NoOscillatorError
+from workers.orbit.many import attract, many_of, moved
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class CellOrbits:
+    """The orbits of a plane's cells, each found once; of a cell without one, None."""
+
+    def __init__(self, plane: Plane) -> None:
+        self.plane = plane
+        self.family: Family = family_of(plane.system, plane.fixed, plane.axes)
+        self._known: dict[int, Orbit | None] = {}
+
+    def along(self, axis: int, values: Array) -> Family:
+        """The family over one axis, 0 for x, through a point (2,)."""
+        names = self.plane.axes
+        return family_of(
+            self.plane.system, {**self.plane.fixed, names[1 - axis]: float(values[1 - axis])}, (names[axis],)
+        )
+
+    def of(self, cell: int) -> Orbit | None:
+        """The orbit of a proven cell; None where Newton's method finds none, such as for R = 0."""
+        if cell not in self._known:
+            self._known[cell] = self._find(cell)
+        return self._known[cell]
+
+    def omega(self, values: Array) -> Array:
+        """The forcing frequency (N,) at points (N, 2)."""
+        return np.asarray(self.family.model(values)[0].omega)
+
+    def persist(self, pairs: Cells) -> Mask:
+        """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters.
+
+        By Newton's method from one to the other, half way first; admissible by certified crossings.
+        """
+        found = np.zeros(len(pairs), dtype=bool)
+        for rows, orbits in self._grouped(pairs[:, 0]):
+            here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
+            start = many_of(orbits, here)
+            try:
+                half = moved(self.family, start, 0.5 * (here + there))
+                found[rows] = attract(self.family, moved(self.family, half, there))
+            except (NoOscillatorError, ValueError):
+                continue
+        return found
+
+    def belong(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
+        """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""
+        found = np.zeros(len(cells), dtype=bool)
+        omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
+        for rows in _groups([orbit.itinerary for orbit in points]):
+            start = many_of([points[row] for row in rows], values[rows])
+            try:
+                taken = moved(self.family, start, self.plane.values(cells[rows]))
+            except (NoOscillatorError, ValueError):
+                continue
+            for k, row in enumerate(rows):
+                own = self.of(int(cells[row])) if taken.found[k] else None
+                found[row] = own is not None and same_orbit(own, taken.orbit(k), omega[row])
+        return found
+
+    def _grouped(self, cells: Cells) -> Iterator[tuple[NDArray[np.intp], list[Orbit]]]:
+        """Rows of cells whose orbits have one itinerary, with these."""
+        orbits = [self.of(int(cell)) for cell in cells]
+        for rows in _groups([None if orbit is None else orbit.itinerary for orbit in orbits]):
+            yield rows, [orbit for row in rows if (orbit := orbits[row]) is not None]
+
+    def _find(self, cell: int) -> Orbit | None:
+        plane = self.plane
+        if not plane.proven[cell]:
+            return None
+        values = plane.values(np.array([cell]))
+        if not plane.impacts_upper[cell] and not plane.impacts_lower[cell]:
+            return self._without_impact(values)
+        given = {**plane.fixed, **dict(zip(plane.axes, values[0].tolist(), strict=True))}
+        try:
+            return orbit_from_state(
+                plane.system, given, plane.state[cell], int(plane.period[cell]), bool(plane.symmetric[cell])
+            )
+        except ValueError:
+            return None
+
+    def _without_impact(self, values: Array) -> Orbit | None:
+        """The motion without impact, in its symmetric form where the machine has one."""
+        for symmetric in (True, False):
+            itinerary = Itinerary((), 1, symmetric)
+            try:
+                check_orbits(self.family.model(values)[0], itinerary)
+            except ValueError:
+                continue
+            return Orbit(itinerary, np.zeros(0), np.zeros(0))
+        return None
+
+
+def _groups(keys: Sequence[Hashable | None]) -> Iterator[NDArray[np.intp]]:
+    """The places of equal keys, in the order in which they are met; none of None."""
+    found: dict[Any, list[int]] = {}
+    for place, key in enumerate(keys):
+        if key is not None:
+            found.setdefault(key, []).append(place)
+    return (np.array(places) for places in found.values())

@@ -1,0 +1,197 @@
+"""From an edge between cells to events, from an event to its curve, and whether an event lies on a known curve."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.curves.cells import CellOrbits
+from workers.orbit import Condition, Event, Family, Orbit, Point, branch, curve
+from workers.orbit.curves import without_impact
+from workers.orbit.extended import PAIR, SPEED, Extended, solve
+from workers.orbit.identity import same_orbit
+from workers.orbit.linear import NoOscillatorError
+from workers.orbit.view import GRAZING
+
+Array = NDArray[np.float64]
+
+STEP = 0.6
+"""The longest step of a short branch, as a share of its few cells."""
+
+APART, SAME_ORBIT = 1e-8, 1e-6
+"""Distance in units of the window within which two events of one orbit are one; difference of the orbits there."""
+
+NEAR = 5e-3
+"""Distance in units of the window from the chords of a curve within which an event may lie on it."""
+
+
+class Located(NamedTuple):
+    """An event in the plane: its kind, its condition, its orbit with contact times at parameters (2,), and kappa."""
+
+    kind: str
+    condition: Condition
+    orbit: Orbit
+    contacts: Array
+    values: Array
+    kappa: float
+
+    def as_event(self) -> Event:
+        """The event as ``workers.orbit`` has it."""
+        none = np.zeros(0, dtype=np.complex128)
+        return Event(self.kind, (self.condition,), Point(self.values, self.orbit, self.contacts, none, 0), self.kappa)
+
+    @property
+    def signature(self) -> tuple[str, int, int, bool]:
+        """What all points of its curve have in common: kind, periods, impacts of a turn, symmetry."""
+        itinerary = self.orbit.itinerary
+        return self.kind, itinerary.periods, len(itinerary.sides), itinerary.symmetric
+
+
+class Followed(NamedTuple):
+    """A curve as it was followed: what it is of, values (N, 2), orbits and contact times of its points, how many other
+    multipliers are unstable (N,), its points of codimension two (kind, place (2,)), and its ends.
+    """
+
+    of: Located
+    values: Array
+    orbits: list[Orbit]
+    contacts: Array
+    unstable: NDArray[np.int64]
+    corners: list[tuple[str, Array]]
+    ends: tuple[str, str]
+
+
+def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> list[Located]:
+    """The events at which the orbit of a cell gains or loses stability, or ends, on the way to its neighbour and on, so
+    many cells in all; in order along its branch. Empty where that cannot be followed.
+    """
+    plane, orbit = orbits.plane, orbits.of(start)
+    if orbit is None:
+        return []
+    here, there = plane.values(np.array([start, beyond]))
+    axis = 0 if here[0] != there[0] else 1
+    low, high = plane.window[plane.axes[axis]]
+    end = float(np.clip(here[axis] + cells * (there[axis] - here[axis]), low, high))
+    try:
+        return events_towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
+    except (ValueError, np.linalg.LinAlgError):
+        return []
+
+
+def events_towards(
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float
+) -> list[Located]:
+    """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
+    to ``end``; in order along its branch, which may turn back. Raises as ``workers.orbit.branch``.
+    """
+    behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
+    window = (min(behind, end), max(behind, end))
+    way = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution)
+    found = []
+    for event in way.events if behind < end else way.events[::-1]:
+        if event.point.unstable == 0 and len(event.conditions) == 1:
+            values = here.copy()
+            values[axis] = event.point.values[0]
+            found.append(_located(event, values))
+    return found
+
+
+def _located(event: Event, values: Array) -> Located:
+    """An event in the plane; where an impact is lost, the graze of the orbit without it."""
+    (condition,), point = event.conditions, event.point
+    if condition.kind == SPEED:
+        orbit, graze, contacts = without_impact(point.orbit, condition.impact)
+        return Located(GRAZING, graze, orbit, contacts, values, event.kappa)
+    if condition.kind == PAIR:
+        condition = condition._replace(kappa=event.kappa)
+    return Located(event.kind, condition, point.orbit, point.contacts, values, event.kappa)
+
+
+def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
+    """The curve of an event through the plane's window, or why there is none."""
+    try:
+        way = curve(
+            orbits.family,
+            event.as_event(),
+            event.values,
+            orbits.plane.window,
+            resolution=resolution,
+            budget=budget,
+        )
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return str(error)
+    own = _of_one_itinerary(way.points)
+    grazes = min(len(point.contacts) for point in own)  # where it ends at another graze that one's time is added
+    return Followed(
+        of=event,
+        values=np.array([point.values for point in way.points]),
+        orbits=[point.orbit for point in own],
+        contacts=np.array([point.contacts[:grazes] for point in own]),
+        unstable=np.array([point.unstable for point in way.points], dtype=np.int64),
+        corners=[(met.kind, met.point.values) for met in way.events if len(met.conditions) == 2],
+        ends=way.ends,
+    )
+
+
+def _of_one_itinerary(points: list[Point]) -> list[Point]:
+    """The points, an end at which the orbit becomes a shorter one replaced by its neighbour."""
+    itinerary = points[len(points) // 2].orbit.itinerary
+    inside = [k for k, point in enumerate(points) if point.orbit.itinerary == itinerary]
+    return [points[min(max(k, inside[0]), inside[-1])] for k in range(len(points))]
+
+
+def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
+    """Whether an event is a point of a known curve: at its parameters the curve's own equations give its orbit.
+
+    Distance in the plane alone says nothing: curves of different orbits cross, and may coincide.
+    """
+    if event.signature != known.of.signature:
+        return False
+    width = orbits.plane.width
+    for place, share in _nearest(known.values / width, event.values / width):
+        found = _solved_at(orbits.family, event, known, place, share, width)
+        if found is None:
+            continue
+        values, orbit = found
+        omega = float(orbits.omega(values[None])[0])
+        near = float(np.max(np.abs(values - event.values) / width)) < APART
+        if near and same_orbit(event.orbit, orbit, omega, SAME_ORBIT):
+            return True
+    return False
+
+
+def _nearest(points: Array, at: Array) -> list[tuple[int, float]]:
+    """Chords of a polyline near a point, one for each time that it passes: the chord's number, and the share of it."""
+    chords = np.diff(points, axis=0)
+    lengths = np.einsum("ij,ij->i", chords, chords)
+    safe = np.where(lengths > 0.0, lengths, 1.0)
+    shares = np.clip(np.einsum("ij,ij->i", at - points[:-1], chords) / safe, 0.0, 1.0)
+    off = np.linalg.norm(points[:-1] + shares[:, None] * chords - at, axis=1)
+    near = np.flatnonzero((off < NEAR) & (lengths > 0.0))
+    if not len(near):
+        return []
+    passes = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+    best = [part[np.argmin(off[part])] for part in passes]
+    return [(int(k), float(shares[k])) for k in best]
+
+
+def _solved_at(
+    family: Family, event: Located, known: Followed, place: int, share: float, width: Array
+) -> tuple[Array, Orbit] | None:
+    """The point of a curve on the line across its chord, with its orbit."""
+    condition = known.of.condition
+    if condition.kind == PAIR:
+        condition = condition._replace(kappa=event.kappa)
+    ends = known.values[place : place + 2]
+    equations = Extended(family, known.orbits[place], (condition,), ends[0], width)
+    packed = [equations.pack(known.orbits[k], known.contacts[k], known.values[k]) for k in (place, place + 1)]
+    guess = (1.0 - share) * packed[0] + share * packed[1]
+    row = np.zeros(len(guess))
+    row[-2:] = (ends[1] - ends[0]) / width**2
+    row /= np.linalg.norm(row * equations.scale)
+    try:
+        equations.follow(guess)
+        found = solve(equations, guess, row)
+    except (NoOscillatorError, np.linalg.LinAlgError):
+        return None
+    return (equations.values(found.X), equations.orbit(found.X)) if found.converged else None

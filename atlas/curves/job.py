@@ -1,0 +1,87 @@
+"""One task on a worker: what crosses the scheduler, doing it here and now, and the receipt for it."""
+
+import json
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from atlas.curves.cells import CellOrbits
+from atlas.curves.following import Followed
+from atlas.curves.plane import plane_of
+from atlas.curves.record import curve_from_json
+from atlas.curves.settings import CurveSettings
+from atlas.curves.tasks import Task, do
+from atlas.store.curves import get_part, put_part
+from atlas.store.location import place_of
+from atlas.store.outage import LONG
+from atlas.store.store import Header, read_header
+from atlas.task.compile import compile_once
+from atlas.task.task import RefusedError, checked_header, file_errors
+
+
+@dataclass(frozen=True)
+class CurveJob:
+    """A task of a search in a store, by the name of the part that is to hold its result.
+
+    ``digest`` is that of the search: a worker whose store gives another one refuses. ``do_and_keep`` redoes it by hand.
+    """
+
+    index: tuple[int, ...]
+    name: str
+    task: Task
+    settings: CurveSettings
+    digest: str
+    store: str
+    run_id: str
+    solver_version: int
+    patience: float = LONG
+
+
+@dataclass(frozen=True)
+class CurveReceipt:
+    """What a finished task reports: its part, and the seconds of the worker's processor."""
+
+    index: tuple[int, ...]
+    name: str
+    processor_seconds: float
+
+
+def do_and_keep(job: CurveJob) -> CurveReceipt:
+    """Do a task and keep its result as a part of the store."""
+    with file_errors(job.store):
+        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+        compile_once(header.spec.settings)
+        begin = time.thread_time()
+        orbits = _orbits(job.store, job.run_id, job.digest, job.settings)
+        try:
+            found = do(
+                job.task, orbits, lambda name: read_part(header, name), lambda name: _curve(job.store, job.digest, name)
+            )
+        except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
+            # One place at which a method breaks down must not end the search: it is counted, in words.
+            found = {"trouble": f"{type(error).__name__}: {error}"}
+        put_part(header, job.name, json.dumps(found).encode())
+        return CurveReceipt(job.index, job.name, time.thread_time() - begin)
+
+
+def read_part(header: Header, name: str) -> dict[str, Any]:
+    """The result that a part holds; RefusedError where there is none."""
+    data = get_part(header, name)
+    if data is None:
+        raise RefusedError(f"{header.place}: has no part {name}; is the path the same on all hosts?")
+    found: dict[str, Any] = json.loads(data)
+    return found
+
+
+@lru_cache(maxsize=64)  # one curve passes many edges
+def _curve(store: str, digest: str, name: str) -> Followed:
+    return curve_from_json(read_part(read_header(place_of(store)), name)["curve"])
+
+
+@lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
+def _orbits(store: str, run_id: str, digest: str, settings: CurveSettings) -> CellOrbits:
+    plane = plane_of(read_header(place_of(store)))
+    if settings.digest(plane) != digest:
+        raise RefusedError(f"{store}: its cells are not those of the search; is the path the same on all hosts?")
+    return CellOrbits(plane)

@@ -1,0 +1,189 @@
+"""The plane that curves are looked for in: its cells as arrays, their regions, and the edges between these."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from atlas.errors import InputError, check_names
+from atlas.query.open import open_atlas
+from atlas.spec.cells import edges_of
+from atlas.store.store import Header, done_tiles
+from atlas.text import plural
+from workers.model.parameter import TAU
+from workers.model.system import System
+from workers.results import INVALID, NO_IMPACT, PERIODIC, REGIME
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.int64]
+
+SMALL = 4
+"""Regions of fewer cells are counted apart."""
+
+NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A finished plane. Cells are numbered row by row, x fastest.
+
+    axes, x, y      the names of its axes, x first, and the values of both
+    log             which of them is logarithmic
+    regime, period, impacts_upper, impacts_lower, symmetric (cells,), state (cells, 2n)   as the atlas has them
+    fixed           all other parameters by name
+    """
+
+    system: System
+    axes: tuple[str, str]
+    x: Array
+    y: Array
+    log: tuple[bool, bool]
+    fixed: Mapping[str, float]
+    regime: NDArray[np.int64]
+    period: NDArray[np.int64]
+    impacts_upper: NDArray[np.int64]
+    impacts_lower: NDArray[np.int64]
+    symmetric: NDArray[np.bool_]
+    state: Array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along y and x."""
+        return len(self.y), len(self.x)
+
+    @cached_property
+    def proven(self) -> NDArray[np.bool_]:
+        """Which cells (cells,) have a periodic orbit that is known: impact-free motion too, none that rests."""
+        return np.isin(self.regime, (PERIODIC, NO_IMPACT)) & (self.impacts_upper >= 0) & (self.period > 0)
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which cells (cells,) have parameters that make sense."""
+        return self.regime != INVALID
+
+    def values(self, cells: Cells) -> Array:
+        """The parameters (N, 2) of cells, x axis first."""
+        return np.stack([self.x[cells % len(self.x)], self.y[cells // len(self.x)]], axis=-1)
+
+    @cached_property
+    def window(self) -> dict[str, tuple[float, float]]:
+        """From the first to the last edge of the cells along either axis; to the last point where the system does not
+        admit what lies beyond.
+        """
+        found = {}
+        for name, points, log in zip(self.axes, (self.x, self.y), self.log, strict=True):
+            parameter, edges = self.system.parameter(name), edges_of(np.sort(points), log)
+            low, high = float(edges[0]), float(edges[-1])
+            found[name] = (
+                low if parameter.admits(low) else float(points.min()),
+                high if parameter.admits(high) else float(points.max()),
+            )
+        return found
+
+    @cached_property
+    def width(self) -> Array:
+        """The widths (2,) of the window."""
+        return np.array([self.window[name][1] - self.window[name][0] for name in self.axes])
+
+    def places(self, values: Array) -> Array:
+        """Points (N, 2) of the plane in units of cells: the point of cell (i, j) is (i, j), x first."""
+        found = np.empty_like(values)
+        for k, (points, log) in enumerate(zip((self.x, self.y), self.log, strict=True)):
+            given = np.log(values[:, k]) if log else values[:, k]
+            own = np.log(points) if log else points
+            steps = np.diff(own)
+            inner = np.interp(given, own, np.arange(len(own), dtype=float))
+            inner = np.where(given < own[0], (given - own[0]) / steps[0], inner)
+            found[:, k] = np.where(given > own[-1], len(own) - 1 + (given - own[-1]) / steps[-1], inner)
+        return found
+
+    @cached_property
+    def regions(self) -> Cells:
+        """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
+        orbit: regime, period, impacts, symmetry; 0 elsewhere.
+        """
+        kinds = np.stack([self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric], axis=1)
+        _, kind = np.unique(kinds, axis=0, return_inverse=True)
+        kind, numbers, count = kind.ravel(), np.zeros(len(self.regime), dtype=np.int64), 0
+        for each in np.unique(kind[self.proven]):
+            own, found = ndimage.label(((kind == each) & self.proven).reshape(self.shape))
+            numbers += np.where(own > 0, own + count, 0).ravel()
+            count += found
+        return numbers
+
+    @cached_property
+    def region_sizes(self) -> Cells:
+        """The cells of each region, by its number; of number 0 none."""
+        sizes = np.bincount(self.regions)
+        sizes[0] = 0
+        return sizes
+
+    @cached_property
+    def edges(self) -> Cells:
+        """The edges (E, 2) between neighbouring cells of which one at least is proven, and not in the other's region,
+        as pairs of cells; along x first, then along y.
+        """
+        number = np.arange(len(self.regime)).reshape(self.shape)
+        pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
+        found = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs])
+        region = self.regions[found]
+        differ = region[:, 0] != region[:, 1]
+        return np.asarray(found[differ & self.valid[found].all(axis=1)])
+
+    @cached_property
+    def digest(self) -> str:
+        """Of all that curves depend on: cells, axes, system and fixed parameters."""
+        found = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
+        for name in ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state"):
+            found.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return found.hexdigest()
+
+
+def plane_of(header: Header) -> Plane:
+    """The plane of a store; InputError unless it is a finished one over two parameters that orbits depend on.
+
+    ChunkError where a chunk is missing or damaged.
+    """
+    spec = header.spec
+    if spec.points or len(spec.axes) != 2:
+        found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
+        raise InputError(f"{header.place}: found {found}; curves are those of a plane, which has two axes")
+    system = spec.record
+    for axis in spec.axes:
+        if axis.name in (*system.states, TAU):
+            raise InputError(
+                f"{header.place}: axis {axis.name} is the start of a motion, on which no orbit depends; "
+                "curves take two other parameters as axes"
+            )
+        if len(axis) < 2:
+            raise InputError(f"{header.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
+    missing = header.tiling.count - len(done_tiles(header))
+    if missing:
+        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it by atlas run first")
+    ds = open_atlas(str(header.place))
+    check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
+    x, y = spec.axes
+
+    def cells(name: str, kind: Any) -> NDArray[Any]:
+        values = ds[name].transpose(y.name, x.name, ...).values
+        return values.reshape(len(x) * len(y), *values.shape[2:]).astype(kind)
+
+    return Plane(
+        system=system,
+        axes=(x.name, y.name),
+        x=np.array(x.values),
+        y=np.array(y.values),
+        log=(x.scale == "log", y.scale == "log"),
+        fixed={name: float(value) for name, value in spec.parameters.items()},
+        regime=cells(REGIME.name, np.int64),
+        period=cells("period", np.int64),
+        impacts_upper=cells("impacts_upper", np.int64),
+        impacts_lower=cells("impacts_lower", np.int64),
+        symmetric=cells("symmetric", np.bool_),
+        state=cells("state", np.float64),
+    )

@@ -1,0 +1,89 @@
+"""What a search finds as text, exact to the bit: events and curves as JSON, and back."""
+
+from typing import Any
+
+import numpy as np
+
+from atlas.curves.following import Followed, Located
+from workers.orbit import Condition, Itinerary, Orbit
+
+
+def event_as_json(event: Located) -> dict[str, Any]:
+    """An event as plain values."""
+    return {
+        "kind": event.kind,
+        "condition": list(event.condition),
+        "orbit": orbit_as_json(event.orbit),
+        "contacts": event.contacts.tolist(),
+        "values": event.values.tolist(),
+        "kappa": None if np.isnan(event.kappa) else event.kappa,
+    }
+
+
+def event_from_json(given: dict[str, Any]) -> Located:
+    """The inverse of ``event_as_json``."""
+    return Located(
+        kind=given["kind"],
+        condition=Condition(*given["condition"]),
+        orbit=orbit_from_json(given["orbit"]),
+        contacts=np.array(given["contacts"], dtype=np.float64),
+        values=np.array(given["values"]),
+        kappa=np.nan if given["kappa"] is None else given["kappa"],
+    )
+
+
+def curve_as_json(found: Followed) -> dict[str, Any]:
+    """A curve as plain values; its orbits share one itinerary."""
+    return {
+        "of": event_as_json(found.of),
+        "itinerary": list(found.orbits[0].itinerary),
+        "values": found.values.tolist(),
+        "times": [orbit.times.tolist() for orbit in found.orbits],
+        "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
+        "offsets": [orbit.offset for orbit in found.orbits],
+        "contacts": found.contacts.tolist(),
+        "unstable": found.unstable.tolist(),
+        "corners": [[kind, place.tolist()] for kind, place in found.corners],
+        "ends": list(found.ends),
+    }
+
+
+def curve_from_json(given: dict[str, Any]) -> Followed:
+    """The inverse of ``curve_as_json``."""
+    itinerary = _itinerary(given["itinerary"])
+    parts = zip(given["times"], given["speeds"], given["offsets"], strict=True)
+    orbits = [
+        Orbit(itinerary, np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64), offset)
+        for times, speeds, offset in parts
+    ]
+    first, last = given["ends"]
+    return Followed(
+        of=event_from_json(given["of"]),
+        values=np.array(given["values"]),
+        orbits=orbits,
+        contacts=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
+        unstable=np.array(given["unstable"], dtype=np.int64),
+        corners=[(kind, np.array(place)) for kind, place in given["corners"]],
+        ends=(first, last),
+    )
+
+
+def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
+    """An orbit as plain values."""
+    return {
+        "itinerary": list(orbit.itinerary),
+        "times": orbit.times.tolist(),
+        "speeds": orbit.speeds.tolist(),
+        "offset": orbit.offset,
+    }
+
+
+def orbit_from_json(given: dict[str, Any]) -> Orbit:
+    """The inverse of ``orbit_as_json``."""
+    times, speeds = (np.array(given[name], dtype=np.float64) for name in ("times", "speeds"))
+    return Orbit(_itinerary(given["itinerary"]), times, speeds, given["offset"])
+
+
+def _itinerary(given: list[Any]) -> Itinerary:
+    sides, periods, symmetric = given
+    return Itinerary(tuple(sides), periods, symmetric)

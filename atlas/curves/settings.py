@@ -1,0 +1,39 @@
+"""What decides which curves of a plane are found, besides its cells."""
+
+import hashlib
+from dataclasses import asdict, dataclass, fields
+
+from atlas.curves.plane import SMALL, Plane
+from atlas.errors import InputError, shown
+from workers import SOLVER_VERSION
+
+VERSION = 1
+"""Of the search: raised whenever any curve may change."""
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """The budget of a search, in counts, so that no result depends on a machine's speed; InputError below 1.
+
+    seeds    places beside edges at which events are looked for, at most
+    curves   curves that are followed, at most
+    points   points of all of them; a curve that the budget ends in the middle says so
+    least    cells of a region beside which events are looked for: with 1 beside every cell, which takes long
+    """
+
+    seeds: int = 1000
+    curves: int = 300
+    points: int = 60_000
+    least: int = SMALL
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise InputError(f"{each.name}: found {shown(value)}, must be a whole number, 1 or more")
+
+    def digest(self, plane: Plane) -> str:
+        """Of all that the curves of a plane depend on."""
+        return hashlib.sha256(
+            repr((plane.digest, sorted(asdict(self).items()), SOLVER_VERSION, VERSION)).encode()
+        ).hexdigest()

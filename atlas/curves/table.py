@@ -1,0 +1,175 @@
+"""The curves of a plane as values: what each one is, and all of them as arrays of a store's group."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError
+from atlas.store.curves import GROUP, read_group, write_group
+from atlas.store.schema import Coordinate
+from atlas.store.store import Header
+
+KINDS = ("fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost")
+"""What a curve can be of; where an impact is lost the orbit without it grazes, and that is the curve kept."""
+
+
+class Corner(NamedTuple):
+    """A point of codimension two on a curve: its kind, where it lies on the x axis and on the y axis, and the curve's
+    point (from 0) that it follows or is.
+
+    Kinds: cusp, fold_flip, resonance_1_1 to resonance_1_4, double_graze, graze_fold and the like.
+    """
+
+    kind: str
+    x: float
+    y: float
+    after: int
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve of one event of one orbit in a plane.
+
+    kind            one of KINDS
+    period          of the orbit in forcing periods
+    impacts_upper   impacts of the orbit at either stop; of an orbit and its mirror image, which have the same curves,
+    impacts_lower   that with more at the upper one
+    symmetric       whether the orbit is its own mirror image
+    points (N, 2)   in order along the curve, x axis first; of a closed curve the last is the first
+    unstable (N,)   how many multipliers besides those of the event itself have modulus above 1: where it is 0 the orbit
+                    is otherwise stable, and the curve bounds a region that an attractor can live in
+    ends            why the curve ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
+                    shorter_orbit, or the kind of a point of codimension two
+    corners         its points of codimension two, in order along the curve
+    """
+
+    kind: str
+    period: int
+    impacts_upper: int
+    impacts_lower: int
+    symmetric: bool
+    points: NDArray[np.float64]
+    unstable: NDArray[np.int64]
+    ends: tuple[str, str]
+    corners: tuple[Corner, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop."""
+        return f"{self.period}-{self.impacts_upper}-{self.impacts_lower}"
+
+    @property
+    def bounding(self) -> NDArray[np.bool_]:
+        """Which points (N,) lie where the orbit is otherwise stable."""
+        return self.unstable == 0
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """All curves of a plane, the names of its axes, x first, and what is said of how they were found.
+
+    ``report``: plain values by name, see ``atlas.curves.report``.
+    """
+
+    axes: tuple[str, str]
+    curves: tuple[Curve, ...]
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    def __iter__(self) -> Iterator[Curve]:
+        return iter(self.curves)
+
+    def __len__(self) -> int:
+        return len(self.curves)
+
+    def of_kind(self, kind: str | None) -> tuple[Curve, ...]:
+        """Those of a kind; all for None."""
+        return tuple(curve for curve in self.curves if kind in (None, curve.kind))
+
+
+def write_curves(header: Header, found: Curves) -> None:
+    """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
+    write_group(header, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
+
+
+def read_curves(header: Header) -> Curves | None:
+    """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
+    stored = read_group(header)
+    if stored is None:
+        return None
+    try:
+        return from_arrays(*stored)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise ChunkError(header.place, {GROUP: f"is damaged ({error}); make it anew by atlas curves"}) from None
+
+
+def as_arrays(found: Curves) -> dict[str, Coordinate]:
+    """The curves as arrays along ``curve``, ``point`` and ``corner``: ragged ones end to end (CF's row_size)."""
+    curves = found.curves
+    corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]
+
+    def text(values: list[str]) -> NDArray[Any]:
+        return np.array(values, dtype="T")
+
+    def each(name: str, dtype: str) -> NDArray[Any]:
+        return np.array([getattr(curve, name) for curve in curves], dtype=dtype)
+
+    of_curve = {
+        "kind": (text([curve.kind for curve in curves]), "kind of event"),
+        "period": (each("period", "int32"), "forcing periods per orbit"),
+        "impacts_upper": (each("impacts_upper", "int32"), "impacts at the upper stop per orbit"),
+        "impacts_lower": (each("impacts_lower", "int32"), "impacts at the lower stop per orbit"),
+        "symmetric": (each("symmetric", "bool"), "orbit is its own mirror image"),
+        "first_end": (text([curve.ends[0] for curve in curves]), "why the curve ends at its first point"),
+        "last_end": (text([curve.ends[1] for curve in curves]), "why the curve ends at its last point"),
+        "row_size": (np.array([len(curve.points) for curve in curves], dtype="int64"), "points of the curve"),
+    }
+    points = np.concatenate([np.zeros((0, 2)), *(curve.points for curve in curves)])
+    unstable = np.concatenate([np.zeros(0, "int64"), *(curve.unstable for curve in curves)]).astype("int32")
+    places = np.array([(corner.x, corner.y) for _, corner in corners], dtype="float64").reshape(-1, 2)
+    made = {name: Coordinate(values, ("curve",), {"long_name": what}) for name, (values, what) in of_curve.items()}
+    made["row_size"].attributes["sample_dimension"] = "point"
+    return made | {
+        "position": Coordinate(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
+        "unstable": Coordinate(unstable, ("point",), {"long_name": "unstable multipliers besides the event's own"}),
+        "corner_curve": Coordinate(
+            np.array([number for number, _ in corners], dtype="int32"), ("corner",), {"long_name": "its curve, from 0"}
+        ),
+        "corner_kind": Coordinate(
+            text([corner.kind for _, corner in corners]), ("corner",), {"long_name": "kind of point of codimension two"}
+        ),
+        "corner_after": Coordinate(
+            np.array([corner.after for _, corner in corners], dtype="int64"),
+            ("corner",),
+            {"long_name": "its curve's point that it follows, from 0"},
+        ),
+        "corner_position": Coordinate(places, ("corner", "axis"), {"long_name": "points of codimension two"}),
+        "axis": Coordinate(text(list(found.axes)), ("axis",), {"long_name": "axis of the plane"}),
+    }
+
+
+def from_arrays(arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> Curves:
+    """The curves that ``as_arrays`` made arrays of."""
+    first, last = attributes["axes"]
+    corners: list[list[Corner]] = [[] for _ in arrays["kind"]]
+    parts = [arrays[f"corner_{name}"] for name in ("curve", "kind", "position", "after")]
+    for number, kind, (x, y), after in zip(*parts, strict=True):
+        corners[int(number)].append(Corner(str(kind), float(x), float(y), int(after)))
+    ends = np.cumsum(arrays["row_size"])
+    curves = tuple(
+        Curve(
+            kind=str(arrays["kind"][k]),
+            period=int(arrays["period"][k]),
+            impacts_upper=int(arrays["impacts_upper"][k]),
+            impacts_lower=int(arrays["impacts_lower"][k]),
+            symmetric=bool(arrays["symmetric"][k]),
+            points=arrays["position"][end - size : end].copy(),
+            unstable=arrays["unstable"][end - size : end].astype(np.int64),
+            ends=(str(arrays["first_end"][k]), str(arrays["last_end"][k])),
+            corners=tuple(corners[k]),
+        )
+        for k, (end, size) in enumerate(zip(ends, arrays["row_size"], strict=True))
+    )
+    return Curves((str(first), str(last)), curves, attributes["report"])

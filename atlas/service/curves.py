@@ -1,0 +1,216 @@
+"""Finding a plane's curves on the workers: stages of tasks, finished ones kept in the store, the curves at the end."""
+
+import os
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from atlas.curves.finish import edge_share, finished
+from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
+from atlas.curves.plane import plane_of
+from atlas.curves.search import Search
+from atlas.curves.settings import CurveSettings
+from atlas.curves.table import Curves, read_curves, write_curves
+from atlas.errors import ChunkError, RunError
+from atlas.service.cluster import connected, leave_if_bootstrapping, local_cluster
+from atlas.service.dispatch import outcomes
+from atlas.service.lease import Claim
+from atlas.service.notebook import reporting
+from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.progress import LOG_INTERVAL, Progress
+from atlas.service.run import claimed_place, worker_count
+from atlas.service.summary import TileFailure
+from atlas.store.archive import ZipPlace, refuse_packed
+from atlas.store.curves import drop_parts, get_part, part_names, put_part
+from atlas.store.location import place_of, waiting
+from atlas.store.store import Header, read_header
+from atlas.task.compile import compile_once, warming
+from atlas.text import duration, plural
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+DIGEST = "digest"
+"""The part that says which search the others are of."""
+
+
+@dataclass(frozen=True)
+class CurvesSummary:
+    """The curves of a store, and what it took to find them now: nothing where the store had them."""
+
+    store: str
+    found: Curves
+    seconds: float = 0.0
+    processor_seconds: float = 0.0
+    workers: int = 0
+    tasks: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas curves --json`` prints."""
+        report, kinds = self.found.report, [curve.kind for curve in self.found]
+        edges: Mapping[str, Any] = report["edges"]
+        return {
+            "store": self.store,
+            "curves": len(kinds),
+            "kinds": {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)},
+            **report,
+            "explained": {name: edge_share(counts) for name, counts in edges.items()},
+            "tasks": self.tasks,
+            "seconds": self.seconds,
+            "processor_seconds": self.processor_seconds,
+            "workers": self.workers,
+        }
+
+    def __str__(self) -> str:
+        told = self.as_dict()
+        kinds = ", ".join(f"{kind} {count}" for kind, count in told["kinds"].items())
+        lines = [f"{self.store}: {plural(len(self.found), 'curve')}" + (f" ({kinds})" if kinds else "")]
+        if self.tasks:
+            busy = f"{duration(self.processor_seconds)} of processor time"
+            lines.append(
+                f"{told['points']} points in {duration(self.seconds)} on {plural(self.workers, 'worker')}, {busy}"
+            )
+        least = told["settings"]["least"]
+        names = {
+            "regions": f"borders between regions of {least} cells or more",
+            "small": f"borders of regions below {least} cells",
+            "others": "borders to cells without a known orbit",
+        }
+        lines += [_edge_line(names[name], counts) for name, counts in told["edges"].items() if counts["all"]]
+        if told["events_not_followed"]:
+            lines.append(f"budget spent: {plural(told['events_not_followed'], 'event')} not followed")
+        lines += [f"{plural(count, 'place')}: {text}" for text, count in told["troubles"].items()]
+        return "\n".join(lines)
+
+
+def find_curves(
+    store: str | os.PathLike[str],
+    settings: CurveSettings | None = None,
+    client: "Client | None" = None,
+    options: RunOptions = DEFAULTS,
+) -> CurvesSummary:
+    """Find the curves of a finished plane and keep them in its store; at once where it has those of these settings.
+
+    They are found on ``client`` or where ``options`` say, as by ``run``. The same call resumes a search that was
+    stopped. Raises InputError where the store is no finished plane; see also ``run``.
+    """
+    leave_if_bootstrapping()
+    with reporting(options.on_progress) as report, ExitStack() as stack:
+        options = replace(options, on_progress=report)
+        header = read_header(waiting(place_of(store), options.patience))
+        settings = settings or CurveSettings()
+        search = Search(plane_of(header), settings)
+        digest = settings.digest(search.plane)
+        stored = _stored(header, digest)
+        if stored is not None:
+            return CurvesSummary(str(header.place), stored)
+        refuse_packed(header.place)
+        if client is None and options.scheduler is not None:
+            options.report(Progress(f"connecting to {options.scheduler}", passing=True))
+            client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+        workers = worker_count(client, options)
+        claim = stack.enter_context(claimed_place(header.place, options))
+        return _Coordinator(header, search, digest, options, claim, stack, workers, client).run()
+
+
+def _stored(header: Header, digest: str) -> Curves | None:
+    """The curves that the store has, if they are those of a search."""
+    try:
+        stored = read_curves(header)
+    except ChunkError:
+        return None  # they are found anew
+    if stored is None or stored.report.get("digest") != digest:
+        return None
+    if not isinstance(header.place, ZipPlace) and any(part_names(header)):
+        drop_parts(header)  # of a run that was killed at its very end
+    return stored
+
+
+@dataclass
+class _Coordinator:
+    """A search at work on a store that is claimed."""
+
+    header: Header
+    search: Search
+    digest: str
+    options: RunOptions
+    claim: Claim
+    stack: ExitStack
+    workers: int
+    client: "Client | None"
+    tasks: int = 0
+    processor_seconds: float = 0.0
+    begin: float = field(default_factory=time.monotonic)
+    told: float = 0.0
+    last: str = ""
+
+    def run(self) -> CurvesSummary:
+        """Do the stages that are due, and write the curves."""
+        if get_part(self.header, DIGEST) != self.digest.encode():
+            drop_parts(self.header)
+            put_part(self.header, DIGEST, self.digest.encode())
+        kept = set(part_names(self.header))
+        while tasks := self.search.tasks():
+            jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
+            self._do(jobs)
+            self.search.take([read_part(self.header, name) for name in tasks])
+        found = finished(self.search)
+        write_curves(self.header, found)
+        drop_parts(self.header)
+        seconds = time.monotonic() - self.begin
+        return CurvesSummary(str(self.header.place), found, seconds, self.processor_seconds, self.workers, self.tasks)
+
+    def _job(self, number: int, name: str, task: Any) -> CurveJob:
+        header, settings = self.header, self.search.settings
+        index, store = (self.search.stage, number), str(header.place)
+        patience = self.options.patience
+        return CurveJob(index, name, task, settings, self.digest, store, header.run_id, SOLVER_VERSION, patience)
+
+    def _do(self, jobs: list[CurveJob]) -> None:
+        if not jobs:
+            return
+        if self.client is None:
+            self.options.report(Progress(warming()))
+            compile_once(self.header.spec.settings)
+            self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
+            self.client = self.stack.enter_context(local_cluster(self.workers))
+            self.begin = time.monotonic()
+        for outcome in outcomes(self.client, do_and_keep, jobs, self._tick, self.options.timing):
+            if isinstance(outcome, TileFailure):
+                raise RunError(f"a task failed: {outcome.message}; what is found is kept, and the same command resumes")
+            self._count(outcome)
+
+    def _count(self, receipt: CurveReceipt) -> None:
+        self.tasks += 1
+        self.processor_seconds += receipt.processor_seconds
+        self._report(self.search.doing)
+
+    def _tick(self, threads: int, refused: Mapping[str, str]) -> None:
+        self.claim.check()
+        self.workers = max(self.workers, threads)
+        self._report(self.search.doing if threads else "waiting for a worker: there is none left")
+
+    def _report(self, doing: str) -> None:
+        """Tell how far it is; in a log once every few seconds."""
+        search, now = self.search, time.monotonic()
+        settled, edges = search.settled, len(search.edges)
+        curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
+        stage = f"{doing}: {curves}, {settled} of {edges} edges settled"
+        passing = now - self.told < LOG_INTERVAL or stage == self.last
+        if not passing:
+            self.told, self.last = now, stage
+        self.options.report(Progress(stage, cells=edges, cells_done=settled, passing=passing))
+
+
+def _edge_line(name: str, counts: Mapping[str, int]) -> str:
+    share = 100.0 * edge_share(dict(counts))
+    parts = [f"by curves {counts['curve']}", f"as borders of basins {counts['basins']}"]
+    left = [
+        f"{text} {counts[key]}"
+        for key, text in (("unexplained", "unexplained"), ("not_tried", "not tried"))
+        if counts[key]
+    ]
+    return f"{name}: {plural(counts['all'], 'edge')}, {share:.1f} % explained: {', '.join(parts + left)}"
