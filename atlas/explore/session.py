@@ -66,8 +66,9 @@ def explore(
     """Pages on a store or a spec, at ``Exploration.url``.
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, or on worker processes of this
-    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``, what is solved lies in the store's zoom levels, up to
-    ``most_bytes``. Specs of new atlases are written into ``folder``, by default the working directory.
+    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``, what is solved lies
+    in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into ``folder``, by default the
+    working directory.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
     try:
