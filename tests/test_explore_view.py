@@ -245,3 +245,21 @@ def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None
 
 def test_a_plane_is_told_by_its_parameters_alone() -> None:
     assert Plane.of({"R": 0.8, "tau": 1.0}) == Plane((("R", 0.8), ("tau", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["fig6"], "explore shows a plane, found one axis"),
+        (["omega-b", "--select", "R=0.7"], "--select picks a plane of a stack, found a plane of b, omega"),
+        (["omega-b", "--tolerance", "0"], "tolerance: found 0.0, must be a number > 0"),
+        (["omega-b", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give one of the two"),
+    ],
+)
+def test_the_command_refuses_in_one_line_what_cannot_be_explored(words: list[str], message: str) -> None:
+    from click.testing import CliRunner
+
+    from atlas.cli.main import main
+
+    shown = CliRunner().invoke(main, ["explore", "--no-browser", *words])
+    assert shown.exit_code == 2 and message in shown.stderr.splitlines()[-1]

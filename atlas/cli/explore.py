@@ -18,8 +18,6 @@ from atlas.cli.options import (
     timing_of,
     workers_option,
 )
-from atlas.explore.session import explore as start
-from atlas.explore.subject import TOLERANCE
 from atlas.task.compile import compile_once, warming
 from workers import Settings
 
@@ -33,7 +31,7 @@ GB = 10**9
 @select_option
 @scheduler_option
 @workers_option
-@click.option("--tolerance", type=float, default=TOLERANCE, show_default=True, help="Of the cells that are explored.")
+@click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
 @click.option("--keep/--no-keep", default=True, help="Keep explored cells in STORE, in its group zoom.")
 @click.option("--limit", type=click.FloatRange(min=0.0), default=2.0, show_default=True, help="GB to keep at most.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page; default: any free one.")
@@ -45,7 +43,7 @@ def explore(
     select: tuple[str, ...],
     scheduler: str | None,
     workers: int | None,
-    tolerance: float,
+    tolerance: float | None,
     keep: bool,
     limit: float,
     port: int,
@@ -55,6 +53,9 @@ def explore(
 
     What is in view and not known is computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
     """
+    from atlas.explore.session import explore as start
+    from atlas.explore.subject import TOLERANCE
+
     check_workers(scheduler, workers)
     chosen = read_pairs("--select", select, read_number)
     if scheduler is None:
@@ -67,7 +68,7 @@ def explore(
                 chosen,
                 scheduler=scheduler,
                 workers=workers,
-                tolerance=tolerance,
+                tolerance=TOLERANCE if tolerance is None else tolerance,
                 keep=keep,
                 most_bytes=round(limit * GB),
                 port=port,

@@ -161,6 +161,8 @@ def _subject(
         raise InputError(f"explore shows a plane, found {what}")
     if spec.continuation is not None:
         raise InputError("a continued sweep cannot be explored: each cell of it depends on those before it")
+    if spec.attractors is not None:
+        raise InputError("explore shows one motion a cell, found all attractors; take [attractors] out of the spec")
     layer, settings = 0, exploring(spec.settings, tolerance)
     if len(spec.axes) == MOST_AXES:
         third = spec.axes[-1]
