@@ -5,7 +5,8 @@ store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``exte
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
 a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
 a plane, within the budget of ``CurveSettings``.
-Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``solve_tile`` takes arrays of parameters.
+Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``branch`` follows its orbit along a
+parameter, ``solve_tile`` takes arrays of parameters.
 ``errors`` has what they raise.
 """
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         RunOptions,
         Settings,
         Spec,
+        branch,
         extend,
         find_curves,
         open,
@@ -39,6 +41,7 @@ __all__ = [
     "Settings",
     "Spec",
     "__version__",
+    "branch",
     "errors",
     "extend",
     "find_curves",

@@ -1,9 +1,12 @@
 """What ``import atlas`` offers, put together from the packages below it. The package loads this at first use."""
 
 import os
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from atlas import errors
+from atlas.branches.branch import MOST, tree_from
+from atlas.branches.seed import seed_of_point
 from atlas.cell.point import point
 from atlas.check.verify import verify
 from atlas.curves.settings import CurveSettings
@@ -17,9 +20,12 @@ from atlas.service.run import run
 from atlas.spec.spec import Spec
 from atlas.task.retry import Retry
 from workers import Settings
+from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
     import xarray
+
+    from atlas.accessor import DrawnBranches
 
 __all__ = [
     "CurveSettings",
@@ -27,6 +33,7 @@ __all__ = [
     "RunOptions",
     "Settings",
     "Spec",
+    "branch",
     "errors",
     "extend",
     "find_curves",
@@ -48,3 +55,31 @@ def open(store: str | os.PathLike[str]) -> "xarray.Dataset":
     import atlas.accessor  # noqa: F401  registers it
 
     return open_atlas(store)
+
+
+def branch(
+    given: Mapping[str, Any] | None = None,
+    *,
+    along: str,
+    window: tuple[float, float],
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+    leaving: bool = False,
+    budget: int = MOST,
+) -> "DrawnBranches":
+    """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events; and more.
+
+    ``given`` are the parameters that differ from the defaults; the cell is solved first. The orbit, as the solution of
+    equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the parameter
+    ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to 1e-10 or
+    better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
+    ``leaving`` the branches that leave at symmetry breakings and period doublings are followed too, and those that
+    leave these, ``budget`` branches in all; ``untried`` of the result has the events that were left.
+    The result has the pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and draws
+    itself: ``.plot("branch.png")``.
+    Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
+    """
+    from atlas.accessor import DrawnBranches
+
+    seed = seed_of_point(given or {}, system, settings)
+    return DrawnBranches.of(tree_from(seed, along, window, leaving, budget))

@@ -1,8 +1,11 @@
 """Atlases made by hand, and what tests read off the pictures of them."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import xarray as xr
@@ -11,6 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from atlas.cell.orbit import CellOrbit
+from atlas.curves.table import Corner, Curve, Curves
 from atlas.render import style
 from workers import Settings
 from workers.model.system import find_system
@@ -103,6 +107,8 @@ def plane() -> xr.Dataset:
             np.int32
         ),
         stuck_fraction=stuck,
+        attractors=np.where(solved, 1 + column % 7, 0).astype(np.int32),
+        share=np.where(solved, 1.0 / (1 + column % 7), NAN),
         symmetric=periodic & (upper == lower),
     )
 
@@ -127,6 +133,41 @@ def line(direction: str | None = None, jump: int = 4) -> xr.Dataset:
     if direction:
         spec["axes"][0]["continuation"] = direction
     return ds.assign_attrs(spec=json.dumps(spec), digest=f"d1ge57-{direction}")
+
+
+def branches() -> xr.Dataset:
+    """A sweep of 8 cells beside each of which a second attractor lies, but for the last ones."""
+    one = line()
+    second = one.copy(deep=True)
+    second["regime"][6:], second["section"][:] = PENDING, 0.02
+    second["section"][6:] = NAN
+    share = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.9, 1.0, 1.0])
+    one["share"], second["share"] = ("omega", share), ("omega", np.where(share < 1.0, 1.0 - share, NAN))
+    made = xr.concat([one, second], "attractor", coords="minimal", compat="override", join="override")
+    return made.transpose("omega", "attractor", ...)
+
+
+def basin() -> tuple[xr.Dataset, xr.Dataset]:
+    """A plane of 8 x 6 initial states, and the table of the four attractors that they reach."""
+    labels = np.tile(np.array([0, 0, 1, 1, 2, 3, 3, -1]), (6, 1))
+    regime = np.where(labels == 2, NO_IMPACT, np.where(labels < 0, UNDETERMINED, PERIODIC)).astype(np.int8)
+    settled = np.where(labels >= 0, 10 + 5 * np.arange(6)[:, None], 0)
+    ds = atlas(
+        {"x1": np.linspace(-0.1, 0.1, 8), "v1": np.linspace(-1, 1, 6)}, regime=regime, label=labels, settled=settled
+    )
+    points = np.full((4, 3, 4), NAN)
+    points[:, 0] = 0.02 * np.arange(4)[:, None] * np.array([1.0, 0.0, 5.0, 0.0])
+    table = xr.Dataset(
+        {
+            "regime": ("attractor", np.array([PERIODIC, PERIODIC, NO_IMPACT, PERIODIC], np.int8)),
+            "period": ("attractor", np.array([1, 3, 1, 3], np.int32)),
+            "share": ("attractor", np.array([0.25, 0.25, 0.125, 0.25])),
+            "mirror": ("attractor", np.array([0, 3, 2, 1], np.int32)),
+            "points": (("attractor", "point", "component"), points),
+        },
+        {"component": ["x1", "x2", "v1", "v2"]},
+    )
+    return ds, table
 
 
 def orbit() -> CellOrbit:
@@ -161,3 +202,32 @@ def orbit() -> CellOrbit:
         section=states[:1],
         running=exact * settled,
     )
+
+
+def curve(kind: str, points: Any, unstable: Any = 0, corners: tuple[Corner, ...] = (), **orbit: Any) -> Curve:
+    """A curve of the 1-1-1 orbit, or of another; ``unstable`` along all of it or point by point."""
+    at = np.asarray(points, dtype=float)
+    own: dict[str, Any] = {"period": 1, "impacts_upper": 1, "impacts_lower": 1, "symmetric": False} | orbit
+    return Curve(kind, points=at, unstable=np.broadcast_to(unstable, len(at)), ends=("edge", "edge"), corners=corners,
+                 **own)  # fmt: skip
+
+
+def curves() -> Curves:
+    """Three curves over ``plane``, that of the doubling with a part where its orbit is otherwise unstable."""
+    x = np.linspace(1.0, 5.0, 41)
+    corner = Corner("graze_period_doubling", 3.0, 0.37, 20)
+    return Curves(
+        ("omega", "b"),
+        (
+            curve("fold", np.column_stack([x, 0.2 + 0.02 * x])),
+            curve("period_doubling", np.column_stack([x, 0.31 + 0.02 * x]), np.where(x > 3.0, 1, 0), (corner,)),
+            curve("graze", np.column_stack([x, 0.58 - 0.07 * x]), np.where(x < 3.0, 1, 0), (corner,)),
+        ),
+    )
+
+
+@contextmanager
+def keeping(found: Curves) -> Iterator[None]:
+    """Every atlas, made by hand too, keeps these curves."""
+    with patch("atlas.curves.asking.curves_of", return_value=found):
+        yield

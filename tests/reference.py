@@ -6,20 +6,34 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from atlas import render
-from tests.pictures import line, orbit, plane
+from atlas.render import basins
+from tests.pictures import basin, branches, curves, keeping, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
 DPI = 50
+
+LINES = ("grazing", "boundaries", "isolines")
+"""The overlays that need no store."""
+
+
+def regions() -> Figure:
+    with keeping(curves()):
+        drawn: Figure = render.figure(plane(), "regions")
+    return drawn
+
 
 PICTURES: dict[str, Callable[[], Figure]] = {
     **{
         kind: (lambda kind=kind: render.figure(plane(), kind))  # type: ignore[misc]
         for kind in render.MAPS
     },
-    "exponent": lambda: render.figure(plane(), "exponent", overlays=render.OVERLAYS),
+    "exponent": lambda: render.figure(plane(), "exponent", overlays=LINES),
+    "regions": regions,
     "sweep": lambda: render.figure(line()),
     "spectrum": lambda: render.figure(line(), "spectrum"),
     "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),
+    "coexistence": lambda: render.figure(branches()),
+    "basins": lambda: basins.picture(*basin()),
     "portrait": lambda: render.orbit_figure(orbit()),
 }
 

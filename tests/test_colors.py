@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import combined, hysteresis, impacts, period, spectrum, style, symmetry
+from atlas.render import combined, events, hysteresis, impacts, period, spectrum, style, symmetry
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -35,6 +35,7 @@ PALETTES = {
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
     },
+    "events": {kind: look.color for kind, look in events.LOOKS.items() if kind != "impact_lost"},  # a graze too
     "hysteresis": dict(zip("ab", hysteresis.COLORS, strict=True)),
 }
 

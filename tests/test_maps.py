@@ -1,6 +1,7 @@
 """Claims about the kinds of map and their overlays: known cells in known colours, and lines where they belong."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,21 @@ from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import boundary
 from atlas.render import combined, error, grazing, impacts, maps, overlays, period, scalar, sticking, symmetry
-from tests.pictures import NAN, atlas, colour, labels, pixel, plane
+from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
 
 TWO_MASS = find_system("two-mass")
+
+COLOURED = [kind for kind in render.MAPS if kind != "regions"]
+"""The maps that colour cells; a region chart has lines and names alone."""
+
+
+@pytest.fixture(autouse=True)
+def _curves() -> Iterator[None]:
+    with keeping(curves()):
+        yield
 
 
 def rgb(color: str) -> tuple[int, ...]:
@@ -29,7 +39,7 @@ def drawn(figure: Figure) -> np.ndarray:
     return np.asarray(figure.axes[0].images[0].get_array())
 
 
-@pytest.mark.parametrize("kind", render.MAPS)
+@pytest.mark.parametrize("kind", COLOURED)
 def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     cells = drawn(render.figure(plane(), kind))
     regime = plane()["regime"].values
@@ -39,13 +49,13 @@ def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     assert cells[regime == PENDING][0, 3] == 0
 
 
-@pytest.mark.parametrize("kind", render.MAPS)
+@pytest.mark.parametrize("kind", COLOURED)
 def test_invalid_and_failed_cells_are_textured_in_every_map(kind: str) -> None:
     textures = {patch.get_hatch() for patch in render.figure(plane(), kind).axes[0].patches}
     assert textures >= {"\\\\\\\\", "xxxx"}
 
 
-@pytest.mark.parametrize("kind", [kind for kind in render.MAPS if kind != "cost"])
+@pytest.mark.parametrize("kind", [kind for kind in COLOURED if kind != "cost"])
 def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, kind: str) -> None:
     path = render.render(plane(), tmp_path / "map.png", kind)
     assert pixel(path, render.figure(plane(), kind), 3.5, 0.1) == colour(UNDETERMINED)[:3]
@@ -58,14 +68,14 @@ def test_every_map_has_its_axes_with_symbols_and_units_and_the_fixed_parameters(
     assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
-@pytest.mark.parametrize("kind", render.MAPS)
+@pytest.mark.parametrize("kind", COLOURED)
 def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: str) -> None:
     ds = plane()
     ds["regime"] = ds["regime"] * 0 + np.int8(PENDING)
     for name in ("largest", "error", "stuck_fraction"):
         ds[name] = ds[name] * NAN
     assert labels(render.figure(ds, kind)) == ["pending"]
-    assert render.render(ds, tmp_path / "map.svg", kind, overlays=render.OVERLAYS).exists()
+    assert render.render(ds, tmp_path / "map.svg", kind, overlays=render.MAP_OVERLAYS).exists()
 
 
 @pytest.mark.parametrize("kind", ["exponent", "error", "sticking"])
@@ -391,12 +401,13 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
 
 
 def test_the_legend_names_the_overlays() -> None:
-    found = labels(render.figure(plane(), "period", overlays=render.OVERLAYS))
-    assert found[-3:] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    found = labels(render.figure(plane(), "period", overlays=render.MAP_OVERLAYS))
+    assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    assert found[-4:] == ["fold", "period doubling", "graze", "codimension two"]
 
 
 def test_there_are_lines_for_every_overlay() -> None:
-    assert tuple(overlays.DRAW) == render.OVERLAYS
+    assert tuple(overlays.DRAW) == render.MAP_OVERLAYS
 
 
 def test_exponents_without_a_slope_have_no_isolines() -> None:
@@ -409,7 +420,7 @@ def test_exponents_without_a_slope_have_no_isolines() -> None:
 
 
 def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
-    with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines"):
+    with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines, cur"):
         render.figure(plane(), overlays=["grid"])
 
 

@@ -8,7 +8,7 @@ from matplotlib.testing.compare import compare_images
 
 from atlas import render
 from tests.pictures import plane
-from tests.reference import FOLDER, PICTURES, write
+from tests.reference import FOLDER, LINES, PICTURES, write
 from workers.results import CHAOTIC
 
 TOLERANCE = 8.0
@@ -37,7 +37,7 @@ def test_the_tolerance_is_finer_than_two_cells_of_another_regime(name: str, tmp_
     ds["regime"].values[2, 4:6] = CHAOTIC
     ds["largest"].values[2, 4:6] = 0.9
     ds["error"].values[2, 4:6] = 1e-2
-    overlays = render.OVERLAYS if name == "exponent" else ()
+    overlays = LINES if name == "exponent" else ()
     changed = write(render.figure(ds, name, overlays=overlays), tmp_path / "found.png")
     assert against(name, changed, tmp_path) is not None
 

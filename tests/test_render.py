@@ -87,7 +87,7 @@ def test_a_kind_for_other_axes_is_refused_with_those_possible(tmp_path: Path) ->
         render.render(every_regime(), tmp_path / "map.png", "sweep")
     assert str(error.value) == (
         "kind 'sweep' draws one axis, found two axes (omega, b); "
-        "possible here: exponent, period, impacts, symmetry, combined, error, cost, sticking"
+        "possible here: exponent, period, impacts, symmetry, regions, combined, error, cost, sticking"
     )
 
 

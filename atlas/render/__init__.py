@@ -1,8 +1,8 @@
 """Pictures: one file per kind, drawn from a dataset or an orbit alone, without a display and without pyplot.
 
 To add a kind: write ``figure`` in a file of its own, for a map ``figure(ds, options) -> Figure`` with
-``maps.Options``, for a sweep ``figure(ds, page) -> Figure``, and name the file in ``_KINDS``. The tests take it up from
-there; ``python -m tests.reference`` draws the reference picture that they ask for.
+``maps.Options``, for a sweep ``figure(ds, page, branches) -> Figure``, and name the file in ``_KINDS``. The tests take
+it up from there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,19 +13,33 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
+from atlas.query.attractors import leading
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
 from atlas.spec.spec import MOST_AXES
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import ERROR, FAILED, INVALID, LARGEST, PENDING, REGIME, REGIMES, SPECTRUM, UNDETERMINED
+from workers.results import (
+    ATTRACTOR,
+    ERROR,
+    FAILED,
+    INVALID,
+    LARGEST,
+    PENDING,
+    REGIME,
+    REGIMES,
+    SECTION,
+    SPECTRUM,
+    UNDETERMINED,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
     from atlas.query.compare import Comparison
     from atlas.render.page import Look, Page
@@ -35,26 +49,35 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class _Kind:
     """How many axes and how many atlases a kind of picture draws, a variable that it cannot do without, and whether
-    it draws numbers on a scale, which may be given ends.
+    it draws numbers on a scale, which may be given ends; of maps, the ``others`` that they draw.
     """
 
     axes: int
     variable: str
     atlases: int = 1
     scale: bool = True
+    others: tuple[str, ...] = ()
 
+
+BASINS = "basins"
+"""The kind that is drawn of planes of initial states."""
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
 # imported at first use: the command's help needs the names and neither matplotlib nor xarray.
 _KINDS = {
     "exponent": _Kind(axes=2, variable=LARGEST.name),
     "period": _Kind(axes=2, variable="period", scale=False),
-    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
-    "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
-    "combined": _Kind(axes=2, variable=LARGEST.name),
+    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
+    "symmetry": _Kind(axes=2, variable="symmetric", scale=False, others=("impacts_upper", "impacts_lower")),
+    "regions": _Kind(axes=2, variable="impacts_upper", scale=False),
+    "combined": _Kind(axes=2, variable=LARGEST.name, others=("period",)),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
+    "attractors": _Kind(axes=2, variable="attractors", scale=False),
+    "share": _Kind(axes=2, variable="share"),
+    BASINS: _Kind(axes=2, variable="label", scale=False),
+    "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
     "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
@@ -65,14 +88,21 @@ MOST_PANELS = 12
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "sticking" for two axes, the others for one; "hysteresis" takes two atlases."""
 
-MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
-"""Those of them that are drawn over two axes, and take overlays."""
+MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2 and name != BASINS)
+"""Those of them that are drawn over two axes of a parameter plane, and take overlays."""
 
 SCALAR = "scalar"
 """The kind that maps a variable that is named, any number that an atlas holds."""
 
-OVERLAYS = ("grazing", "boundaries", "isolines")
-"""Lines that any map of two axes can carry: |Y| = b, borders of regimes, lines of equal exponent."""
+_OVERLAYS = {"grazing": 2, "boundaries": 2, "isolines": 2, "curves": 2, "branches": 1}
+"""How many axes an overlay is drawn over."""
+OVERLAYS = tuple(_OVERLAYS)
+"""Lines over a picture. On a map of two axes: |Y| = b, borders of regimes, lines of equal exponent, the curves that its
+store keeps. On a sweep: the branches of its orbits.
+"""
+
+MAP_OVERLAYS = tuple(name for name, axes in _OVERLAYS.items() if axes == 2)
+"""Those of a map."""
 
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
@@ -85,16 +115,30 @@ __all__ = [
     "KINDS",
     "LOOK",
     "MAPS",
+    "MAP_OVERLAYS",
     "OVERLAYS",
+    "branch_figure",
     "check_path",
     "compared_figure",
     "figure",
+    "has_scale",
+    "needs",
     "orbit_figure",
     "portrait",
     "render",
     "render_orbit",
     "side_by_side",
 ]
+
+
+def needs(kind: str) -> list[str]:
+    """The variables that a map of this kind draws, besides the regimes."""
+    return [_KINDS[kind].variable, *_KINDS[kind].others]
+
+
+def has_scale(kind: str) -> bool:
+    """Whether pictures of this kind have a scale whose ends can be chosen."""
+    return _KINDS[kind].scale
 
 
 def figure(
@@ -144,28 +188,39 @@ def _drawn(
     variable: str | None = None,
     log: bool = False,
 ) -> "Figure":
+    every, ds = ds, leading(ds)
     if len(axis_names(ds)) == MOST_AXES:
         return _drawn_stack(ds, kind, window, overlays, against, pixels, page, variable, log)
     wanted = _scalar(ds, kind, variable, against) if kind == SCALAR or variable is not None or log else None
     chosen = "variable" if wanted is not None else _chosen(ds, kind, against, page)
     _check_overlays(ds, overlays)
     _check_units(ds)
-    module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
+    module, shown = import_module(f"atlas.render.{chosen}"), within(every if chosen == "coexistence" else ds, window)
     drawn: Figure
     with counted() as reads:
-        if against is not None:
-            drawn = module.figure(shown, within(against, window), page)
-        elif len(axis_names(ds)) == 2:
+        if len(axis_names(ds)) == 1:
+            sweeps = [shown] if against is None else [shown, within(against, window)]
+            through = [within(ds, window), *sweeps[1:]]
+            drawn = module.figure(*sweeps, page, _branches(through) if "branches" in overlays else None)
+        else:
             from atlas.render import maps
 
             options = maps.Options(overlays, page, pixels)
             drawn = module.figure(shown, options) if wanted is None else module.figure(shown, wanted, log, options)
-        else:
-            drawn = module.figure(shown, page)
+    if ds.attrs.get(ATTRACTOR, 0):
+        _say_fewer(drawn, ds.attrs[ATTRACTOR])
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     page.fit(drawn)
     return drawn
+
+
+def _say_fewer(drawn: "Figure", place: int) -> None:
+    """Say in the legends that cells without a result may have too few attractors for this place."""
+    for legend in [*drawn.legends, *(ax.get_legend() for ax in drawn.axes)]:
+        for label in legend.get_texts() if legend is not None else ():
+            if label.get_text() == "pending":
+                label.set_text(f"not more than {place}")
 
 
 def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", page: "Page") -> str:
@@ -176,7 +231,9 @@ def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", pa
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, found {_AXES[len(axes)]} ({', '.join(axes)})")
-    chosen = next((name for name in possible if _KINDS[name].variable in ds), possible[0]) if kind is None else kind
+    held = [name for name in possible if _KINDS[name].variable in ds]
+    held = [BASINS] if BASINS in held else held
+    chosen = (held or possible)[0] if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")
     if chosen not in fitting:
@@ -211,8 +268,21 @@ def _check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-    if overlays and len(axes) != 2:
-        raise InputError(f"overlay {overlays[0]!r} is drawn over a map, found {_AXES[len(axes)]} ({', '.join(axes)})")
+        if _OVERLAYS[overlay] != len(axes):
+            kind = {1: "a sweep", 2: "a map"}[_OVERLAYS[overlay]]
+            raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {_AXES[len(axes)]} ({', '.join(axes)})")
+
+
+def _branches(sweeps: "Sequence[xr.Dataset]") -> "Branches":
+    """The branches through sweeps, of an atlas of which sections are drawn."""
+    from atlas.branches.sweep import tree_through  # with it Numba
+    from atlas.branches.table import Branches
+
+    if any(SECTION.name not in each for each in sweeps):
+        raise InputError(
+            "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
+        )
+    return Branches.of(tree_through(sweeps))
 
 
 def _drawn_stack(
@@ -332,7 +402,7 @@ def side_by_side(
     target = None if path is None else _target(path)
     from atlas.render import together
 
-    page = _several_page(look)
+    page, atlases = _several_page(look), [leading(ds) for ds in atlases]
     for ds in atlases:
         _check_units(ds)
     return _several(together.side_by_side(atlases, kind, window, names, page), page, target, atlases)
@@ -427,6 +497,25 @@ def portrait(
     drawn = orbit_figure(orbit, **look)
     if path is not None:
         render_orbit(orbit, path, drawn, **look)
+    return drawn
+
+
+def branch_figure(branches: "Branches", path: str | Path | None = None, **look: "Unpack[Look]") -> "Figure":
+    """A matplotlib Figure of branches, section values over the parameter; written to ``path`` too if given.
+
+    ``look`` is size, type and resolution, as in ``render``, without the ends of a scale. Raises InputError for a path
+    that cannot be written.
+    """
+    target = None if path is None else _target(path)
+    from atlas.render import branch as picture
+    from atlas.render.page import page as page_of
+
+    page = page_of(**look)
+    page.refuse_ends("branches are lines")
+    drawn: Figure = picture.figure(branches, page)
+    page.fit(drawn)
+    if target is not None:
+        _write(drawn, *target, picture.provenance(branches), page)
     return drawn
 
 

@@ -82,6 +82,13 @@ def draw_cells(ax: Axes, x: DrawnAxis, y: DrawnAxis, rgba: NDArray[np.uint8]) ->
     scale_y(ax, y)
 
 
+def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
+    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
+    is not made yet will have them, nearly.
+    """
+    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
+
+
 def outline(ax: Axes, x: DrawnAxis, y: DrawnAxis, inside: NDArray[np.bool_], color: str, width: float) -> None:
     """Draw the boundary of a set of cells along the cells' edges; the picture's own frame is left out."""
     rows, columns = np.nonzero(inside[:, 1:] != inside[:, :-1])

@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from atlas.branches.table import Branches
 from atlas.errors import InputError
 from atlas.query.window import axis_names
 from atlas.render import axes, machine, maps, style, sweep
@@ -39,7 +40,7 @@ _APART = 0.5
 _LEAST_SAMPLES = 16
 
 
-def figure(ds: xr.Dataset, against: xr.Dataset, page: Page = STANDARD) -> Figure:
+def figure(ds: xr.Dataset, against: xr.Dataset, page: Page = STANDARD, branches: Branches | None = None) -> Figure:
     """Both sweeps as one figure; InputError unless they have the same axis and share something to draw."""
     _check_same_axis(ds, against)
     atlases = (ds, against)
@@ -64,7 +65,8 @@ def figure(ds: xr.Dataset, against: xr.Dataset, page: Page = STANDARD) -> Figure
         return panel
 
     with page.context():
-        return sweep.stack(ds, first, x, {name: draw(name) for name in names}, _legend(atlases, x, found), page)
+        panels = {name: draw(name) for name in names}
+        return sweep.stack(ds, first, x, panels, _legend(atlases, x, found), page, branches)
 
 
 def compare(first: xr.Dataset, second: xr.Dataset) -> NDArray[np.int8]:

@@ -1,5 +1,6 @@
 """The impact map: periodic motions by period and impacts at either stop, n-p-q, as this field names them."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 from zlib import crc32
 
@@ -72,7 +73,8 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         options.page.legend(drawn, entries, beside="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
         options.page.fit(drawn)
         drawn.draw_without_rendering()  # from here on the plot has its size
-        _name_regions(ax, plane, counts, colors, _LABEL_SIZE * options.page.scale)
+        named = [(_cells_of(motion, plane.regime, counts), motion.label, color) for motion, color in colors.items()]
+        name_regions(ax, plane, named, _LABEL_SIZE * options.page.scale)
     return drawn
 
 
@@ -114,31 +116,41 @@ def paint(
     return rgba, legend + maps.paint_regimes(rgba, regime, ~counted), colors
 
 
-def _name_regions(
+def _cells_of(
+    motion: ImpactPattern, regime: NDArray[np.int8], counts: tuple[NDArray[np.int32], ...]
+) -> NDArray[np.bool_]:
+    """The cells of a motion; none for one that sticks, whose counts say nothing."""
+    cells = (regime == PERIODIC) & (motion.p >= 0)
+    for count, wanted in zip(counts, motion, strict=True):
+        cells = cells & (count == wanted)
+    return cells
+
+
+def name_regions(
     ax: Axes,
     plane: maps.Plane,
-    counts: tuple[NDArray[np.int32], ...],
-    colors: dict[ImpactPattern, str],
+    named: Iterable[tuple[NDArray[np.bool_], str, str]],
     type_size: float,
+    most: int = 2,
 ) -> None:
-    """Write each motion's name into its largest regions, where it fits: then no colour need be looked up."""
+    """Write names into the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
+
+    ``named``: cells, name, and the colour that the name is seen on. The plot must have its size already.
+    """
     if not ((plane.x.uniform or plane.x.log) and (plane.y.uniform or plane.y.log)):
         return  # cells differ in size, and distances in cells mean nothing
     extent, drawn_dpi = ax.get_window_extent(), ax.figure.dpi
     width, height = (float(size) / drawn_dpi * 72.0 for size in (extent.width, extent.height))
     step = height / plane.regime.shape[0], width / plane.regime.shape[1]  # points per cell
-    for motion, color in colors.items():
-        half = 0.29 * type_size * len(motion.label), 0.62 * type_size
+    for cells, name, color in named:
+        half = 0.29 * type_size * len(name), 0.62 * type_size
         least = 4.0 * half[0] * half[1] / (step[0] * step[1])  # cells that the name takes
-        cells = plane.regime == PERIODIC
-        for count, wanted in zip(counts, motion, strict=True):
-            cells = cells & (count == wanted)
-        if motion.p < 0 or np.count_nonzero(cells) < least:
+        if np.count_nonzero(cells) < least:
             continue
         regions, _ = ndimage.label(cells)
         sizes = np.bincount(regions.ravel())
         boxes = ndimage.find_objects(regions)
-        for number in np.argsort(-sizes[1:], kind="stable")[:2] + 1:
+        for number in np.argsort(-sizes[1:], kind="stable")[:most] + 1:
             box = boxes[number - 1]
             spot = label_spot(regions[box] == number, step, half) if sizes[number] >= least else None
             if spot is not None:
@@ -146,7 +158,7 @@ def _name_regions(
                 ax.text(
                     plane.x.values[box[1].start + column],
                     plane.y.values[box[0].start + row],
-                    motion.label,
+                    name,
                     color=style.ink_on(color),
                     fontsize=type_size,
                     rotation=angle,

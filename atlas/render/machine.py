@@ -74,20 +74,29 @@ def gap_values(ds: xr.Dataset, x: str, states: xr.DataArray) -> Array:
     system = style.system_of(ds)
     if system is None:
         return np.asarray(states[..., 0].values, dtype=np.float64)
-    given = {name: np.full(ds.sizes[x], value) for name, value in fixed(ds, system).items()}
-    with np.errstate(all="ignore"):  # where there is no machine there are no states
-        rows = system.definition.machines(given | {x: np.asarray(ds[x].values, np.float64)}).gap_row
+    rows = gap_rows(system, {**fixed(ds, system), x: np.asarray(ds[x].values, np.float64)})
     found = np.zeros(states.shape[:-1])
     for i in np.flatnonzero(np.any(rows != 0.0, axis=0)):  # what it does not consist of is not read
         found += rows[:, i, None] * np.asarray(states[..., int(i)].values)
     return found
 
 
+def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
+    """The rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
+    count = max(np.size(value) for value in values.values())
+    given = {name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()}
+    with np.errstate(all="ignore"):  # where there is no machine there are no states
+        return np.asarray(system.definition.machines(given).gap_row)
+
+
 def gap_label(ds: xr.Dataset) -> str:
     """Meaning, symbol and unit of the gap coordinate at a section, in two lines."""
     system = style.system_of(ds)
-    if system is None:
-        return "first state at $t = kT$"
+    return "first state at $t = kT$" if system is None else gap_label_of(system)
+
+
+def gap_label_of(system: System) -> str:
+    """The same, of a system."""
     entries = [entry.constant for entry in system.definition.gap]
     states = [system.parameter(name) for name in system.definition.coordinates]
     (unit, *others) = {each.unit for each, entry in zip(states, entries, strict=True) if entry != 0.0}

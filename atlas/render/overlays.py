@@ -1,4 +1,4 @@
-"""Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal."""
+"""Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal, curves."""
 
 from collections.abc import Callable, Iterable
 from itertools import pairwise
@@ -18,7 +18,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from atlas.errors import InputError
-from atlas.render import axes, grazing, machine, maps
+from atlas.render import axes, curves, grazing, machine, maps
 from workers.model.system import System
 from workers.results import LARGEST, PENDING
 
@@ -128,7 +128,7 @@ def _told_apart(
     """Lines cut into the parts that run alone, and those with another line, or another part of themselves, beside."""
     if not pieces:
         return [], []
-    places = [_in_points(ax, piece, size) for piece in pieces]
+    places = [axes.in_points(ax, piece, size) for piece in pieces]
     along = [np.append(0.0, np.cumsum(np.hypot(*np.diff(place, axis=0).T))) for place in places]
     everywhere = np.concatenate(places)
     line, length = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces]), np.concatenate(along)
@@ -182,18 +182,20 @@ def _signed(sign: float) -> Callable[[float], str]:
 def _long_pieces(ax: Axes, path: Path, size: tuple[float, float]) -> Path:
     """The pieces of a line that are long enough to be followed by eye."""
     # Not path.to_polygons, which leaves out points that stand out by less than a ninth of a unit, of data here.
-    long = [
-        each for each in _pieces(path) if np.hypot(*np.diff(_in_points(ax, each, size), axis=0).T).sum() >= _LEAST_LINE
-    ]
+    long = [each for each in _pieces(path) if _length(axes.in_points(ax, each, size)) >= _LEAST_LINE]
     return Path.make_compound_path(*map(Path, long)) if long else Path(np.empty((0, 2)))
+
+
+def _length(line: NDArray[np.float64]) -> float:
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _thin_out(ax: Axes, names: Iterable[Text], size: tuple[float, float]) -> None:
     """Take away labels that would stand in another's way or over the frame; give the others a halo."""
     kept: list[NDArray[np.float64]] = []
-    width, height = _in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]), size)[0]
+    width, height = axes.in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]), size)[0]
     for name in names:
-        at = _in_points(ax, np.array([name.get_position()]), size)[0]
+        at = axes.in_points(ax, np.array([name.get_position()]), size)[0]
         framed = (
             _LABEL_ROOM / 2 < at[0] < width - _LABEL_ROOM / 2 and _LABEL_ROOM / 2 < at[1] < height - _LABEL_ROOM / 2
         )
@@ -207,17 +209,11 @@ def _thin_out(ax: Axes, names: Iterable[Text], size: tuple[float, float]) -> Non
             name.remove()
 
 
-def _in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
-    """Data coordinates in points from the lower left corner of the plot, by its nominal size: as a layout that
-    is not made yet will have them, nearly.
-    """
-    return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
-
-
 DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane, maps.Options], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
     "isolines": _isolines,
+    "curves": curves.draw,
 }
 
 

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from atlas.branches.table import Branches
 from atlas.errors import InputError
 from atlas.render import axes, style, sweep
 from atlas.render.page import STANDARD, Page
@@ -17,7 +18,7 @@ COLORS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e7
 """The colour of each exponent, largest first; those of systems with more begin again."""
 
 
-def figure(ds: xr.Dataset, page: Page = STANDARD) -> Figure:
+def figure(ds: xr.Dataset, page: Page = STANDARD, branches: Branches | None = None) -> Figure:
     """The sweep with all exponents as a figure; InputError where the atlas does not hold them."""
     if SPECTRUM.name not in ds:
         raise InputError(
@@ -33,7 +34,7 @@ def figure(ds: xr.Dataset, page: Page = STANDARD) -> Figure:
         legend: list[Artist] = list(sweep.regime_legend(read[REGIME.name].values)) if len(panels) > 1 else []
         for i in range(read[SPECTRUM.name].shape[-1]):
             legend.append(Line2D([], [], color=color(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$"))
-        return sweep.stack(ds, read, x, panels, legend, page)
+        return sweep.stack(ds, read, x, panels, legend, page, branches)
 
 
 def color(i: int) -> str:

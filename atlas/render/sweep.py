@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from atlas.branches.table import Branches
 from atlas.errors import InputError
-from atlas.render import axes, machine, style
+from atlas.render import axes, branch, machine, style
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 from workers.results import ERROR, LARGEST, PENDING, REGIME, REGIMES, SECTION
@@ -28,7 +29,7 @@ _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
 """Height in inches of a figure with one panel, or two, less a share of its width; that share."""
 
 
-def figure(ds: xr.Dataset, page: Page = STANDARD) -> Figure:
+def figure(ds: xr.Dataset, page: Page = STANDARD, branches: Branches | None = None) -> Figure:
     """The sweep as a figure, each panel only if the atlas holds its variable; InputError if it holds neither."""
     panels: dict[str, Panel] = {SECTION.name: draw_section, LARGEST.name: _draw_largest}
     panels = {name: panel for name, panel in panels.items() if name in ds and ds[name].size}
@@ -37,7 +38,7 @@ def figure(ds: xr.Dataset, page: Page = STANDARD) -> Figure:
     # The error bars come with the exponents; an atlas of another origin may lack them.
     read, x = line(ds, [*panels, *([ERROR.name] if ERROR.name in ds else [])])
     with page.context():
-        return stack(ds, read, x, panels, regime_legend(read[REGIME.name].values), page)
+        return stack(ds, read, x, panels, regime_legend(read[REGIME.name].values), page, branches)
 
 
 def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, axes.DrawnAxis]:
@@ -56,14 +57,17 @@ def stack(
     panels: Mapping[str, Panel],
     legend: Sequence[Artist],
     page: Page,
+    branches: Branches | None = None,
 ) -> Figure:
-    """Panels over one shared axis, under the title line of the fixed parameters."""
+    """Panels over one shared axis, under the title line of the fixed parameters; branches over the section."""
     least, share = _HEIGHT[len(panels)]
     drawn, plots = page.panels(least + share * page.width, len(panels))
     for ax, (name, panel) in zip(plots, panels.items(), strict=True):
         panel(ax, read, x, page)
         if name != SECTION.name:
             ax.set_ylim(page.vmin, page.vmax)
+        if branches is not None and name == SECTION.name:
+            legend = [*legend, *branch.draw(ax, branches, page)]
         axes.scale_x(ax, x, label=ax is plots[-1])
     drawn.align_ylabels(plots)
     if page.title:

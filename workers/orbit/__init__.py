@@ -9,7 +9,7 @@ from workers.orbit.events import Event, Point
 from workers.orbit.extended import Condition
 from workers.orbit.follow import Way
 from workers.orbit.linear import Family, Linear, family_of
-from workers.orbit.seeds import orbit_from_state, section_state
+from workers.orbit.seeds import orbit_from_state, section_state, section_states
 
 __all__ = [
     "Condition",
@@ -27,4 +27,5 @@ __all__ = [
     "leaving_branch",
     "orbit_from_state",
     "section_state",
+    "section_states",
 ]

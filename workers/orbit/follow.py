@@ -47,7 +47,7 @@ DOUBT = 1e-4
 
 
 class Way(NamedTuple):
-    """Points in order, events on the way in order, how it ends at either end, and the Newton steps it took."""
+    """Points in order, those of events among them; events in order; how it ends at either end; Newton steps taken."""
 
     points: list[Point]
     events: list[Event]
@@ -219,7 +219,9 @@ class _OneWay:
                 if _ends_pair(eq, placed.event):
                     limit, end, last = placed.share, placed.event.kind, placed.event.point
         found.sort(key=lambda placed: placed.share)
-        self.events += [placed.event for placed in found if placed.share <= limit]
+        passed = [placed.event for placed in found if placed.share <= limit]
+        self.events += passed
+        self.points += [event.point for event in passed if event.point is not last]
         self.points.append(last)
         self.view, self.end = seen, end
 

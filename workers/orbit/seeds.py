@@ -1,15 +1,15 @@
 """Orbits to start from: of a cell's section state on a periodic attractor; and back to section states."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
 from workers.kernel.stroboscopic import motion_from, propagate
-from workers.model.oscillator import many_of
 from workers.model.system import System
 from workers.orbit.equations import (
+    Impacts,
     Itinerary,
     Orbit,
     at_impacts,
@@ -78,11 +78,30 @@ def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
 
 def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:
     """The physical state (2n,) of an orbit at the section, t = 0."""
-    osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
-    lin = linear_of(many_of(osc))
-    parts = block_state(lin, orbit.itinerary, impacts_of(orbit), np.zeros((1, 1)))
-    angles = osc.tau * np.arange(1.0, osc.forced.shape[2] + 1.0)
-    waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)
-    blocks = np.stack([parts[i][0, :, 0] for i in range(2)], axis=-1)
-    full = blocks + osc.rest + np.sum(osc.forced * waves, axis=(2, 3))
-    return np.asarray(osc.to_physical @ full.ravel())
+    found: Array = section_states(system, {name: np.array([value]) for name, value in values.items()}, [orbit])[0, 0]
+    return found
+
+
+def section_states(system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0) -> Array:
+    """The physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
+
+    values   parameters (N,) by name; those left out have their defaults
+    shift    of the section, in forcing periods: -states at 1/2 are those of the mirror images in a symmetric machine
+    """
+    count, itinerary = len(orbits), orbits[0].itinerary
+    given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
+    oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
+    lin = linear_of(oscillators)
+    points = Impacts(
+        np.array([orbit.times for orbit in orbits]),
+        np.array([orbit.speeds for orbit in orbits]),
+        np.array([orbit.offset for orbit in orbits]),
+    )
+    period = 2.0 * np.pi / lin.omega[:, None]
+    parts = block_state(lin, itinerary, points, (np.arange(itinerary.periods) + shift) * period)
+    angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.forced.shape[3] + 1.0)
+    waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, None, None]
+    still = oscillators.rest + np.sum(oscillators.forced * waves, axis=(3, 4))
+    blocks = np.stack([np.moveaxis(part, 1, 2) for part in parts], axis=-1) + still[:, None]
+    flat = blocks.reshape(count, itinerary.periods, -1)
+    return np.asarray(np.einsum("nij,nkj->nki", oscillators.to_physical, flat))

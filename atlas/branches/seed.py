@@ -1,0 +1,102 @@
+"""The proven orbit of a cell, solved here or stored in an atlas: what a branch starts from."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from atlas.errors import InputError
+from atlas.spec.spec import checked_parameters
+from atlas.spec.system import checked_system, resolved_system
+from workers import Settings
+from workers.model.system import DEFAULT, System
+from workers.results import NO_IMPACT, NO_REASON, PERIODIC, REASON, REASONS, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from workers.orbit import Orbit
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """A periodic orbit of a system at these values of all its parameters."""
+
+    system: System
+    values: Mapping[str, float]
+    orbit: "Orbit"
+
+
+def seed_of_point(
+    given: Mapping[str, Any], system: str | Mapping[str, Any] | System = DEFAULT, settings: Settings | None = None
+) -> Seed:
+    """The orbit of a cell, solved here; ``given`` are the parameters that differ from the defaults.
+
+    Raises InputError for bad parameters, and where the cell's motion is not periodic or rests on a stop.
+    """
+    from workers.tile import solve_cells
+
+    record = checked_system(system)
+    values = checked_parameters(record, given)
+    arrays = solve_cells(record, values, settings or Settings()).arrays
+    return seed_of({name: array[()] for name, array in arrays.items()}, record, values)
+
+
+def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
+    """The orbit of the cell nearest to a point of an atlas, as it is stored; errors as in ``seed_of_point``.
+
+    Of an atlas of all attractors it is the one with the largest share, unless one of them was selected.
+    """
+    from atlas.query.attractors import leading
+    from atlas.query.queries import at
+    from atlas.query.window import axis_names
+
+    ds = leading(ds)
+    cell = at(ds, point)
+    record = system_of(ds)
+    where = {name: cell[name] for name in axis_names(ds)}
+    known = {p.name for p in record.parameters}
+    values = {name: float(cell[name] if name in cell else ds[name]) for name in known if _has_value(ds, name, cell)}
+    row = ds.sel(where)
+    stored = ("regime", "reason", "period", "symmetric", "sticks", "state")
+    missing = [name for name in stored if name not in ds and name != REASON.name]
+    if missing:
+        raise InputError(f"a branch starts from the variable {missing[0]!r} of a cell, which this atlas does not hold")
+    found = {name: row[name].values[()] for name in stored if name in ds}
+    return seed_of(found, record, checked_parameters(record, values))
+
+
+def _has_value(ds: "xr.Dataset", name: str, cell: Mapping[str, Any]) -> bool:
+    """Whether a parameter has one value in this cell: on an axis, in a column of points, or fixed."""
+    return name in cell or (name in ds.coords and ds[name].ndim == 0)
+
+
+def system_of(ds: "xr.Dataset") -> System:
+    """The system of an atlas; InputError where it does not name one that is known."""
+    try:
+        return resolved_system(json.loads(ds.attrs["spec"]))
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError):
+        raise InputError("this dataset does not say what it was computed of: it lacks the spec of its atlas") from None
+
+
+def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
+    """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
+    from workers.orbit import orbit_from_state
+
+    regime = int(cell[REGIME.name])
+    if regime not in (PERIODIC, NO_IMPACT):
+        name = next(each.name for each in REGIMES if each.code == regime).replace("_", " ")
+        code = int(cell.get(REASON.name, NO_REASON))
+        why = f" ({REASONS[code].text})" if code != NO_REASON else ""
+        raise InputError(f"this cell is {name}{why}: a branch starts from a periodic one")
+    if bool(cell["sticks"]):
+        raise InputError("this cell's orbit rests on a stop: branches are of orbits with impacts alone")
+    # Without impacts it is its own mirror image wherever orbits have one.
+    symmetric = bool(cell["symmetric"]) or (regime == NO_IMPACT and bool(record.build(values).symmetric))
+    try:
+        orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]) or 1, symmetric)
+    except ValueError as error:
+        raise InputError(f"this cell: {error}") from None
+    return Seed(record, values, orbit)

@@ -1,0 +1,146 @@
+"""Branches as tables: one of branches, one of points, one of events."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from atlas.spec.spec import digest_of
+from workers.model.system import System, identity
+
+if TYPE_CHECKING:
+    import pandas
+
+    from atlas.branches.tree import Branch, Tree, Untried
+    from workers.orbit import Itinerary, Point
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Branches of periodic orbits of a system in one parameter, ``along``, in a ``window`` of it, (low, high).
+
+    ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
+    themselves, impact by impact. ``untried`` are events at which a branch leaves that was asked for and is not here.
+    """
+
+    system: System
+    parameters: Mapping[str, float]
+    along: str
+    window: tuple[float, float]
+    traced: tuple["Branch", ...]
+    untried: tuple["Untried", ...] = ()
+
+    @classmethod
+    def of(cls, tree: "Tree") -> Self:
+        """The branches of a tree that has grown."""
+        others = {name: value for name, value in tree.values.items() if name != tree.along}
+        return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried))
+
+    @cached_property
+    def branches(self) -> "pandas.DataFrame":
+        """One row a branch, by its number ``branch``.
+
+        period, impacts_upper, impacts_lower, symmetric   of its orbits
+        leaves, at     the branch that it leaves, -1 for none, and the kind of event there
+        points         how many
+        first_end, last_end   why it ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
+                       shorter_orbit, or the kind of an event
+        """
+        import pandas
+
+        columns = ["branch", *_PATTERN, "leaves", "at", "points", "first_end", "last_end"]
+        rows = [
+            (
+                number,
+                *pattern(branch.itinerary),
+                -1 if branch.parent is None else branch.parent,
+                branch.origin.kind if branch.origin else "",
+                len(branch.way.points),
+                *branch.way.ends,
+            )
+            for number, branch in enumerate(self.traced)
+        ]
+        return pandas.DataFrame(rows, columns=columns).set_index("branch")
+
+    @cached_property
+    def points(self) -> "pandas.DataFrame":
+        """One row a point, branch by branch, in order along each.
+
+        branch, and the parameter by its name
+        each component of the state  at the section t = 0
+        multiplier    the largest modulus of the multipliers of an orbit
+        unstable      how many of them are above 1 in modulus, those of an event at 1 left out
+        period, impacts_upper, impacts_lower, symmetric   of the branch's orbits
+        event         the kind of event that the point is, else empty
+        """
+        import pandas
+
+        columns = ["branch", self.along, *self.system.states, "multiplier", "unstable", *_PATTERN, "event"]
+        return pandas.DataFrame(list(self._points()), columns=columns)
+
+    @cached_property
+    def events(self) -> "pandas.DataFrame":
+        """One row an event, in order along each branch; two branches that meet have one each.
+
+        branch, kind, and the parameter by its name
+        each component of the state  at the section t = 0
+        unstable      multipliers above 1 in modulus besides those of the event itself
+        kappa         cos theta of the pair of a Neimark-Sacker point, else NaN
+        period, impacts_upper, impacts_lower, symmetric   of the orbit there, which may be shorter than the branch's
+        leaving       the branch that leaves there and is here, -1 for none
+        """
+        import pandas
+
+        columns = ["branch", "kind", self.along, *self.system.states, "unstable", "kappa", *_PATTERN, "leaving"]
+        return pandas.DataFrame(list(self._events()), columns=columns)
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that decides these branches."""
+        return digest_of(
+            identity(self.system.resolved())
+            | {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
+        )
+
+    def _points(self) -> Iterator[tuple[Any, ...]]:
+        for number, branch in enumerate(self.traced):
+            kinds = {id(event.point): event.kind for event in branch.way.events}
+            own = pattern(branch.itinerary)
+            for point, states in zip(branch.way.points, branch.sections, strict=True):
+                size = modulus(point, branch.itinerary.periods)
+                event = kinds.get(id(point), "")
+                yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *own, event)
+
+    def _events(self) -> Iterator[tuple[Any, ...]]:
+        leaving = {id(b.origin): number for number, b in enumerate(self.traced) if b.origin is not None}
+        for number, branch in enumerate(self.traced):
+            at = {id(point): k for k, point in enumerate(branch.way.points)}
+            for event in branch.way.events:
+                point = event.point
+                state = branch.sections[at[id(point)], 0].tolist()
+                own = pattern(point.orbit.itinerary)
+                left = leaving.get(id(event), -1)
+                yield (
+                    number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *own, left,
+                )  # fmt: skip
+
+
+_PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
+
+
+def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
+    """Period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
+    return itinerary.periods, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
+
+
+def modulus(point: "Point", periods: int) -> float:
+    """The largest modulus of the multipliers of an orbit over so many periods of the force.
+
+    Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
+    """
+    itinerary = point.orbit.itinerary
+    turn = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
+    with np.errstate(over="ignore"):
+        return float(np.max(np.abs(point.multipliers), initial=0.0) ** (periods / turn))

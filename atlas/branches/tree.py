@@ -1,0 +1,190 @@
+"""Branches followed from orbits, and those that leave them at period doublings and symmetry breakings, in turn."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.system import System
+from workers.orbit import Event, Family, Itinerary, Orbit, Point, Way, branch, family_of, leaving_branch, section_states
+from workers.orbit.seeds import refined
+
+Array = NDArray[np.float64]
+
+AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
+"""How far from an event the branch that leaves there is looked for, in turn: one that is near comes back to it."""
+
+BESIDE = 1e-3
+"""How far from an event, as a share of the window, the orbit is taken that goes on through it."""
+
+LEAVES = ("symmetry_breaking", "period_doubling")
+"""Kinds of events at which a branch leaves."""
+
+SAME = 1e-6
+"""Difference, relative to the size of states, below which two orbits at one parameter are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """One branch: its way, the pattern of its orbits, and what it leaves: another branch, by its number, at an event.
+
+    sections (N, n, 2d)  states at the n sections of a turn, of each of the N points of the way
+    mirrored (N, n, 2d)  those of the mirror images; None where orbits are symmetric, or the machine is not
+    """
+
+    way: Way
+    itinerary: Itinerary
+    sections: Array
+    mirrored: Array | None = None
+    parent: int | None = None
+    origin: Event | None = None
+
+    @property
+    def values(self) -> Array:
+        """The parameter (N,) at each point."""
+        return np.array([point.values[0] for point in self.way.points])
+
+
+class Untried(NamedTuple):
+    """An event of a branch, by its number, at which no branch was followed, and why."""
+
+    branch: int
+    event: Event
+    why: str
+
+
+@dataclass
+class Tree:
+    """Branches in one parameter of a system, grown from orbits.
+
+    values    all parameters
+    window    the ends of the free one, ``along``
+    most      branches in all
+    longest   impacts of an orbit that is followed where it leaves another: each doubling costs as much again
+    """
+
+    system: System
+    values: Mapping[str, float]
+    along: str
+    window: tuple[float, float]
+    most: int
+    longest: int
+    branches: list[Branch] = field(default_factory=list)
+    untried: list[Untried] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.family: Family = family_of(self.system, self.values, (self.along,))
+        self.twins = bool(self.system.build(self.values).symmetric)
+
+    def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
+        """Follow the branch of an orbit, and with ``leaving`` those that leave it or that it leaves, and so on.
+
+        ValueError, in one line, where the orbit itself cannot be followed.
+        """
+        first = len(self.branches)
+        self._add(branch(self.family, orbit, value, self.window), orbit.itinerary)
+        waiting = deque(self._meetings(first)) if leaving else deque()
+        while waiting:
+            number, event = waiting.popleft()
+            ends = len(event.point.orbit.times) < len(self.branches[number].itinerary.sides)
+            if self._is_known(event, ends):
+                continue
+            if len(self.branches) >= self.most:
+                self.untried.append(Untried(number, event, f"{self.most} branches followed"))
+            elif 2 * len(event.point.orbit.times) > self.longest:
+                self.untried.append(Untried(number, event, f"more than {self.longest} impacts"))
+            elif self._follow_shorter(number, event) if ends else self._follow(number, event):
+                waiting.extend(self._meetings(len(self.branches) - 1))
+            else:
+                self.untried.append(Untried(number, event, "no orbit found beside it"))
+
+    def states(self, point: Point, shift: float = 0.0) -> Array:
+        """The section states (n, 2d) of a point."""
+        given = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
+        return section_states(self.system, given, [point.orbit], shift)[0]
+
+    def _meetings(self, number: int) -> list[tuple[int, Event]]:
+        """The events of a branch at which another one leaves it, or it leaves another."""
+        return [(number, event) for event in self.branches[number].way.events if event.kind in LEAVES]
+
+    def _follow(self, parent: int, event: Event) -> bool:
+        """Add the branch that leaves at an event; whether one is found that comes back to it."""
+        low, high = self.window
+        for amplitude in AMPLITUDES:
+            try:
+                start = leaving_branch(self.family, event, high - low, amplitude)
+                if not low < start.value < high:
+                    continue
+                way = branch(self.family, start.orbit, start.value, self.window)
+            except ValueError:
+                continue
+            if any(self._same(event, end) for end in way.events):
+                self._add(way, start.orbit.itinerary, parent, event)
+                return True
+        return False
+
+    def _follow_shorter(self, number: int, event: Event) -> bool:
+        """Add the branch of the shorter orbit that a branch ends at; whether it could be followed.
+
+        It starts beside the event, where what changes sign has one.
+        """
+        (low, high), here = self.window, float(event.point.values[0])
+        beside = here + BESIDE * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
+        try:
+            start = refined(self.family, event.point.orbit, np.array([beside]))
+            way = branch(self.family, start, beside, self.window)
+        except ValueError:
+            return False
+        origin = next((each for each in way.events if self._same(each, event)), None)
+        self.branches[number] = replace(self.branches[number], parent=len(self.branches), origin=origin)
+        self._add(way, event.point.orbit.itinerary)
+        return True
+
+    def _is_known(self, event: Event, ends: bool) -> bool:
+        """Whether the branch that leaves at an event is there already: one that ends there.
+
+        Where a branch ``ends`` at it, whether that is there which it leaves.
+        """
+        others = (
+            other
+            for branch in self.branches
+            for other in branch.way.events
+            if ends == (len(other.point.orbit.times) == len(branch.itinerary.sides))
+        )
+        return any(self._same(event, other) for other in others)
+
+    def _same(self, one: Event, other: Event) -> bool:
+        """Whether two events are one, or mirror images."""
+        near = abs(one.point.values[0] - other.point.values[0]) <= 1e-8 * (self.window[1] - self.window[0])
+        if one.kind != other.kind or not near:
+            return False
+        return self.is_orbit(self.states(one.point)[0], other.point)
+
+    def is_orbit(self, state: Array, point: Point) -> bool:
+        """Whether a section state (2d,) is one of the orbit of a point, or of its mirror image."""
+        states = self.states(point)
+        if self.twins:
+            states = np.concatenate([states, -self.states(point, 0.5)])
+        return bool(np.min(np.max(np.abs(states - state), axis=1)) <= SAME * max(1e-300, float(np.max(np.abs(states)))))
+
+    def _add(self, way: Way, itinerary: Itinerary, parent: int | None = None, origin: Event | None = None) -> None:
+        sections = self._sections(way, itinerary, 0.0)
+        twin = self.twins and not itinerary.symmetric
+        mirrored = -self._sections(way, itinerary, 0.5) if twin else None
+        self.branches.append(Branch(way, itinerary, sections, mirrored, parent, origin))
+
+    def _sections(self, way: Way, itinerary: Itinerary, shift: float) -> Array:
+        """States (N, n, 2d) of all points of a way; where it ends at a shorter orbit, those repeated."""
+        own = [k for k, point in enumerate(way.points) if len(point.orbit.times) == len(itinerary.sides)]
+        given = {name: np.full(len(own), value) for name, value in self.values.items()}
+        given[self.along] = np.array([way.points[k].values[0] for k in own])
+        states = section_states(self.system, given, [way.points[k].orbit for k in own], shift)
+        found = np.empty((len(way.points), *states.shape[1:]))
+        found[own] = states
+        for k in set(range(len(way.points))) - set(own):
+            shorter = self.states(way.points[k], shift)
+            found[k] = np.tile(shorter, (len(found[k]) // len(shorter), 1))
+        return found

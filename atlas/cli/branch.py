@@ -1,0 +1,203 @@
+"""The command that follows the orbit of a cell along one parameter."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from atlas.branches.branch import MOST, tree_from
+from atlas.branches.seed import seed_of_cell, seed_of_point
+from atlas.branches.table import Branches
+from atlas.cli.options import (
+    examples,
+    input_errors,
+    json_option,
+    look_options,
+    read_number,
+    read_pairs,
+    say,
+    select_option,
+    set_option,
+    settings_options,
+    system_option,
+)
+from atlas.cli.output import print_table, to_json
+from atlas.errors import InputError
+from atlas.query.export import write_rows, written_whole
+from atlas.query.open import open_atlas
+from atlas.query.window import select as selected
+from atlas.render import FORMATS, LOOK, branch_figure
+from atlas.spec.spec import checked_settings
+from atlas.task.compile import warming
+from atlas.text import plural
+from workers.model.system import DEFAULT
+
+if TYPE_CHECKING:
+    import pandas
+
+    from atlas.branches.seed import Seed
+
+TABLES = ("csv", "json")
+"""What branches can be written as, besides pictures."""
+
+
+@click.command(
+    epilog=examples(
+        "atlas branch --set b=0.15 --set omega=3.5 --along omega --from 2 --to 4",
+        "atlas branch plane.zarr --at omega=3.5 --at b=0.15 --along b --from 0.1 --to 0.5 -o branch.png",
+    )
+)
+@click.argument("store", required=False)
+@click.option("--along", required=True, metavar="NAME", help="The parameter that the orbit is followed in.")
+@click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Its lower end.")
+@click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Its upper end.")
+@set_option
+@click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="With STORE: its cell nearest to a point.")
+@select_option
+@system_option
+@click.option("--leaving", is_flag=True, help="Also what leaves at period doublings and symmetry breakings, in turn.")
+@click.option("--budget", type=click.IntRange(min=1), default=MOST, show_default=True, help="Branches followed in all.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help=f"Write the points to a .csv file, everything to .json, or a picture: .{', .'.join(FORMATS)}.",
+)
+@json_option
+@look_options("vmin", "vmax")
+@settings_options("exponents", "section_samples")
+def branch(
+    store: str | None,
+    along: str,
+    low: float,
+    high: float,
+    given: tuple[str, ...],
+    point: tuple[str, ...],
+    select: tuple[str, ...],
+    system: str,
+    leaving: bool,
+    budget: int,
+    out: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Follow the periodic orbit of a cell along one parameter, where it is stable and where it is not.
+
+    The cell is one of STORE, by --at, or is solved here, by --set. Prints the events on the way: folds, symmetry
+    breakings, period doublings, Neimark-Sacker points, grazes, lost impacts, each located to 1e-10 or better.
+    """
+    _check_out(out)
+    look = {name: options.pop(name) for name in LOOK if name in options}
+    with input_errors():
+        seed = _seed(store, given, point, select, system, options)
+        say("following")
+        found = Branches.of(tree_from(seed, along, (low, high), leaving, budget))
+        if out is not None:
+            _write(found, out, look)
+    message = {"file": str(out)} if out is not None else {}
+    if as_json:
+        click.echo(to_json(message | summary(found)))
+        return
+    _print(found)
+    if out is not None:
+        click.echo(str(out))
+
+
+def summary(found: Branches) -> dict[str, Any]:
+    """Branches as plain values, without their points."""
+    return {
+        "system": found.system.name,
+        "parameters": dict(found.parameters),
+        "along": found.along,
+        "window": list(found.window),
+        "branches": _records(found.branches.reset_index()),
+        "events": _records(found.events),
+        "untried": [
+            {"branch": each.branch, "kind": each.event.kind, found.along: float(each.event.point.values[0]),
+             "why": each.why}
+            for each in found.untried
+        ],
+    }  # fmt: skip
+
+
+def _seed(
+    store: str | None,
+    given: tuple[str, ...],
+    point: tuple[str, ...],
+    select: tuple[str, ...],
+    system: str,
+    options: dict[str, Any],
+) -> "Seed":
+    """The orbit of the cell that is asked for."""
+    pairs, at = read_pairs("--set", given, read_number), read_pairs("--at", point, read_number)
+    if store is None:
+        for name, value in (("--at", at), ("--select", select)):
+            if value:
+                raise InputError(f"{name} is for a cell of a STORE, and none is given; without one, give --set")
+        settings = checked_settings(options)
+        say(f"{warming()}, solving")
+        return seed_of_point(pairs, system, settings)
+    if pairs or system != DEFAULT:
+        raise InputError(f"{'--set' if pairs else '--system'} is for a cell without a STORE; of a STORE, give --at")
+    return seed_of_cell(selected(open_atlas(store), read_pairs("--select", select, read_number)), at)
+
+
+def _print(found: Branches) -> None:
+    """A table of events, and how each branch ends."""
+    rows = [
+        (
+            str(each["branch"]),
+            each["kind"].replace("_", " "),
+            f"{each[found.along]:.12g}",
+            _name(each),
+            str(each["unstable"]),
+            str(each["leaving"]) if each["leaving"] >= 0 else "",
+        )
+        for each in _records(found.events)
+    ]
+    if rows:
+        print_table("", ["branch", "event", found.along, "orbit", "unstable", "leaving"], rows)
+    for number, each in enumerate(_records(found.branches)):
+        left = f", leaves branch {each['leaves']}" if each["leaves"] >= 0 else ""
+        first, *_, last = found.traced[number].values
+        ends = [f"{first:.10g} ({each['first_end']})", f"{last:.10g} ({each['last_end']})"]
+        reach = " to ".join(ends).replace("_", " ")
+        click.echo(f"branch {number}: {_name(each)}{left}, {each['points']} points, {found.along} {reach}")
+    for event in found.untried:
+        kind, value = event.event.kind.replace("_", " "), event.event.point.values[0]
+        click.echo(f"not followed: branch {event.branch}, {kind} at {value:.10g}: {event.why}")
+    click.echo(f"{plural(len(rows), 'event')} on {len(found.traced)} branch{'es' if len(found.traced) > 1 else ''}")
+
+
+def _name(each: dict[str, Any]) -> str:
+    """An orbit as n-p-q."""
+    name = f"{each['period']}-{each['impacts_upper']}-{each['impacts_lower']}"
+    return f"{name} symmetric" if each["symmetric"] else name
+
+
+def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = frame.to_dict("records")
+    return found
+
+
+def _check_out(out: Path | None) -> None:
+    suffix = None if out is None else out.suffix.lower().removeprefix(".")
+    if out is not None and suffix not in (*TABLES, *FORMATS):
+        shown = f"found {out.suffix!r}" if suffix else "found none"
+        possible = ", ".join(f".{each}" for each in (*TABLES, *FORMATS))
+        raise InputError(f"{out.name}: the suffix chooses the format, {shown}; possible: {possible}")
+
+
+def _write(found: Branches, out: Path, look: dict[str, Any]) -> None:
+    """The points as CSV, everything as JSON, or a picture."""
+    suffix = out.suffix.lower()
+    if suffix == ".csv":
+        write_rows(out, _records(found.points))
+    elif suffix == ".json":
+        try:
+            with written_whole(out) as unfinished:
+                unfinished.write_text(to_json(summary(found) | {"points": _records(found.points)}) + "\n")
+        except OSError as error:
+            raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    else:
+        branch_figure(found, out, **look)

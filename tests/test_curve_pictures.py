@@ -1,0 +1,161 @@
+"""Claims about curves over maps and alone as a region chart: what is drawn where; read off the artists."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+import atlas
+from atlas import render
+from atlas.curves.table import Corner, Curves
+from atlas.errors import InputError
+from atlas.render.events import LOOKS, corner_name
+from tests.pictures import atlas as atlas_of
+from tests.pictures import curve, curves, keeping, labels, plane
+from workers.results import CHAOTIC, PERIODIC
+
+
+def lines(ax: Axes, kind: str) -> LineCollection:
+    """The lines of a kind of curve."""
+    (found,) = [each for each in ax.collections if each.get_gid() == kind]
+    assert isinstance(found, LineCollection)
+    return found
+
+
+def names(ax: Axes, gid: str = "corner name") -> list[str]:
+    return [text.get_text() for text in ax.texts if text.get_gid() == gid]
+
+
+def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
+    with keeping(found):
+        figure: Figure = render.figure(plane(), kind, overlays="curves", **options)
+    return figure
+
+
+@pytest.mark.parametrize("kind", render.MAPS)
+def test_every_map_takes_curves_and_draws_them_along_their_points(kind: str) -> None:
+    ax = drawn(curves(), kind).axes[0]
+    (fold,) = lines(ax, "fold").get_segments()
+    assert np.array_equal(fold, curves().curves[0].points)
+
+
+def test_where_the_orbit_is_otherwise_unstable_a_curve_is_left_out() -> None:
+    ax = drawn(curves()).axes[0]
+    (doubling,), (graze,) = (lines(ax, kind).get_segments() for kind in ("period_doubling", "graze"))
+    assert (doubling[0, 0], doubling[-1, 0]) == (1.0, pytest.approx(3.0))
+    assert (graze[0, 0], graze[-1, 0]) == (pytest.approx(3.0), 5.0)
+
+
+def test_a_curve_that_is_stable_in_two_parts_is_drawn_in_two() -> None:
+    x = np.linspace(1.0, 5.0, 9)
+    broken = curve("fold", np.column_stack([x, 0.3 + 0.0 * x]), [0, 0, 0, 1, 1, 0, 0, 1, 0])
+    found = lines(drawn(Curves(("omega", "b"), (broken,))).axes[0], "fold").get_segments()
+    assert [part[:, 0].tolist() for part in found] == [[1.0, 1.5, 2.0], [3.5, 4.0]]
+
+
+def test_kinds_differ_in_line_style_not_in_colour_alone() -> None:
+    assert len({str(look.dashes) for look in LOOKS.values()}) == len(LOOKS)
+    assert len({look.marker for look in LOOKS.values()}) == len(LOOKS)
+
+
+def test_the_legend_names_the_kinds_in_view_and_no_others() -> None:
+    assert labels(drawn(curves()))[-4:] == ["fold", "period doubling", "graze", "codimension two"]
+    part = labels(drawn(curves(), window={"omega": (3.6, 5.0), "b": (0.2, 0.45)}))
+    assert part[-2:] == ["fold", "graze"]
+
+
+def test_curves_outside_the_window_are_said_to_be() -> None:
+    away = Curves(("omega", "b"), (curve("fold", [[8.0, 0.1], [9.0, 0.2]]),))
+    assert labels(drawn(away))[-1] == "curves: none in this window"
+
+
+def test_a_point_of_codimension_two_of_several_curves_is_marked_and_named_once() -> None:
+    ax = drawn(curves()).axes[0]
+    marks = [each for each in ax.lines if each.get_gid() == "corner"]
+    assert [(each.get_xdata(), each.get_ydata()) for each in marks] == [([3.0], [0.37])]
+    assert names(ax) == ["graze–\nperiod doubling"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("cusp", "cusp"), ("resonance_1_3", "1:3"), ("fold_flip", "fold–flip"), ("graze_fold", "graze–\nfold"),
+        ("graze_neimark_sacker", "graze–\nNeimark–Sacker"), ("double_graze", "double graze"),
+    ],
+)  # fmt: skip
+def test_points_of_codimension_two_are_named_in_words(kind: str, name: str) -> None:
+    assert corner_name(kind) == name
+
+
+def test_names_of_crowded_points_keep_off_each_other() -> None:
+    x = np.linspace(1.0, 5.0, 21)
+    corners = tuple(Corner("graze_period_doubling", 2.9 + 0.02 * k, 0.3, 10) for k in range(5))
+    crowd = Curves(("omega", "b"), (curve("graze", np.column_stack([x, 0.3 + 0.0 * x]), corners=corners),))
+    figure = drawn(crowd)
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    boxes = [text.get_window_extent() for text in ax.texts if text.get_gid() == "corner name"]
+    assert len([each for each in ax.lines if each.get_gid() == "corner"]) == 5
+    assert 2 <= len(boxes) <= 5
+    for k, box in enumerate(boxes):
+        assert box.padded(-2.0).count_overlaps(boxes[k + 1 :]) == 0
+
+
+def test_curves_of_other_axes_are_refused() -> None:
+    with pytest.raises(InputError, match="overlay 'curves': curves over omega, R, found a map of omega, b"):
+        drawn(Curves(("omega", "R"), ()))
+
+
+def test_an_atlas_without_curves_says_which_command_finds_them(finished: Path) -> None:
+    ds = atlas.open(finished)
+    with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; atlas curves"):
+        render.figure(ds, overlays="curves")
+    with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; atlas curves"):
+        render.figure(ds, "regions")
+
+
+def chart() -> Figure:
+    """1-1-1 below a fold at b = 0.4, chaos above; of the band right of omega = 3 mirror images alternate by cells."""
+    omega, b = np.linspace(1.0, 5.0, 41), np.linspace(0.1, 0.7, 31)
+    regime = np.where(b[:, None] < 0.4, PERIODIC, CHAOTIC) + np.zeros((31, 41), int)
+    right = (omega > 3.0) & (b[:, None] < 0.4)
+    odd = (np.arange(41) + np.arange(31)[:, None]) % 2 == 0
+    upper = np.where(right & odd, 2, 1) * (regime == PERIODIC)
+    lower = np.where(right & ~odd, 2, 1) * (regime == PERIODIC)
+    period = (regime == PERIODIC).astype(np.int32)
+    ds = atlas_of(
+        {"omega": omega, "b": b}, regime=regime.astype(np.int8), period=period, impacts_upper=upper.astype(np.int32),
+        impacts_lower=lower.astype(np.int32),
+    )  # fmt: skip
+    fold = curve("fold", [[1.0, 0.39], [5.0, 0.39]])
+    doubling = curve("period_doubling", [[3.05, 0.1], [3.05, 0.39]])
+    with keeping(Curves(("omega", "b"), (fold, doubling))):
+        figure: Figure = render.figure(ds, "regions")
+    return figure
+
+
+def test_a_region_chart_names_regions_inside_them_and_mirror_images_as_one() -> None:
+    places = {text.get_text(): text.get_position() for text in chart().axes[0].texts}
+    assert places.keys() == {"1-1-1", "1-2-1", "chaos"}
+    assert places["1-1-1"][0] < 3.0 < places["1-2-1"][0]
+    assert max(places["1-1-1"][1], places["1-2-1"][1]) < 0.39 < places["chaos"][1]
+
+
+def test_names_in_a_region_chart_are_crossed_by_no_curve() -> None:
+    figure = chart()
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    for text in ax.texts:
+        (left, low), (right, high) = ax.transData.inverted().transform(text.get_window_extent())
+        assert not left < 3.05 < right
+        assert not low < 0.39 < high
+
+
+def test_a_region_chart_has_lines_and_no_coloured_cells() -> None:
+    ax = chart().axes[0]
+    assert not ax.images
+    assert {each.get_gid() for each in ax.collections} == {"fold", "period_doubling"}
