@@ -18,6 +18,8 @@ from atlas.curves import asking
 from atlas.errors import InputError
 from atlas.query import connected
 from atlas.query import queries as query
+from atlas.query.attractors import leading
+from atlas.query.basins import basins
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
@@ -28,6 +30,8 @@ from workers import Settings
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from atlas.explore.session import Exploration
 
 
 class DrawnComparison(Comparison):
@@ -56,19 +60,23 @@ class DrawnBranches(Branches):
 class AtlasAccessor:
     """Queries of the atlas that a dataset is, and pictures of it.
 
+    Of an atlas of all attractors every method but ``at`` takes the one with the largest share in each cell;
+    ``ds.isel(attractor=1).atlas`` that with the next one.
     All take any selection of an atlas along its axes. A ``window`` limits any axis to values from low to high, given as
     (low, high). Bad input raises ``atlas.errors.InputError`` in one line.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
-        self._ds = ds
+        self._whole, self._ds = ds, leading(ds)
 
     def at(self, **point: float) -> dict[str, Any]:
         """The cell nearest to a point, ``at(omega=3, b=0.15)``: all its results, and its distance on each axis.
 
+        Of an atlas of all attractors ``coexisting`` lists them.
+
         See ``queries.at``.
         """
-        return query.at(self._ds, point)
+        return query.at(self._whole, point)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
         """The atlas with the results of all other regimes taken out, ``where_regime("chaotic")``.
@@ -107,6 +115,10 @@ class AtlasAccessor:
         """Which of these windows each cell belongs to, by its label; 0 for none. See ``connected.labels``."""
         return connected.labels(self._ds, by, value, window, least)
 
+    def basins(self, window: Window | None = None) -> dict[str, Any]:
+        """Of a plane of initial states: its attractors, their shares, entropy and dimension. See ``basins.basins``."""
+        return basins(self._ds, window)
+
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:
@@ -136,7 +148,7 @@ class AtlasAccessor:
 
         See ``compare.Comparison``.
         """
-        return DrawnComparison.of(self._ds, other, window)
+        return DrawnComparison.of(self._ds, leading(other), window)
 
     def branch(
         self, along: str, window: tuple[float, float], leaving: bool = False, budget: int = MOST, **point: float
@@ -161,7 +173,16 @@ class AtlasAccessor:
 
         ``plot("period", width="85mm", overlays="grazing")``. See ``atlas.render.figure``.
         """
-        return figure(self._ds, kind, window=window, **options)
+        return figure(self._whole, kind, window=window, **options)
+
+    def explore(self, **options: Any) -> "Exploration":
+        """A page on this atlas to look anywhere in it, at any depth; a notebook shows it in place.
+
+        Options ``client``, ``workers``, ``tolerance``, ``keep``: see ``session.explore``. ``stop()`` ends it.
+        """
+        from atlas.explore.session import explore_dataset
+
+        return explore_dataset(self._ds, **options)
 
     def portrait(self, path: str | Path | None = None, **options: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.

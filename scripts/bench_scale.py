@@ -61,7 +61,7 @@ class Scale:
         return f"{self.summary.tiles:>6} {each:>8.2f} {self.coordinator / 1e6:>16.1f} {self.scheduler / 1e6:>14.1f}"
 
 
-def nothing(job: Job) -> Receipt:
+def nothing(act: Callable[[Job], Receipt], job: Job) -> Receipt:
     """A worker's work without the work; it stores nothing, so that there is nothing to make overviews of."""
     return Receipt(job.index, 1, {"periodic": 1}, {}, 0.0, 0.0, 1, 0)
 
@@ -70,7 +70,7 @@ def no_overview(*_: object) -> None:
     """In place of making an overview."""
 
 
-def measure(tiles: int, work: Callable[[Job], object] = fanout.work) -> Scale:
+def measure(tiles: int, work: Callable[..., object] = fanout.work) -> Scale:
     """Run an atlas of about that many tiles of one cell."""
     side = math.isqrt(tiles)
     spec = atlas.Spec(

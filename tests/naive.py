@@ -136,9 +136,15 @@ def through_one_impact(params: Mapping[str, float], state: Array, near: tuple[fl
 
 
 def blocking_error(values: Array, fewest: int) -> float:
-    """Standard error of the mean of a correlated series: the largest over blocks of 1, 2, 4, ... values."""
-    error = math.nan
+    """Standard error of the mean of a correlated series, from blocks of B = 1, 2, 4, ... values (Lee et al. 2011).
+
+    The error from the shortest with B^3 > 2 N (e_B / e_1)^4, else the largest of all that have ``fewest`` blocks.
+    """
+    errors, count, length = [], len(values), 1
     while len(values) >= fewest:
-        error = float(np.nanmax([error, np.std(values, ddof=1) / math.sqrt(len(values))]))
+        errors.append(float(np.std(values, ddof=1) / math.sqrt(len(values))))
+        if length**3 > 2 * count * (errors[-1] / errors[0]) ** 4:
+            return errors[-1]
         values = values[: len(values) // 2 * 2].reshape(-1, 2).mean(axis=1)
-    return error
+        length *= 2
+    return max(errors, default=math.nan)

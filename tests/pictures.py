@@ -107,6 +107,8 @@ def plane() -> xr.Dataset:
             np.int32
         ),
         stuck_fraction=stuck,
+        attractors=np.where(solved, 1 + column % 7, 0).astype(np.int32),
+        share=np.where(solved, 1.0 / (1 + column % 7), NAN),
         symmetric=periodic & (upper == lower),
     )
 
@@ -131,6 +133,41 @@ def line(direction: str | None = None, jump: int = 4) -> xr.Dataset:
     if direction:
         spec["axes"][0]["continuation"] = direction
     return ds.assign_attrs(spec=json.dumps(spec), digest=f"d1ge57-{direction}")
+
+
+def branches() -> xr.Dataset:
+    """A sweep of 8 cells beside each of which a second attractor lies, but for the last ones."""
+    one = line()
+    second = one.copy(deep=True)
+    second["regime"][6:], second["section"][:] = PENDING, 0.02
+    second["section"][6:] = NAN
+    share = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.9, 1.0, 1.0])
+    one["share"], second["share"] = ("omega", share), ("omega", np.where(share < 1.0, 1.0 - share, NAN))
+    made = xr.concat([one, second], "attractor", coords="minimal", compat="override", join="override")
+    return made.transpose("omega", "attractor", ...)
+
+
+def basin() -> tuple[xr.Dataset, xr.Dataset]:
+    """A plane of 8 x 6 initial states, and the table of the four attractors that they reach."""
+    labels = np.tile(np.array([0, 0, 1, 1, 2, 3, 3, -1]), (6, 1))
+    regime = np.where(labels == 2, NO_IMPACT, np.where(labels < 0, UNDETERMINED, PERIODIC)).astype(np.int8)
+    settled = np.where(labels >= 0, 10 + 5 * np.arange(6)[:, None], 0)
+    ds = atlas(
+        {"x1": np.linspace(-0.1, 0.1, 8), "v1": np.linspace(-1, 1, 6)}, regime=regime, label=labels, settled=settled
+    )
+    points = np.full((4, 3, 4), NAN)
+    points[:, 0] = 0.02 * np.arange(4)[:, None] * np.array([1.0, 0.0, 5.0, 0.0])
+    table = xr.Dataset(
+        {
+            "regime": ("attractor", np.array([PERIODIC, PERIODIC, NO_IMPACT, PERIODIC], np.int8)),
+            "period": ("attractor", np.array([1, 3, 1, 3], np.int32)),
+            "share": ("attractor", np.array([0.25, 0.25, 0.125, 0.25])),
+            "mirror": ("attractor", np.array([0, 3, 2, 1], np.int32)),
+            "points": (("attractor", "point", "component"), points),
+        },
+        {"component": ["x1", "x2", "v1", "v2"]},
+    )
+    return ds, table
 
 
 def orbit() -> CellOrbit:

@@ -6,7 +6,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from atlas import render
-from tests.pictures import curves, keeping, line, orbit, plane
+from atlas.render import basins
+from tests.pictures import basin, branches, curves, keeping, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
 DPI = 50
@@ -31,6 +32,8 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "sweep": lambda: render.figure(line()),
     "spectrum": lambda: render.figure(line(), "spectrum"),
     "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),
+    "coexistence": lambda: render.figure(branches()),
+    "basins": lambda: basins.picture(*basin()),
     "portrait": lambda: render.orbit_figure(orbit()),
 }
 

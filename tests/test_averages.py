@@ -7,7 +7,6 @@ import pytest
 
 from tests import naive
 from workers.kernel.averages import (
-    FEWEST_BLOCKS,
     MEAN,
     add_to_blocks,
     no_averages,
@@ -35,13 +34,15 @@ def correlated(rng: np.random.Generator, phi: float, count: int) -> np.ndarray:
     return values
 
 
-def test_mean_and_error_are_those_of_plain_blocking() -> None:
+@pytest.mark.parametrize("count", [32, 64, 65, 300, 5000, 30_000])
+@pytest.mark.parametrize("phi", [-0.5, 0.0, 0.6, 0.9, 0.99])
+def test_mean_and_error_are_those_of_plain_blocking(phi: float, count: int) -> None:
     """Truth: the naive twin, which reshapes the whole series level by level."""
-    values = correlated(np.random.default_rng(1), 0.6, 5000) + 3.0
+    values = correlated(np.random.default_rng(1), phi, count) + 3.0
     levels = blocking(values)
-    assert levels[0, 0] == 5000
+    assert levels[0, 0] == count
     assert levels[0, 1] == pytest.approx(values.mean(), rel=1e-13)
-    assert standard_error(levels) == pytest.approx(naive.blocking_error(values, FEWEST_BLOCKS), rel=1e-12)
+    assert standard_error(levels) == pytest.approx(naive.blocking_error(values, 32), rel=1e-11)
 
 
 def test_white_noise_has_the_error_sigma_over_root_n() -> None:
@@ -70,8 +71,8 @@ def test_the_error_bar_of_correlated_noise_is_right_within_statistics(phi: float
 
 
 def test_too_few_values_have_no_error() -> None:
-    assert math.isnan(standard_error(blocking(np.ones(FEWEST_BLOCKS - 1))))
-    assert standard_error(blocking(np.ones(FEWEST_BLOCKS))) == 0.0
+    assert math.isnan(standard_error(blocking(np.ones(31))))
+    assert standard_error(blocking(np.ones(32))) == 0.0
 
 
 def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None:

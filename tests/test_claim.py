@@ -54,6 +54,15 @@ def test_a_note_is_replaced_only_by_who_read_it_last(notes: Folder) -> None:
     assert notes.read("a") == b"second"
 
 
+def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: Folder) -> None:
+    notes.path.mkdir()
+    (notes.path / "n").touch()
+    maker = threading.Timer(0.1, (notes.path / "n").write_bytes, [b"whole"])
+    maker.start()
+    assert notes.read("n") == b"whole"
+    maker.join()
+
+
 def test_the_last_note_takes_its_folder_with_it(notes: Folder) -> None:
     notes.put("a", b"1", expected=None)
     assert notes.remove("a", b"1")

@@ -19,7 +19,9 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from tests.pictures import curves, keeping, line, orbit, plane
+from atlas.render import basins, maps
+from atlas.render.page import page as page_of
+from tests.pictures import basin, branches, curves, keeping, line, orbit, plane
 from tests.synthetic import complete
 
 pytestmark = pytest.mark.slow
@@ -44,6 +46,13 @@ def draw(kind: str, **look: Any) -> Figure:
         return render.orbit_figure(orbit(), **look)
     if kind == "hysteresis":
         return render.figure(line("forward", 5), against=line("backward", 3), **look)
+    if kind == "coexistence":
+        return render.figure(branches(), kind, **look)
+    if kind == render.BASINS:
+        page = page_of(**look)
+        figure = basins.picture(*basin(), maps.Options(page=page))
+        page.fit(figure)
+        return figure
     if kind in render.MAPS:
         return render.figure(plane(), kind, overlays=render.MAP_OVERLAYS, **look)
     return render.figure(line(), kind, **look)

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from workers.cells import NEAR, RETURNS, Array, Cells, Rows, clearly_positive
+from workers.cells import NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
 from workers.kernel.cells import impact_free
 from workers.kernel.motion import LOWER, UPPER
 from workers.model.oscillator import COLUMN
@@ -74,13 +74,7 @@ TORUS_RETURN = 1e-5
 
 def solve_adaptively(cells: Cells, ready: Rows) -> None:
     """Take these cells through their stages and write their results."""
-    course = _Course(cells)
-    waiting = np.zeros(len(cells.used), dtype=np.bool_)
-    while len(ready) or waiting.any():
-        waiting[course.begin(ready)] = True
-        through = cells.run(np.flatnonzero(waiting))
-        waiting[through] = False
-        ready = course.look(through)
+    Course(cells).take(ready)
 
 
 def relaxation_periods(cells: Cells, rows: Rows) -> Array:
@@ -97,8 +91,10 @@ def relaxation_periods(cells: Cells, rows: Rows) -> Array:
     return np.asarray(1.0 / rate)
 
 
-class _Course:
+class Course:
     """Where the cells are on their course.
+
+    One that knows more of them than their motions can say which of them are done: see ``recognise`` and ``leaves``.
 
     stage      of each cell; stretch: periods that it is to go next
     memory     periods that its transient should take, NaN until known; transient: those that it takes
@@ -120,6 +116,23 @@ class _Course:
         self.watched = np.zeros(N, dtype=np.int64)
         self.weighted = np.full(N, math.nan)
 
+    def take(self, ready: Rows) -> None:
+        """Take these cells through their stages and write their results."""
+        waiting = np.zeros(len(self.cells.used), dtype=np.bool_)
+        while len(ready) or waiting.any():
+            waiting[self.begin(ready)] = True
+            through = self.cells.run(np.flatnonzero(waiting))
+            waiting[through] = False
+            ready = self.look(through)
+
+    def recognise(self, rows: Rows) -> Rows:
+        """Those of these cells, at the end of a stretch, that go on: here all of them."""
+        return rows
+
+    def leaves(self, rows: Rows) -> Mask:
+        """Which of these cells, whose transients are over, do not go on: here none of them."""
+        return np.zeros(len(rows), dtype=np.bool_)
+
     def begin(self, ready: Rows) -> Rows:
         """Give each cell its next stretch; those that have one."""
         cells = self.cells
@@ -140,14 +153,14 @@ class _Course:
         through = through[~put_stopped(cells, through)]
         warm = self.stage[through] == WARMING
         self._average(through[warm])
-        rest = through[~warm]
+        rest = self.recognise(through[~warm])
         near = np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
         settled = cells.settle(rest, self.settings.max_periods + self.settings.survival - cells.used, near)
         put_periodic(cells, rest[settled])
         rest = rest[~settled]
         searching, averaging, watching = (rest[self.stage[rest] == s] for s in (SEARCHING, AVERAGING, WATCHING))
-        self._search_on(searching)
-        return np.concatenate([through[warm], searching, self._judge(averaging), self._watch_on(watching)])
+        going = self._search_on(searching)
+        return np.concatenate([through[warm], going, self._judge(averaging), self._watch_on(watching)])
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
@@ -170,8 +183,8 @@ class _Course:
 
     # Searching
 
-    def _search_on(self, rows: Rows) -> None:
-        """Go on, or warm up where the motion has forgotten where it began."""
+    def _search_on(self, rows: Rows) -> Rows:
+        """Go on, or warm up where the motion has forgotten where it began; those that have to go on."""
         cells = self.cells
         flown = cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
@@ -179,15 +192,23 @@ class _Course:
         most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
         self.transient[new] = np.clip(self.memory[new], LEAST_TRANSIENT, most)
         self.stretch[rows] = np.minimum(flown, np.maximum(self.transient[rows] - flown, 1))
-        done = rows[flown >= self.transient[rows]]
-        cells.since[done] = cells.flown[done]
+        over = flown >= self.transient[rows]
+        cells.since[rows[over]] = cells.flown[rows[over]]
+        left = over.copy()
+        left[over] = self.leaves(rows[over])
+        self.observe(rows[over & ~left])
+        return rows[~left]
+
+    def observe(self, rows: Rows) -> None:
+        """Average these cells from here on, whose transients are over, or watch them where there are no exponents."""
+        cells = self.cells
         if cells.vectors:
-            self._warm_up(done)
+            self._warm_up(rows)
         else:
-            cells.restart(done)
-            cells.averaging[done] = True
-            self.stage[done] = WATCHING
-            self._aim_watch(done)
+            cells.restart(rows)
+            cells.averaging[rows] = True
+            self.stage[rows] = WATCHING
+            self._aim_watch(rows)
 
     # Watching
 

@@ -149,12 +149,13 @@ class Cells:
     def has_rival(self, cells: Rows) -> Mask:
         """Of which of these cells a stable orbit is known beside the motion.
 
-        Where |Y| stays inside the stops and every mode is damped, motion without impact is one. Another is an orbit
-        that a near return led to, and that the motion left again.
+        Where |Y| stays inside the stops, every mode is damped and no load moves a rigid one, motion without impact is
+        one. Another is an orbit that a near return led to, and that the motion left again.
         """
         gap, oscillators = self.oscillators.gap, self.oscillators
         reach = np.minimum(oscillators.b_upper, oscillators.b_lower)[cells]
-        damped = gap.block[cells][..., COLUMN.slow].min(axis=-1) > 0.0
+        block = gap.block[cells]
+        damped = np.all((block[..., COLUMN.eta] > 0.0) & (block[..., COLUMN.load] == 0.0), axis=-1)
         found: Mask = self.orbits.near[cells] | (damped & (np.asarray(gap.amplitude)[cells] < reach))
         return found
 

@@ -29,7 +29,7 @@ from workers.kernel.motion import (
     WORK_OF_A_TRIAL,
     motions_at,
 )
-from workers.model.oscillator import COLUMN
+from workers.model.oscillator import Oscillator
 from workers.ranges import FOLLOWED, free_range, impact_range
 from workers.results import (
     APERIODIC,
@@ -80,7 +80,7 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     oscillators = taken(cells.oscillators, rows)
     exponents = free_exponents(oscillators)
     total = np.sum(exponents, axis=1)
-    steady = np.where(oscillators.gap.block[..., COLUMN.slow, None] > 0.0, 0.0, h)  # what is undamped goes on
+    steady = _steady(oscillators, h)
     put(
         cells,
         rows,
@@ -98,6 +98,15 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
         periods_used=cells.used[rows],
     )
     put_states(cells, rows, steady, np.zeros((len(rows), 1), dtype=np.int64), np.ones(len(rows), dtype=np.int64))
+
+
+def _steady(oscillators: Oscillator, h: Array) -> Array:
+    """Where block states h (N, n, 2) go without impact: a damped rigid mode comes to rest, what is undamped goes on."""
+    eta, lam = oscillators.gap.eta, oscillators.gap.lam
+    with np.errstate(divide="ignore", invalid="ignore"):
+        end = np.where(lam == 0.0, h[..., 0] + h[..., 1] / (2.0 * eta), 0.0)
+    damped = (eta > 0.0)[..., None]
+    return np.where(damped, np.stack([end, np.zeros_like(end)], axis=-1), h)
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:

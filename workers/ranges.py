@@ -31,11 +31,13 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows,
 def free_range(oscillators: Oscillator, h: Array) -> Array:
     """Greatest minus least y (N,) of motions without impact from block states h (N, n, 2).
 
-    Twice the amplitude of the forced response where that is a single harmonic and all else has decayed, h = 0; the
-    turning points of one period where it has several, of FOLLOWED periods where the motion does not decay.
+    Twice the amplitude of the forced response where that is a single harmonic and all else has decayed, h = 0 but for
+    the position of a rigid mode; the turning points of one period where it has several, of FOLLOWED periods where the
+    motion does not decay.
     """
     N, harmonics = oscillators.gap.sin_part.shape
-    steady = ~np.any(h != 0.0, axis=(1, 2))
+    still = (h[..., 1] == 0.0) & ((h[..., 0] == 0.0) | (oscillators.gap.lam == 0.0))
+    steady = np.all(still, axis=1)
     closed = steady if harmonics == 1 else np.zeros(N, dtype=np.bool_)
     contact, periods = np.full((N, 1), FREE, dtype=np.int64), np.where(steady, 1, FOLLOWED)
     followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~closed))

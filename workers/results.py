@@ -1,6 +1,8 @@
 """What a cell's solution consists of: the one table of result variables and of regimes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -88,7 +90,8 @@ class InvalidError(ValueError):
 class Variable:
     """One result array: name, numpy type, value of a cell without a result, CF long_name and units.
 
-    ``extra`` names dimensions after the cell's own: "exponent" (2n), "state" (2n), "sample" (section_samples).
+    ``extra`` names dimensions after the cell's own: "attractor" (how many are kept), "exponent" (2n), "state" (2n),
+    "sample" (section_samples).
     ``sparse``: most tiles have nothing but fill values of it, and are stored without a chunk.
     """
 
@@ -148,8 +151,53 @@ REASON = Variable(
 REGIME = Variable("regime", "int8", PENDING, "regime of motion", "1")
 
 
-def result_variables(settings: Settings) -> tuple[Variable, ...]:
-    """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written."""
+ATTRACTOR = "attractor"
+"""The dimension along the attractors of a cell, the one with the largest share first."""
+
+
+def _of_each(name: str, dtype: str, fill: float | int | bool, long_name: str) -> Variable:
+    return Variable(name, dtype, fill, long_name, "1", (ATTRACTOR,))
+
+
+_COEXISTENCE = (
+    Variable("attractors", "int32", 0, "attractors found", "1"),
+    Variable("starts", "int32", 0, "initial states solved, those beyond a stop left out", "1"),
+    Variable("own", "int32", -1, "attractor that the spec's own initial state reaches; -1 if none is kept", "1"),
+    Variable("undecided", "int32", 0, "initial states whose attractor is not known", "1"),
+    Variable("left", "int32", 0, "initial states on attractors that are not kept", "1"),
+    Variable("unseen_share", "float64", _NAN, "share of an attractor that 5 % of such cells miss", "1"),
+    _of_each("share", "float64", _NAN, "share of the initial states that reach the attractor"),
+    _of_each("share_error", "float64", _NAN, "standard error of the share, of Wilson's interval"),
+    _of_each("share_low", "float64", _NAN, "lower end of the 95 % Wilson interval of the share"),
+    _of_each("share_high", "float64", _NAN, "upper end of the 95 % Wilson interval of the share"),
+    _of_each("mirror", "int32", -1, "attractor that is its mirror image; itself where it is symmetric; -1 if none"),
+    _of_each("exact", "bool", False, "initial states are told to reach it exactly, not by statistics"),
+    _of_each("lumped", "int32", 0, "initial states put to it by statistics"),
+    _of_each("lumped_distance", "float64", _NAN, "largest distance of those from it, in standard errors"),
+)
+
+
+UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
+LABEL = Variable("label", "int32", UNKNOWN_LABEL, "attractor that the initial state reaches; -1 if not known", "1")
+SETTLED = Variable("settled", "int32", 0, "forcing periods until the motion is on the attractor", "1")
+
+
+def result_variables(settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
+    """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
+
+    With ``attractors`` those of all attractors of each cell: every result but the cost has the dimension ``attractor``.
+    With ``basins`` those of initial states that are told by the attractors that they reach.
+    """
+    found = _of_one(settings)
+    if basins:
+        return (LABEL, SETTLED, *found)
+    if not attractors:
+        return found
+    many = [v if v.name == "periods_used" else replace(v, extra=(ATTRACTOR, *v.extra)) for v in found]
+    return (*_COEXISTENCE, *many)
+
+
+def _of_one(settings: Settings) -> tuple[Variable, ...]:
     chosen: list[Variable] = []
     if settings.exponents != "none":
         chosen += [LARGEST, ERROR]
@@ -161,6 +209,18 @@ def result_variables(settings: Settings) -> tuple[Variable, ...]:
     if settings.section_samples:
         chosen.append(SECTION)
     return (*chosen, REASON, REGIME)
+
+
+def of_one(variable: Variable) -> Variable:
+    """The variable as it is of one attractor of a cell."""
+    return replace(variable, extra=tuple(dim for dim in variable.extra if dim != ATTRACTOR))
+
+
+def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
+    """Arrays over cells of so many dimensions, those of all attractors as of the first: views, not copies."""
+    many = {variable.name for variable in variables if ATTRACTOR in variable.extra}
+    first = (slice(None),) * dims + (0,)
+    return {name: values[first] if name in many else values for name, values in arrays.items()}
 
 
 def reason_counts(codes: np.ndarray) -> dict[str, int]:

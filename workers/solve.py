@@ -41,6 +41,20 @@ def solve(
 
     Writes the result arrays ``found``, by name, all of which are given with their values for cells without a result.
     """
+    cells, ready = begun(oscillators, reasons, starts, settings, found)
+    schedule = solve_adaptively if settings.method == "adaptive" else _solve_fixed
+    with np.errstate(all="ignore"):
+        schedule(cells, ready)
+
+
+def begun(
+    oscillators: Oscillator,
+    reasons: NDArray[np.int8],
+    starts: Array,
+    settings: Settings,
+    found: dict[str, NDArray[Any]],
+) -> tuple[Cells, Rows]:
+    """The cells of ``solve`` at their starts, and those of them that have a motion; the others are written invalid."""
     adaptive = settings.method == "adaptive"
     cells = Cells(oscillators, settings, found, max(settings.max_period, RETURNS if adaptive else 0) + 1)
     motions = cells.batch.motions
@@ -53,9 +67,7 @@ def solve(
     put(cells, invalid, regime=INVALID, reason=reasons[invalid])
     budget = (settings.max_periods, settings.survival) if adaptive else (settings.transient_periods, settings.periods)
     motions.tally[:, WORK] = work_allowed(sum(budget))
-    schedule = solve_adaptively if adaptive else _solve_fixed
-    with np.errstate(all="ignore"):
-        schedule(cells, np.flatnonzero(reasons == NO_REASON))
+    return cells, np.flatnonzero(reasons == NO_REASON)
 
 
 def _solve_fixed(cells: Cells, ready: Rows) -> None:

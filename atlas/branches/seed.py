@@ -43,10 +43,15 @@ def seed_of_point(
 
 
 def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
-    """The orbit of the cell nearest to a point of an atlas, as it is stored; errors as in ``seed_of_point``."""
+    """The orbit of the cell nearest to a point of an atlas, as it is stored; errors as in ``seed_of_point``.
+
+    Of an atlas of all attractors it is the one with the largest share, unless one of them was selected.
+    """
+    from atlas.query.attractors import leading
     from atlas.query.queries import at
     from atlas.query.window import axis_names
 
+    ds = leading(ds)
     cell = at(ds, point)
     record = system_of(ds)
     where = {name: cell[name] for name in axis_names(ds)}

@@ -8,7 +8,6 @@ from atlas.store.digests import DIGESTS
 from atlas.store.schema import ALLOWANCES, extra_sizes
 from atlas.store.store import ROOT, Header, open_arrays, open_digests
 from atlas.store.tiles import covered_variables
-from workers.results import result_variables
 
 
 def metadata_faults(header: Header) -> list[str]:
@@ -41,7 +40,7 @@ def metadata_faults(header: Header) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata are not those of {where}")
-    for variable in result_variables(spec.settings):
+    for variable in spec.variables:
         if variable.name not in shapes and any(header.place.list_keys(f"{variable.name}/c/")):
             faults.append(f"{variable.name}/{ROOT} is missing")
     if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:

@@ -9,7 +9,7 @@ import numpy as np
 
 from atlas.spec.spec import Spec
 from atlas.store.schema import ALLOWANCES
-from workers.results import CHAOTIC, PERIODIC, REGIME, REGIMES
+from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, REGIMES, leading
 
 ERRORS = 5.0
 """So many errors of both solutions may lie between the largest exponents that two machines give."""
@@ -28,14 +28,21 @@ class Sample:
     @property
     def regime(self) -> int:
         """The stored regime's code."""
-        return int(self.stored[REGIME.name].item())
+        return int(self.stored[REGIME.name].flat[0])
 
 
 def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
     """The results of the cell as they come out now, in the stored ones' shapes."""
+    from atlas.task.solving import solve_block
     from workers.tile import solve_cells
 
     block = tuple(slice(i, i + 1) for i in sample.cell)
+    if spec.attractors is not None:
+        arrays = solve_block(spec, block).arrays
+        if spec.basins:  # what lies beyond the table gets its label when all cells are known
+            beyond = arrays[LABEL.name] == BEYOND_TABLE
+            arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
+        return arrays
     given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
     settings = replace(spec.settings, **given)
     return solve_cells(spec.record, spec.cell_params(block), settings).arrays
@@ -47,11 +54,14 @@ def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -
     return _in_words(stored, again, names)
 
 
-def beyond_error(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
+def beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
     """How two solutions of a cell by different machines differ by more than their errors allow; empty where not.
 
-    The regime has to be the same, an orbit's period and symmetry too, and the largest exponent within the errors.
+    The regime has to be the same, an orbit's period and symmetry too, and the largest exponent within the errors. Of
+    all attractors that holds for the first.
     """
+    dims = stored["periods_used"].ndim
+    stored, again = (leading(spec.variables, arrays, dims) for arrays in (stored, again))
     regime = stored[REGIME.name].item()
     names = [REGIME.name] if regime != again[REGIME.name].item() else []
     if regime == PERIODIC:
@@ -81,7 +91,8 @@ def _in_words(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray],
 
 def _text(name: str, values: Any) -> str:
     if name == REGIME.name:
-        return next((regime.name for regime in REGIMES if regime.code == values.item()), str(values.item()))
+        names = {regime.code: regime.name for regime in REGIMES}
+        return ", ".join(names.get(code, str(code)) for code in values.ravel().tolist())
     flat = values.ravel().tolist()
     shown = [f"{value!r}" if not isinstance(value, float) or math.isfinite(value) else f"{value}" for value in flat[:4]]
     return shown[0] if len(flat) == 1 else f"[{', '.join(shown)}{', ...' if len(flat) > 4 else ''}]"

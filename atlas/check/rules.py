@@ -10,17 +10,23 @@ from numpy.typing import NDArray
 from atlas.spec.spec import Slices, Spec
 from workers.results import (
     APERIODIC,
+    ATTRACTOR,
+    BEYOND_TABLE,
     CHAOTIC,
     FAILED,
     INVALID,
+    LABEL,
     NO_IMPACT,
     NO_REASON,
     NOT_STATIONARY,
+    PENDING,
     PERIODIC,
     QUASIPERIODIC,
     REASON,
     REASONS,
     REGIME,
+    UNDETERMINED,
+    UNKNOWN_LABEL,
     result_variables,
 )
 
@@ -43,6 +49,41 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     ``arrays`` holds the result variables over the cells ``slices``; a rule about one that is not among them is left
     out. Where the spectrum is stored, its sum is held against the exact law of ``workers.exponents``.
     """
+    if spec.coexistence:
+        return _broken_of_many(spec, slices, arrays)
+    return _broken(spec, slices, arrays)
+
+
+def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
+    """The rules of one attractor for each, and those of all together."""
+    many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra}
+    shape = tuple(part.stop - part.start for part in slices)
+    count, tried = arrays["attractors"], arrays["starts"]
+    found: dict[str, Any] = {}
+    assert spec.attractors is not None
+    for k in range(spec.attractors.keep):
+        place = (slice(None),) * len(shape) + (k,)
+        one = {name: values[place] if name in many else values for name, values in arrays.items()}
+        there = k < np.maximum(count, 1)
+        found |= {f"attractor {k}: {text}": mask & there for text, mask in _broken(spec, slices, one).items()}
+        found[f"attractor {k} has a regime, and there is none"] = ~there & (one[REGIME.name] != PENDING)
+        found[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
+    share = np.nan_to_num(arrays["share"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        told = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
+        found["shares, undecided and left do not add up to 1"] = np.logical_and(tried > 0, ~(np.abs(told - 1.0) < SAME))
+    mirror = arrays["mirror"]
+    back = np.take_along_axis(mirror, np.maximum(mirror, 0), axis=-1)
+    found["mirror of a mirror image is another one"] = ((mirror >= 0) & (back != np.arange(spec.attractors.keep))).any(
+        axis=-1
+    )
+    found["shares do not fall"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
+    found["own is none of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
+    found["starts are more than were asked for"] = tried > spec.attractors.count
+    return {text: mask for text, mask in found.items() if mask.any()}
+
+
+def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
         found = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
         if {"spectrum", "sum_law_defect", "impacts_per_period", "sticks"} <= arrays.keys():
@@ -100,6 +141,11 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
         yield f"kaplan_yorke is outside 0 to {most}", (arrays["kaplan_yorke"] < 0) | (arrays["kaplan_yorke"] > most)
     if "periods_used" in arrays:
         yield "periods_used is negative", arrays["periods_used"] < 0
+    if LABEL.name in arrays:
+        yield "label is none of an attractor", arrays[LABEL.name] < BEYOND_TABLE
+        yield "label without an attractor", ~known & (arrays[LABEL.name] != UNKNOWN_LABEL)
+        yield "no label on an attractor", known & (arrays[LABEL.name] == UNKNOWN_LABEL)
+        yield "settled is negative", arrays["settled"] < 0
     if "survived" in arrays:
         yield from _survival_rules(spec, arrays)
     if "state" in arrays:
@@ -167,7 +213,7 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     yield "survived is negative", survived < 0
     yield "survived is 0 in a chaotic or aperiodic cell", watched & (survived == 0)
     yield "survived is not 0 outside chaos", ~watched & (survived != 0)
-    if "periods_used" in arrays:
+    if "periods_used" in arrays and LABEL.name not in arrays:  # there it is the table's
         yield "survived is longer than what was simulated", survived > arrays["periods_used"]
     if spec.settings.method == "fixed":
         yield "survived is not the periods averaged", watched & (survived != spec.settings.periods)

@@ -29,6 +29,7 @@ from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
 from atlas.store.store import (
     READERS,
+    ZOOM,
     Header,
     done_tiles,
     machines,
@@ -39,6 +40,7 @@ from atlas.store.store import (
 )
 from atlas.store.tiles import covered_variables, digest_faults, drop_tile, read_tile
 from atlas.store.tiling import Tiling
+from atlas.store.zoom import sheet_place, sheets
 from atlas.text import plural
 from workers import SOLVER_VERSION
 from workers.results import FAILED
@@ -76,6 +78,7 @@ class Report:
     repaired                     tiles made unfinished, so that the next run solves them again
     dropped                      chunks of overviews made missing, so that the next run makes them anew
     removed                      names among the chunks that are none
+    sheets                       of the zoom levels, verified as the stores that they are
     """
 
     store: str
@@ -93,6 +96,7 @@ class Report:
     repaired: tuple[Index, ...] | None = None
     dropped: int = 0
     removed: tuple[str, ...] = ()
+    sheets: int = 0
 
     @property
     def complete(self) -> bool:
@@ -116,6 +120,9 @@ class Report:
             if self.comparison in how
             else f"sample   not solved again: {self.comparison}",
         ]
+        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells held against the same"] * bool(
+            self.sheets
+        )
         for title, found in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
             lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []
@@ -149,6 +156,7 @@ class Report:
             "repaired": self.repaired,
             "dropped": self.dropped,
             "removed": self.removed,
+            "sheets": self.sheets,
         }
 
 
@@ -177,7 +185,8 @@ def verify(
         refuse_packed(header.place)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
     with reporting(on_progress) as report:
-        return _verified(header, sample, repair, seed, report or (lambda _: None))
+        notify = report or (lambda _: None)
+        return _with_zoom(_verified(header, sample, repair, seed, notify), header, sample, repair, notify)
 
 
 def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Callable[[Progress], None]) -> Report:
@@ -210,7 +219,7 @@ def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Call
         for k, one in enumerate(samples, 1):
             notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
             again = solve_again(header.spec, one)
-            different = unequal(one.stored, again) if exact else beyond_error(one.stored, again)
+            different = unequal(one.stored, again) if exact else beyond_error(header.spec, one.stored, again)
             if different:
                 found = Fault(one.tile, f"cell {place_in(header.spec, one.cell)}: {different}")
                 (faults if exact else doubts).append(found)
@@ -232,6 +241,27 @@ def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Call
         for key in foreign:
             header.place.remove(key)
     return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign)
+
+
+def _with_zoom(report: Report, header: Header, sample: int, repair: bool, notify: Callable[[Progress], None]) -> Report:
+    """The report with what is wrong in the zoom levels, whose sheets are stores themselves.
+
+    Of as many sheets as the sample has cells, one cell each is solved again.
+    """
+    found = sheets(header)
+    solved = set(random.Random(report.seed).sample(found, min(sample, len(found))))
+    faults, doubts = list(report.faults), list(report.doubts)
+    for k, (plane, sheet) in enumerate(found, 1):
+        notify(Progress(f"reading the zoom levels: sheet {k} of {len(found)}", passing=True))
+        try:
+            inner = read_header(sheet_place(header, plane, sheet))
+        except InputError as error:
+            faults.append(Fault(None, str(error)))
+            continue
+        own = _verified(inner, int((plane, sheet) in solved), repair, report.seed, lambda _: None)
+        for all_of, some in ((faults, own.faults), (doubts, own.doubts)):
+            all_of += [Fault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
+    return replace(report, sheets=len(found), faults=tuple(faults), doubts=tuple(doubts))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell, seed_of_point
 from atlas.branches.table import Branches
 from atlas.cli.options import (
+    examples,
     input_errors,
     json_option,
     look_options,
@@ -40,7 +41,12 @@ TABLES = ("csv", "json")
 """What branches can be written as, besides pictures."""
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "atlas branch --set b=0.15 --set omega=3.5 --along omega --from 2 --to 4",
+        "atlas branch plane.zarr --at omega=3.5 --at b=0.15 --along b --from 0.1 --to 0.5 -o branch.png",
+    )
+)
 @click.argument("store", required=False)
 @click.option("--along", required=True, metavar="NAME", help="The parameter that the orbit is followed in.")
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Its lower end.")

@@ -1,4 +1,4 @@
-"""Commands about one cell, and about the systems that there are."""
+"""Commands about one cell, and about the systems and examples that there are."""
 
 import textwrap
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    examples,
     input_errors,
     json_option,
     look_options,
@@ -21,13 +22,18 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, text, to_json
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
-from atlas.spec.spec import checked_parameters, checked_settings, example_names
+from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
 from atlas.spec.system import checked_system
 from atlas.task.compile import warming
 from workers.model.system import System, find_system, system_names
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "atlas point --set omega=4 --set b=0.1 --exponents spectrum",
+        "atlas point --system impact-damper --set omega=1 --json",
+    )
+)
 @set_option
 @system_option
 @settings_options()
@@ -49,7 +55,7 @@ def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> N
         print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
 
 
-@click.command()
+@click.command(epilog=examples("atlas portrait --set omega=3 --set b=0.2 -o cell.png"))
 @set_option
 @system_option
 @picture_option
@@ -68,11 +74,11 @@ def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> 
     click.echo(str(out))
 
 
-@click.command()
+@click.command(epilog=examples("atlas systems", "atlas systems two-mass", "atlas systems my-machine.toml"))
 @click.argument("name", required=False)
 @json_option
 def systems(name: str | None, as_json: bool) -> None:
-    """The systems that can be solved; of one, NAME or the path of a .toml file, all that there is to know."""
+    """The systems that can be solved, or all about one: its NAME, or the path of a .toml file."""
     if name is not None:
         found = checked_system(name)
         click.echo(to_json(found.table())) if as_json else _print_system(found)
@@ -85,6 +91,19 @@ def systems(name: str | None, as_json: bool) -> None:
     print_table("", ["system", ""], [(record.name, record.title) for record in records])
     click.echo(f"\nexamples: {', '.join(example_names())}")
     click.echo("more of one: atlas systems NAME")
+
+
+@click.command(epilog=examples("atlas example omega-b > plane.toml"))
+@click.argument("name", required=False)
+def example(name: str | None) -> None:
+    """A spec to start from: the packaged example of that NAME, as a TOML file; without NAME, which there are."""
+    if name is not None:
+        click.echo(example_text(name), nl=False)
+        return
+    # What an example is stands in its first comment, up to the colon.
+    firsts = {each: " ".join(example_text(each).split("\n\n")[0].replace("#", " ").split()) for each in example_names()}
+    print_table("", ["example", ""], [(each, first.partition(":")[0]) for each, first in firsts.items()])
+    click.echo("\none of them: atlas example NAME")
 
 
 def _print_system(record: System) -> None:

@@ -5,7 +5,16 @@ from typing import Any
 
 import click
 
-from atlas.cli.options import input_errors, json_option, look_options, read_bounds, read_pairs, say, window_option
+from atlas.cli.options import (
+    examples,
+    input_errors,
+    json_option,
+    look_options,
+    read_bounds,
+    read_pairs,
+    say,
+    window_option,
+)
 from atlas.cli.output import print_table, to_json
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
@@ -13,7 +22,7 @@ from atlas.render import check_path, compared_figure
 from atlas.text import plural
 
 
-@click.command()
+@click.command(epilog=examples("atlas compare plane.zarr other.zarr -o difference.png"))
 @click.argument("store")
 @click.argument("other")
 @window_option
@@ -27,6 +36,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
 
     Differences are OTHER's minus STORE's.
     """
+    from atlas.query.attractors import leading
     from atlas.query.compare import Comparison
 
     bounds = read_pairs("--window", window, read_bounds)
@@ -37,7 +47,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
     elif given:
         raise InputError(f"--{given[0].replace('_', '-')} goes with -o, the picture")
     with input_errors():
-        compared = Comparison.of(open_atlas(store), open_atlas(other), bounds)
+        compared = Comparison.of(leading(open_atlas(store)), leading(open_atlas(other)), bounds)
         message = compared.as_dict()
         if out is not None:
             say("drawing")

@@ -10,6 +10,7 @@ import click
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
+    examples,
     interruptible,
     json_option,
     say,
@@ -31,7 +32,7 @@ def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
     return click.option(f"--{name}", type=click.IntRange(min=1), default=_DEFAULTS[name], show_default=True, help=text)
 
 
-@click.command()
+@click.command(epilog=examples("atlas curves plane.zarr", "atlas curves plane.zarr -o curves.csv"))
 @store_argument
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Also write them to this file, .csv or .json.")
 @_budget("seeds", "Places beside edges where events are looked for, at most.")

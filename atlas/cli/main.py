@@ -8,13 +8,14 @@ from typing import Any
 import click
 
 from atlas.cli.branch import branch
-from atlas.cli.cell import point, portrait, systems
+from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
 from atlas.cli.curves import curves
-from atlas.cli.options import INTERRUPTED
+from atlas.cli.explore import explore
+from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
-from atlas.cli.run import cancel, extend, plan, run, submit
+from atlas.cli.run import basins, cancel, extend, plan, run, submit
 from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -57,23 +58,40 @@ class _Group(click.Group):
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands in the order of their use, with summaries that are never cut."""
+        whole = 1000  # characters
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, each.get_short_help_str(whole)) for name, each in self.commands.items()])
 
-@click.group("atlas", cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+
+@click.group(
+    "atlas",
+    cls=_Group,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=examples(
+        "atlas example omega-b > plane.toml",
+        "atlas run plane.toml -o plane.zarr",
+        "atlas render plane.zarr -o chaos.png",
+    ),
+)
 @click.version_option(package_name="impact-atlas", prog_name="atlas")
 def main() -> None:
     """Maps of chaos in vibro-impact oscillators.
 
-    A SPEC is a TOML file, or the name of an example in the package. Exit codes: 0 done, 1 failed, 2 bad usage or
-    input, 130 interrupted.
+    A SPEC is a TOML file, or the name of an example in the package; a STORE is a folder, a URL or a zip file that holds
+    an atlas. Exit codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """
 
 
 for command in (
+    example,
     plan,
     run,
     submit,
     cancel,
     extend,
+    basins,
     status,
     verify,
     pack,
@@ -85,6 +103,7 @@ for command in (
     point,
     portrait,
     branch,
+    explore,
     systems,
 ):
     main.add_command(command)

@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -20,6 +20,18 @@ from workers.settings import EXPONENTS, METHODS
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 _T = TypeVar("_T")
+
+SETTING_MEANINGS = {
+    "exponents": "Which Lyapunov exponents.",
+    "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
+    "max_periods": "Forcing periods that deciding the class, and averaging, may cost.",
+    "survival": "Further periods for which what looks chaotic may be watched.",
+    "method": "adaptive, or fixed: a transient is dropped, then averaged.",
+    "transient_periods": "Periods that are dropped, with fixed.",
+    "periods": "Periods that are averaged, with fixed.",
+    "max_period": "Longest orbit looked for, in forcing periods.",
+    "section_samples": "How many of the last section states are kept.",
+}
 
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
 workers_option = click.option(
@@ -77,10 +89,26 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
         for field in reversed([field for field in fields(Settings) if field.name not in without]):
             kind = choices.get(field.name) or {int: click.INT, float: click.FLOAT}[type(field.default)]
             name = f"--{field.name.replace('_', '-')}"
-            command = click.option(name, type=kind, default=field.default, show_default=True)(command)
+            words = SETTING_MEANINGS[field.name]
+            command = click.option(name, type=kind, default=field.default, show_default=True, help=words)(command)
         return command
 
     return decorate
+
+
+def examples(*lines: str) -> str:
+    """The end of a command's help: what one may type, line by line."""
+    return _as_it_stands("Examples:", lines)
+
+
+def meanings(title: str, words: Mapping[str, str]) -> str:
+    """A part of a command's help: names and what they mean."""
+    width = max(map(len, words))
+    return _as_it_stands(title, [f"{name:{width}}  {meaning}" for name, meaning in words.items()])
+
+
+def _as_it_stands(title: str, lines: Iterable[str]) -> str:
+    return "\b\n" + "\n".join([title, *(f"  {line}" for line in lines)])  # \b: not to be filled anew
 
 
 def say(text: str) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -32,9 +33,8 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 200
+    terminal = sys.stdout.isatty()  # a notebook asks for colours, and is no terminal all the same
+    console = Console(highlight=False, force_terminal=terminal, width=None if terminal else 200)
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, show_header=any(columns))
     for column in columns:
         table.add_column(column)

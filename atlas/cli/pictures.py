@@ -7,8 +7,10 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    examples,
     input_errors,
     look_options,
+    meanings,
     picture_option,
     read_bounds,
     read_number,
@@ -22,16 +24,30 @@ from atlas.cli.paper import figures as draw_figures
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
-from atlas.render import FORMATS, KINDS, OVERLAYS, check_path, side_by_side
+from atlas.render import FORMATS, OVERLAYS, check_path, side_by_side
 from atlas.render import render as draw
+from atlas.render.meanings import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
 
 
-@click.command()
+@click.command(
+    epilog="\n\n".join(
+        [
+            meanings("Kinds:", KIND_MEANINGS),
+            meanings("Overlays:", OVERLAY_MEANINGS),
+            examples(
+                "atlas render plane.zarr -o chaos.png --overlay grazing",
+                "atlas render plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
+                "atlas render plane.zarr -o speed.png --variable max_impact_speed",
+                "atlas render up.zarr --against down.zarr -o hysteresis.png",
+            ),
+        ]
+    )
+)
 @click.argument("stores", nargs=-1, required=True)
 @picture_option
-@click.option("--kind", metavar="KIND", help=f"One of {', '.join(KINDS)}; default: by the axes.")
+@click.option("--kind", metavar="KIND", help="One of those below; default: by the axes.")
 @click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
@@ -90,7 +106,7 @@ def render(
     click.echo(str(out))
 
 
-@click.command()
+@click.command(epilog=examples("atlas figures --paper -o paper"))
 @click.option("--paper", is_flag=True, required=True, help="Figs 3, 4, 5 and 6 of Li & Tan (2011).")
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The folder to write them into.")
 @click.option(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.cli.options import (
+    examples,
     input_errors,
     json_option,
     read_bounds,
@@ -20,6 +21,7 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import print_table, text, to_json
 from atlas.errors import InputError
+from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.service.progress import reason_lines
@@ -33,7 +35,15 @@ SHOWN = 40
 _PATTERN = ("regime", "period", "impacts")
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "atlas query plane.zarr --window omega=2:3",
+        "atlas query plane.zarr --at omega=3 --at b=0.15",
+        "atlas query plane.zarr --windows period=3",
+        "atlas query plane.zarr --extremes max_impact_speed --by period",
+        "atlas query plane.zarr --window omega=2:3 -o part.csv",
+    )
+)
 @store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @window_option
@@ -45,6 +55,7 @@ _PATTERN = ("regime", "period", "impacts")
 )
 @click.option("--least", type=int, metavar="CELLS", help="With --windows: only those of so many cells. Default: 1.")
 @click.option("--extremes", metavar="VARIABLE", help="Where a variable such as largest is smallest and largest.")
+@click.option("--basins", is_flag=True, help="Shares, entropy and boundary of the basins of a plane of initial states.")
 @click.option("--by", metavar="CLASS", help="With --extremes: in each regime (default), period, impacts; or plane.")
 @click.option(
     "-o",
@@ -61,6 +72,7 @@ def query(
     windows: str | None,
     least: int | None,
     extremes: str | None,
+    basins: bool,
     by: str | None,
     out: Path | None,
     as_json: bool,
@@ -72,13 +84,16 @@ def query(
     """
     from atlas.query.reads import counted
 
-    asked = [name for name, given in (("--at", point), ("--windows", windows), ("--extremes", extremes)) if given]
+    questions = (("--at", point), ("--windows", windows), ("--extremes", extremes), ("--basins", basins))
+    asked = [name for name, given in questions if given]
     if len(asked) > 1:
         raise InputError(f"{asked[0]} and {asked[1]} are two questions; give one of the two")
     if point and window:
         raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
     if out is not None and point:
         raise InputError("--at prints one cell, --out writes a window; give one of the two")
+    if out is not None and basins:
+        raise InputError("--basins prints its answer, -o writes a window; give one of the two")
     if least is not None and not windows:
         raise InputError("--least goes with --windows: it leaves out windows of fewer cells")
     if by is not None and not extremes:
@@ -88,9 +103,11 @@ def query(
     with input_errors(), counted() as reads:
         ds = selected(open_atlas(store), plane)
         if windows:
-            _windows(ds, windows, bounds, 1 if least is None else least, out, as_json)
+            _windows(leading(ds), windows, bounds, 1 if least is None else least, out, as_json)
+        elif basins:
+            _basins(ds, bounds, as_json)
         elif extremes:
-            _extremes(ds, extremes, by or "regime", bounds, out, as_json)
+            _extremes(leading(ds), extremes, by or "regime", bounds, out, as_json)
         else:
             _cells(ds, wanted, bounds, out, as_json)
     if not point and out is None and not as_json:
@@ -111,15 +128,38 @@ def _cells(
         say("reading and writing")
         found = {"file": str(out), "cells": export(ds, out, bounds)}
     else:
-        found = questions.at(ds, point) if point else questions.fractions(ds, bounds)
-    why = questions.reasons(ds, bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
+        found = questions.at(ds, point) if point else dict(questions.fractions(leading(ds), bounds))
+    why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
     if as_json:
         click.echo(to_json(found | ({"reasons": why} if why else {})))
     elif point or out:
+        several = list(found.pop("coexisting", []))
         print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+        _print_attractors(several)
     else:
         print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
         click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
+
+
+def _basins(ds: "xr.Dataset", bounds: dict[str, tuple[float, float]], as_json: bool) -> None:
+    """Shares, entropy and boundary of basins."""
+    from atlas.query.basins import basins
+
+    found = basins(ds, bounds)
+    if as_json:
+        click.echo(to_json(found))
+        return
+    several = found.pop("attractors")
+    print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
+    _print_attractors(several)
+
+
+def _print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
+    """The attractors of one cell as a table, a column each."""
+    if several:
+        names = [name for name, value in several[0].items() if not isinstance(value, list)]
+        rows = [(name, *(text(each.get(name, "")) for each in several)) for name in names]
+        print_table("attractors", ["", *map(str, range(len(several)))], rows)
 
 
 def _windows(

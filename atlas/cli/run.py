@@ -12,6 +12,7 @@ import click
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
+    examples,
     interruptible,
     json_option,
     read_factors,
@@ -49,7 +50,7 @@ points_option = click.option(
 )
 
 
-@click.command()
+@click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
 @click.argument("spec")
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
 @workers_option
@@ -92,7 +93,12 @@ def _run_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "atlas run plane.toml -o plane.zarr",
+        "atlas run plane.toml -o plane.zarr --retry undetermined --max-periods 100000",
+    )
+)
 @_run_options
 @scheduler_option
 @workers_option
@@ -111,7 +117,34 @@ def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, worke
     _report(ctx, summary)
 
 
-@click.command()
+@click.command(epilog=examples("atlas basins basins.toml -o basins.zarr"))
+@click.argument("spec")
+@click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
+@scheduler_option
+@workers_option
+@click.pass_context
+def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, workers: int | None) -> None:
+    """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
+
+    Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas render and
+    atlas query --basins.
+    """
+    check_workers(scheduler, workers)
+    read = Spec.from_toml(spec)
+    read = read if read.attractors is not None else read.with_attractors()
+    if not read.basins:
+        names = ", ".join(axis.name for axis in read.axes)
+        states = ", ".join(read.record.states)
+        raise InputError(
+            f"{spec}: the axes of basins must be components of the initial state ({states}), found {names}"
+        )
+    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx))
+    with _shown(ctx, options, "the same command resumes") as shown:
+        summary = run_spec(read, out, options=shown)
+    _report(ctx, summary)
+
+
+@click.command(epilog=examples("atlas submit plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786"))
 @_run_options
 @click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
 @click.pass_context
@@ -131,7 +164,7 @@ def submit(ctx: click.Context, /, spec: str, out: str, scheduler: str, **given: 
     say(advice)
 
 
-@click.command()
+@click.command(epilog=examples("atlas cancel plane.zarr"))
 @store_argument
 @click.pass_context
 def cancel(ctx: click.Context, store: str) -> None:
@@ -140,7 +173,11 @@ def cancel(ctx: click.Context, store: str) -> None:
     click.echo(f"{store}: {stopped} has stopped")
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "atlas extend plane.zarr --refine 2 -o finer.zarr", "atlas extend plane.zarr wider.toml -o wider.zarr"
+    )
+)
 @store_argument
 @click.argument("spec", required=False)
 @click.option("--refine", metavar="N or NAME=N", multiple=True, help="Make all axes, or one, so many times finer.")

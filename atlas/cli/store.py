@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from atlas.check.verify import verify as verify_store
-from atlas.cli.options import interruptible, json_option, store_argument, timing_of
+from atlas.cli.options import examples, interruptible, json_option, store_argument, timing_of
 from atlas.cli.output import to_json
 from atlas.service.pack import pack as pack_store
 from atlas.service.progress import reporter
@@ -17,7 +17,7 @@ WATCH_SECONDS = 2.0
 """Between two looks of ``atlas status --watch``."""
 
 
-@click.command()
+@click.command(epilog=examples("atlas status plane.zarr --watch"))
 @store_argument
 @click.option("--watch", "watching", is_flag=True, help="Until it is complete, or no run is at work on it.")
 @json_option
@@ -33,7 +33,7 @@ def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> Non
     click.echo(to_json(found.as_dict()) if as_json else str(found))
 
 
-@click.command()
+@click.command(epilog=examples("atlas verify plane.zarr --sample 100"))
 @store_argument
 @click.option("--repair", is_flag=True, help="Drop each bad tile, so that atlas run solves it again.")
 @click.option(
@@ -53,7 +53,7 @@ def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: b
         ctx.exit(1)
 
 
-@click.command()
+@click.command(epilog=examples("atlas pack plane.zarr plane.zip"))
 @store_argument
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--force", is_flag=True, help="Replace FILE where there is one.")

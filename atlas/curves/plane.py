@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from atlas.errors import InputError, check_names
+from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.spec.cells import edges_of
 from atlas.store.store import Header, done_tiles
@@ -185,7 +186,7 @@ def plane_of(header: Header) -> Plane:
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
         raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it by atlas run first")
-    ds = open_atlas(str(header.place))
+    ds = leading(open_atlas(str(header.place)))
     check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
     x, y = spec.axes
 

@@ -29,6 +29,7 @@ from workers.results import (
     APERIODIC,
     CHAOTIC,
     FAILED,
+    LABEL,
     LARGEST,
     PENDING,
     PERIODIC,
@@ -37,7 +38,7 @@ from workers.results import (
     REGIMES,
     UNDETERMINED,
     Variable,
-    result_variables,
+    of_one,
 )
 
 SHOWN = 1 / 16
@@ -54,6 +55,9 @@ CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
 _TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: CHAOTIC + 0.5 if CODES[i] == APERIODIC else CODES[i]))
 """The entries in the order of the table, but for ``aperiodic``, a later addition, which stands after ``chaotic``."""
 
+WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own", "mirror")
+"""Names of something, of which there is no mean."""
+
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
@@ -61,11 +65,11 @@ Widths = tuple[NDArray[np.float64], ...]
 def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
     """The variables of every level of an atlas that has these results; ``regime`` is the last, as it is written last.
 
-    Reasons, and what has more than one value a cell, have no mean that means something, and are left out.
+    What names something, such as a reason, and what has more than one value a cell, has no mean, and is left out.
     """
     found: list[Variable] = []
-    for variable in results:
-        if variable.extra or variable.name in (REASON.name, REGIME.name):
+    for variable in map(of_one, results):
+        if variable.extra or variable.name in WITHOUT_MEAN:
             continue
         if variable.name in CLASSES:
             found.append(variable)
@@ -82,7 +86,7 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
 
 def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
     """Bytes of all levels of an atlas, uncompressed."""
-    results = result_variables(spec.settings)
+    results = spec.variables
     sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
     return Levels(spec.shape, tile, kept=spec.kept).cell_count() * sum(sizes)
 

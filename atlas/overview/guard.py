@@ -31,7 +31,7 @@ class GuardedStore(WrapperStore[Any]):
         super().__init__(zarr_store(header.place, read_only=True))
         levels = level_variables(header.variables)
         self.place, self.chunks_read = header.place, 0
-        self._dims = len(header.spec.shape)
+        self._dims, self._end = len(header.spec.shape), "/0" * len(header.regime.extra)
         self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
         self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinates}
 
@@ -66,7 +66,8 @@ class GuardedStore(WrapperStore[Any]):
             return False
         marks = (REGIME.name, REGIME_SHOWN.name) if above else (REGIME.name,)
         place = "/".join(index.split("/")[: self._dims + 1])
-        keys = [f"{above}/{mark}/c{place}".lstrip("/") for mark in marks if mark != name]
+        end = "" if above else self._end
+        keys = [f"{above}/{mark}/c{place}{end}".lstrip("/") for mark in marks if mark != name]
         return any([await self._store.exists(key) for key in keys])
 
     def _has_checksum(self, array: str) -> bool:

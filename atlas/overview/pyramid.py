@@ -108,6 +108,8 @@ class Pyramid:
         array = self.array(level, name)
         with _named(self.header, array.path):
             found = np.asarray(array[block])
+        if not level:
+            found = self.header.leading({name: found})[name]
         if level and name == SHARE.name and self.classes < CODES.size:
             return np.pad(found, [(0, 0)] * (found.ndim - 1) + [(0, CODES.size - self.classes)])
         return found

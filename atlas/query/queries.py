@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
+from atlas.query.attractors import leading, listed, of_all
 from atlas.query.reads import count_reads
 from atlas.query.resample import view
 from atlas.query.source import find_part
@@ -76,10 +77,13 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     axis), ``regime`` (its name),
     ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis,
     in the axis's own units.
+    Of an atlas of all attractors these are those of the one with the largest share, and ``coexisting`` lists all, each
+    with all its numbers, the largest share first.
     Arguments: ``point`` gives a value for every axis, inside the grid or at most half a cell beyond its ends.
     Raises InputError, in one line, for a missing or unknown axis and for a point outside the grid.
     Reads one chunk of each variable.
     """
+    every, ds = ds, leading(ds)
     names = axis_names(ds)
     for name in point:
         known_axis(ds, name)
@@ -94,7 +98,8 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     found[REGIME.name] = _NAMES[int(cell[REGIME.name])]
     why = REASONS[int(cell[REASON.name])].text if REASON.name in whole else ""
     found |= {REASON.name: why} if why else {}
-    return found | {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
+    found |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
+    return found | ({"coexisting": listed(every.isel(index).load())} if of_all(every) else {})
 
 
 def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:

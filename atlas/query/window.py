@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.query.attractors import one
 from atlas.spec.cells import edges_of, is_uniform
 from atlas.spec.points import POINT
 from atlas.spec.spec import MOST_AXES
-from workers.results import REGIME
+from workers.results import ATTRACTOR, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,7 +27,7 @@ def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
     """The names of an atlas's axes, x first; InputError unless there are one to three. Of a table it is ``point``."""
     if REGIME.name not in ds:
         raise InputError(f"not an atlas: it has no variable {REGIME.name!r}")
-    names = tuple(str(dim) for dim in reversed(ds[REGIME.name].dims))
+    names = tuple(str(dim) for dim in reversed(ds[REGIME.name].dims) if dim != ATTRACTOR)
     if not 1 <= len(names) <= MOST_AXES:
         listed = f" ({', '.join(names)})" if names else ""
         raise InputError(f"found {len(names)} axes{listed}, must be 1 to 3; pick a value of the others with .sel")
@@ -51,17 +52,22 @@ def refuse_table(ds: "xr.Dataset", what: str) -> None:
 def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
     """The part of an atlas at one value of some of its axes: a plane of a stack, a line of a plane.
 
+    With ``attractor`` that one of each cell, by its place: 0 has the largest share.
     Raises InputError, which names the nearest, unless an axis has that value (to 1 part in 10^9).
     """
     places = {}
+    if ATTRACTOR in point:
+        ds = one(ds, point[ATTRACTOR])
     for name, value in point.items():
+        if name == ATTRACTOR:
+            continue
         known_axis(ds, name)
         values = axis_values(ds, name)
         near = int(np.argmin(np.abs(values - value)))
         if not np.isclose(values[near], value, rtol=1e-9, atol=0.0):
             raise InputError(f"{name} has no value {value:g}; the nearest is {values[near]:.10g}")
         places[name] = near
-    if point and len(places) == len(axis_names(ds)):
+    if places and len(places) == len(axis_names(ds)):
         raise InputError(f"one value of every axis ({', '.join(axis_names(ds))}) is one cell: ask for it by --at")
     return ds.isel(places)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError
+from atlas.query.attractors import leading
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
@@ -20,6 +21,7 @@ from atlas.spec.spec import MOST_AXES
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import (
+    ATTRACTOR,
     ERROR,
     FAILED,
     INVALID,
@@ -47,27 +49,35 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class _Kind:
     """How many axes and how many atlases a kind of picture draws, a variable that it cannot do without, and whether
-    it draws numbers on a scale, which may be given ends.
+    it draws numbers on a scale, which may be given ends; of maps, the ``others`` that they draw.
     """
 
     axes: int
     variable: str
     atlases: int = 1
     scale: bool = True
+    others: tuple[str, ...] = ()
 
+
+BASINS = "basins"
+"""The kind that is drawn of planes of initial states."""
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
 # imported at first use: the command's help needs the names and neither matplotlib nor xarray.
 _KINDS = {
     "exponent": _Kind(axes=2, variable=LARGEST.name),
     "period": _Kind(axes=2, variable="period", scale=False),
-    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False),
-    "symmetry": _Kind(axes=2, variable="symmetric", scale=False),
+    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
+    "symmetry": _Kind(axes=2, variable="symmetric", scale=False, others=("impacts_upper", "impacts_lower")),
     "regions": _Kind(axes=2, variable="impacts_upper", scale=False),
-    "combined": _Kind(axes=2, variable=LARGEST.name),
+    "combined": _Kind(axes=2, variable=LARGEST.name, others=("period",)),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
+    "attractors": _Kind(axes=2, variable="attractors", scale=False),
+    "share": _Kind(axes=2, variable="share"),
+    BASINS: _Kind(axes=2, variable="label", scale=False),
+    "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
     "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
@@ -78,8 +88,8 @@ MOST_PANELS = 12
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "sticking" for two axes, the others for one; "hysteresis" takes two atlases."""
 
-MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2)
-"""Those of them that are drawn over two axes, and take overlays."""
+MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2 and name != BASINS)
+"""Those of them that are drawn over two axes of a parameter plane, and take overlays."""
 
 SCALAR = "scalar"
 """The kind that maps a variable that is named, any number that an atlas holds."""
@@ -111,12 +121,24 @@ __all__ = [
     "check_path",
     "compared_figure",
     "figure",
+    "has_scale",
+    "needs",
     "orbit_figure",
     "portrait",
     "render",
     "render_orbit",
     "side_by_side",
 ]
+
+
+def needs(kind: str) -> list[str]:
+    """The variables that a map of this kind draws, besides the regimes."""
+    return [_KINDS[kind].variable, *_KINDS[kind].others]
+
+
+def has_scale(kind: str) -> bool:
+    """Whether pictures of this kind have a scale whose ends can be chosen."""
+    return _KINDS[kind].scale
 
 
 def figure(
@@ -166,27 +188,39 @@ def _drawn(
     variable: str | None = None,
     log: bool = False,
 ) -> "Figure":
+    every, ds = ds, leading(ds)
     if len(axis_names(ds)) == MOST_AXES:
         return _drawn_stack(ds, kind, window, overlays, against, pixels, page, variable, log)
     wanted = _scalar(ds, kind, variable, against) if kind == SCALAR or variable is not None or log else None
     chosen = "variable" if wanted is not None else _chosen(ds, kind, against, page)
     _check_overlays(ds, overlays)
     _check_units(ds)
-    module, shown = import_module(f"atlas.render.{chosen}"), within(ds, window)
+    module, shown = import_module(f"atlas.render.{chosen}"), within(every if chosen == "coexistence" else ds, window)
     drawn: Figure
     with counted() as reads:
         if len(axis_names(ds)) == 1:
             sweeps = [shown] if against is None else [shown, within(against, window)]
-            drawn = module.figure(*sweeps, page, _branches(sweeps) if "branches" in overlays else None)
+            through = [within(ds, window), *sweeps[1:]]
+            drawn = module.figure(*sweeps, page, _branches(through) if "branches" in overlays else None)
         else:
             from atlas.render import maps
 
             options = maps.Options(overlays, page, pixels)
             drawn = module.figure(shown, options) if wanted is None else module.figure(shown, wanted, log, options)
+    if ds.attrs.get(ATTRACTOR, 0):
+        _say_fewer(drawn, ds.attrs[ATTRACTOR])
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     page.fit(drawn)
     return drawn
+
+
+def _say_fewer(drawn: "Figure", place: int) -> None:
+    """Say in the legends that cells without a result may have too few attractors for this place."""
+    for legend in [*drawn.legends, *(ax.get_legend() for ax in drawn.axes)]:
+        for label in legend.get_texts() if legend is not None else ():
+            if label.get_text() == "pending":
+                label.set_text(f"not more than {place}")
 
 
 def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", page: "Page") -> str:
@@ -197,7 +231,9 @@ def _chosen(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", pa
     possible = [name for name in fitting if _KINDS[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, found {_AXES[len(axes)]} ({', '.join(axes)})")
-    chosen = next((name for name in possible if _KINDS[name].variable in ds), possible[0]) if kind is None else kind
+    held = [name for name in possible if _KINDS[name].variable in ds]
+    held = [BASINS] if BASINS in held else held
+    chosen = (held or possible)[0] if kind is None else kind
     if chosen not in _KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {', '.join(possible)}")
     if chosen not in fitting:
@@ -366,7 +402,7 @@ def side_by_side(
     target = None if path is None else _target(path)
     from atlas.render import together
 
-    page = _several_page(look)
+    page, atlases = _several_page(look), [leading(ds) for ds in atlases]
     for ds in atlases:
         _check_units(ds)
     return _several(together.side_by_side(atlases, kind, window, names, page), page, target, atlases)

@@ -49,6 +49,8 @@ def extend(
     old = read_header(store)
     if old.spec.points or (spec is not None and spec.points):
         raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
+    if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
+        raise InputError(f"{old.place}: an atlas of all attractors is not extended: run the new one into its own store")
     if (spec is None) == (refine is None):
         raise InputError("give either a spec or by how much to refine")
     grown = refined(old.spec, refine, old.tile) if spec is None else extended(old, spec)

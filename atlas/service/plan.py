@@ -15,7 +15,6 @@ from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
 from atlas.text import byte_size, duration, plural
-from workers.results import result_variables
 
 DEFAULT_TILE = 64
 TILES_PER_WORKER = 16
@@ -174,7 +173,7 @@ def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
         variable.name: np.dtype(variable.dtype).itemsize
         * math.prod(tile)
         * math.prod(sizes[dim] for dim in variable.extra)
-        for variable in result_variables(spec.settings)
+        for variable in spec.variables
     }
 
 

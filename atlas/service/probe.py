@@ -50,7 +50,8 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
 
     A first solution, which loads the kernels, is not counted. Cells are solved in batches, as in a tile. ``clock``
     gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
-    not count. Cells that are continued are measured in short parts of lines.
+    not count. Cells that are continued are measured in short parts of lines; where all
+    attractors are sought, what a budget above the probed one would add is not known and left out.
     """
     warm_up(spec.settings)
     starts, length = spread_cells(spec)
@@ -114,7 +115,10 @@ def _evenness(steps: list[_Measured]) -> float:
 
 def _measured(spec: Spec, solved: list["Solution"], seconds: float, share: float, length: int) -> _Measured:
     arrays = {name: np.concatenate([one.arrays[name] for one in solved]) for name in solved[0].arrays}
-    least, most = _full_periods(arrays, spec.settings, share)
+    if spec.attractors is None:
+        least, most = _full_periods(arrays, spec.settings, share)
+    else:
+        least = most = arrays["periods_used"].astype(np.float64)
     counted = slice(None)
     if length > 1 and spec.continuation is not None:
         counted = slice(None, -1) if spec.continuation[1] else slice(1, None)
@@ -136,7 +140,12 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
-        return solve_cells(spec.record, params, settings)
+        if spec.attractors is None:
+            return solve_cells(spec.record, params, settings)
+        from workers.attractors import solve_attractors
+        from workers.basins import solve_basins
+
+        return (solve_basins if spec.basins else solve_attractors)(spec.record, params, settings, spec.attractors)
     return solve_lines(spec.record, params, settings, backward=spec.continuation[1])
 
 

@@ -27,6 +27,7 @@ from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, add_allowances, create, done_tiles, find
 from atlas.store.tally import TallyKeeper, done_mask
 from atlas.store.tiles import read_tile
+from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.task import Job, Receipt
@@ -138,6 +139,9 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
 
         if work.due.any() and client is not None:
             _solve(client, header, work.due, options, claim, totals, written)
+        if target.spec.basins:
+            options.report(totals.progress("labelling the attractors"))
+            complete_basins(header)
         overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
         tallies.finish(lambda tiles: options.report(totals.progress(f"counting the cells of {plural(tiles, 'tile')}")))
     return totals.summary(str(header.place))
@@ -146,6 +150,10 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
 def _check_retry(target: Target, header: Header | None) -> None:
     if header is None:
         raise InputError(f"{target.place}: no such store, so there is nothing to retry")
+    if target.spec.attractors is not None:
+        raise InputError(
+            f"{target.place}: an atlas of all attractors cannot be retried: run it again with more periods"
+        )
     if target.spec.continuation is not None:
         raise InputError(
             f"{target.place}: a continued sweep cannot be retried: each cell of it depends on those before it"

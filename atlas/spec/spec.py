@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError, check_names, shown
+from atlas.spec.attractors import checked_attractors, resolved_attractors
 from atlas.spec.axis import Axis, admitted, read_axis
 from atlas.spec.points import FILE, Columns, axis_of, checked_points, described, differing
 from atlas.spec.system import checked_system, resolved_system
@@ -18,8 +19,10 @@ from workers import Settings
 from workers.model.parameter import unknown_name
 from workers.model.system import System, identity
 from workers.model.toml_text import TomlError, parse_toml, read_toml
+from workers.results import Variable, result_variables
+from workers.starts import Starts
 
-SECTIONS = ("system", "parameters", "axes", "points", "solve", "store")
+SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
 MOST_AXES = 3
 FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
 """What the shape of a tile is, by the number of axes."""
@@ -44,6 +47,9 @@ class Spec:
     axes ``points`` gives a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
     The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty.
     Columns win over ``parameters``.
+    ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a ``workers.starts.Starts``,
+    asks for all attractors of each cell that so many initial states reach; None for that of its own. Where all axes are
+    components of the initial state it asks for their basins: which of the attractors of the one machine each reaches.
     Raises InputError for anything that cannot be solved.
     """
 
@@ -54,6 +60,7 @@ class Spec:
     tile: tuple[int, ...] | None
     record: System = field(repr=False)
     points: Columns = field(repr=False)
+    attractors: Starts | None = None
 
     def __init__(
         self,
@@ -63,6 +70,7 @@ class Spec:
         solve: Mapping[str, Any] | Settings | None = None,
         store: Mapping[str, Any] | None = None,
         points: Mapping[str, Any] | None = None,
+        attractors: Mapping[str, Any] | Starts | None = None,
     ) -> None:
         record = checked_system(system)
         parameters, store = {} if parameters is None else parameters, {} if store is None else store
@@ -92,8 +100,11 @@ class Spec:
         fixed = checked_parameters(record, parameters)
         put(self, "parameters", {name: value for name, value in fixed.items() if name not in (axes or columns)})
         put(self, "settings", _settings_of(solve))
+        put(self, "attractors", checked_attractors(attractors, record, self.settings))
         put(self, "tile", _checked_tile(store, len(self.axes)))
         _check_whole_lines(self)
+        if self.attractors is not None and self.continuation is not None:
+            raise InputError("attractors: an axis with continuation starts each cell from its neighbour; remove one")
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
@@ -164,7 +175,8 @@ class Spec:
             cells: dict[str, Any] = {"axes": [], "points": {name: list(values) for name, values in self.points.items()}}
         else:
             cells = {"axes": axes}
-        return self.record.resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)}
+        many = {} if self.attractors is None else {"attractors": resolved_attractors(self.attractors)}
+        return self.record.resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)} | many
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
@@ -174,7 +186,32 @@ class Spec:
             for axis in resolved["axes"]
         }
         system, points = resolved_system(resolved), resolved.get("points")
-        return cls(system, axes, resolved["parameters"], resolved["solve"], points=points)
+        attractors = resolved.get("attractors")
+        return cls(system, axes, resolved["parameters"], resolved["solve"], points=points, attractors=attractors)
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """The results of each cell, ``regime`` last."""
+        return result_variables(self.settings, attractors=self.coexistence, basins=self.basins)
+
+    def with_attractors(self) -> "Spec":
+        """The same spec, which asks for all attractors from the default initial states."""
+        store = None if self.tile is None else {"tile": list(self.tile)}
+        axes = None if self.points else {axis.name: axis for axis in self.axes}
+        points = self.points or None
+        return Spec(self.record, axes, self.parameters, self.settings, store, points, Starts())
+
+    @property
+    def basins(self) -> bool:
+        """Whether it asks which attractor each initial state of one machine reaches: all its axes are such states."""
+        states = {*self.record.states}
+        names = [*self.points] if self.points else [axis.name for axis in self.axes]
+        return self.attractors is not None and states.issuperset(names)
+
+    @property
+    def coexistence(self) -> bool:
+        """Whether it asks for all attractors of each cell."""
+        return self.attractors is not None and not self.basins
 
     @property
     def digest(self) -> str:
@@ -240,9 +277,12 @@ def differences(stored: Spec, given: Spec) -> list[str]:
             for old, new in pairs
             if (old.values, old.continuation) != (new.values, new.continuation)
         ]
+    if (stored.attractors is None) != (given.attractors is None):
+        found.append("only one of the two asks for all attractors")
     for before, after in (
         (stored.parameters, given.parameters),
         (stored.resolved()["solve"], given.resolved()["solve"]),
+        (stored.resolved().get("attractors", {}), given.resolved().get("attractors", {})),
     ):
         common = before.keys() & after.keys()
         found += [
@@ -293,13 +333,21 @@ def example_names() -> list[str]:
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def _example(name: str) -> str:
+def example_text(name: str) -> str:
+    """The packaged example of that name, as TOML; InputError with the nearest name otherwise."""
     names = example_names()
-    if name in names:
-        return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+    if name not in names:
+        raise InputError(unknown_name("example", name, names))
+    return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _example(name: str) -> str:
     if name.endswith(".toml") or "/" in name:
         raise InputError("no such file")
-    raise InputError(f"no such file, and {unknown_name('example', name, names)}")
+    try:
+        return example_text(name)
+    except InputError as error:
+        raise InputError(f"no such file, and {error}") from None
 
 
 def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from atlas.store.schema import (
     variable_attributes,
 )
 from atlas.store.tiling import Tiling
-from workers.results import Variable, result_variables
+from workers.results import Variable
 
 if TYPE_CHECKING:
     import zarr
@@ -27,7 +27,7 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
     """Make a store without a result in a folder of this machine."""
     import zarr
 
-    variables, tiling = result_variables(spec.settings), Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
+    variables, tiling = spec.variables, Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
     group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
     group.create_group(MACHINES, attributes={"long_name": "processors and software that solved this atlas"})
     for name, coordinate in coordinates(spec).items():

@@ -13,7 +13,7 @@ from atlas.spec.spec import Spec
 from atlas.store.machine import package_version
 from workers import SOLVER_VERSION
 from workers.model.parameter import Parameter
-from workers.results import REASON, REASONS, REGIME, REGIMES, Variable
+from workers.results import ATTRACTOR, REASON, REASONS, REGIME, REGIMES, Variable
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 1
@@ -57,7 +57,8 @@ class Origin:
 def extra_sizes(spec: Spec) -> dict[str, int]:
     """Lengths of the dimensions that a variable may have after the axes."""
     states = len(spec.record.states)
-    return {"exponent": states, "state": states, "sample": spec.settings.section_samples}
+    kept = {ATTRACTOR: spec.attractors.keep} if spec.attractors is not None and spec.coexistence else {}
+    return {"exponent": states, "state": states, "sample": spec.settings.section_samples} | kept
 
 
 class Coordinate(NamedTuple):

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -11,6 +12,9 @@ from typing import IO, Protocol
 from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
 from atlas.store.notes import notes_at_url
+
+_LOOKS, _BETWEEN_LOOKS = 100, 0.01
+"""How often, and at which distance in seconds, a note is read that its maker has opened and not yet written."""
 
 
 class Notes(Protocol):
@@ -53,9 +57,14 @@ class Folder:
     path: Path
 
     def read(self, name: str) -> bytes | None:
-        """See Notes."""
-        with self._locked(name, write=False) as file:
-            return None if file is None else file.read()
+        """See Notes. An empty file is a note being made: it is waited for, unless its maker was killed there."""
+        for _ in range(_LOOKS):
+            with self._locked(name, write=False) as file:
+                data = None if file is None else file.read()
+            if data != b"":
+                break
+            time.sleep(_BETWEEN_LOOKS)
+        return data
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
         """See Notes."""

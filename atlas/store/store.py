@@ -33,7 +33,7 @@ from atlas.store.schema import (
 )
 from atlas.store.tiling import Tiling, chunk_index
 from workers import SOLVER_VERSION
-from workers.results import REGIME, Variable, result_variables
+from workers.results import ATTRACTOR, REGIME, Variable, leading
 
 if TYPE_CHECKING:
     import zarr
@@ -42,6 +42,8 @@ READERS = 8
 """Tiles read at once: a disk or a network answers several as soon as one."""
 ROOT = "zarr.json"
 """The object that makes a store one: before it there is none."""
+ZOOM = "zoom"
+"""The group of what was explored, see ``store.zoom``."""
 TRIAL = ".trial-"
 
 
@@ -78,7 +80,9 @@ class Header:
     @property
     def tile(self) -> tuple[int, ...]:
         """Cells of a tile along each dimension."""
-        return tuple(self.arrays[REGIME.name]["chunk_grid"]["configuration"]["chunk_shape"])
+        regime = self.arrays[REGIME.name]
+        sizes = zip(regime["dimension_names"], regime["chunk_grid"]["configuration"]["chunk_shape"], strict=True)
+        return tuple(size for name, size in sizes if name != ATTRACTOR)
 
     @cached_property
     def tiling(self) -> Tiling:
@@ -88,7 +92,16 @@ class Header:
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
         """The results that the store holds, ``regime`` last; an older store may lack some that a new one has."""
-        return tuple(variable for variable in result_variables(self.spec.settings) if variable.name in self.arrays)
+        return tuple(variable for variable in self.spec.variables if variable.name in self.arrays)
+
+    @property
+    def regime(self) -> Variable:
+        """The result that is written last, by which a tile is done."""
+        return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
+
+    def leading(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
+        """Arrays of cells with one result each: where there are those of all attractors, that of the first."""
+        return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @cached_property
     def unknown(self) -> tuple[Variable, ...]:
@@ -225,13 +238,15 @@ def _refused(place: Place, what: str) -> Iterator[None]:
 def done_tiles(header: Header) -> set[tuple[int, ...]]:
     """Indices of the tiles that are finished: those whose regime chunk exists. It takes one listing."""
     root, grid = f"{REGIME.name}/c/", header.tiling.grid
-    found = (chunk_index(key.removeprefix(root), grid) for key in header.place.list_keys(root))
+    end = "/0" * len(header.regime.extra)
+    keys = (key.removeprefix(root) for key in header.place.list_keys(root) if key.endswith(end))
+    found = (chunk_index(key.removesuffix(end), grid) for key in keys)
     return {index for index in found if index is not None}
 
 
 def is_done(header: Header, index: tuple[int, ...]) -> bool:
     """Whether one tile is finished; see ``done_tiles`` for all of them."""
-    return header.place.exists(chunk_key(REGIME, index))
+    return header.place.exists(chunk_key(header.regime, index))
 
 
 def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
@@ -270,7 +285,7 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
     """
     group = open_group(header.place, "r", consolidated)
-    results = (*result_variables(header.spec.settings), *header.unknown, *ALLOWANCES)
+    results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
     return {name: group[name] for name in (*(v.name for v in results), *coordinates(header.spec)) if name in group}
 
 
@@ -299,6 +314,18 @@ def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:
             create_variable(group, variable, header.spec, header.tiling, variable_attributes(variable, fixed))
     if any(each.name not in header.arrays for each in wanted):  # not even where a run made it and was killed at once
         consolidate(group)
+        _leave_out(header.place, f"{ZOOM}/")
+
+
+def _leave_out(place: Place, prefix: str) -> None:
+    """Take what lies under a prefix out of the root's copy of the metadata: it comes and goes without it."""
+    root = json.loads(place.get(ROOT) or b"{}")
+    nodes = root.get("consolidated_metadata", {}).get("metadata", {})
+    foreign = [name for name in nodes if f"{name}/".startswith(prefix)]
+    for name in foreign:
+        del nodes[name]
+    if foreign:
+        place.put(ROOT, json.dumps(root).encode())
 
 
 def _zarr_store(place: Place, mode: str) -> Any:
@@ -321,7 +348,7 @@ def _is_free(place: Place, spec: Spec) -> bool:
         return not path.exists() or (path.is_dir() and not any(path.iterdir()))
     if place.exists(ROOT):
         return False
-    ours = {MACHINES, TILES, *coordinates(spec)} | {variable.name for variable in result_variables(spec.settings)}
+    ours = {MACHINES, TILES, *coordinates(spec)} | {variable.name for variable in spec.variables}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")

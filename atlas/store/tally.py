@@ -79,7 +79,7 @@ def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Entries | Ch
             found = read_tile(header, index, (REGIME.name, REASON.name), arrays)
         except ChunkError as error:
             return error
-        return tile_entry(header.spec, header.tiling.at(index).slices, found)
+        return tile_entry(header.spec, header.tiling.at(index).slices, header.leading(found))
 
     with ThreadPoolExecutor(READERS) as readers:
         yield from readers.map(count_one, tiles)

@@ -12,7 +12,7 @@ from atlas.store.digests import COVERED, DIGESTS, digest_of
 from atlas.store.machine import this_machine
 from atlas.store.schema import ALLOWANCES, Allowance
 from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group, record_machine
-from workers.results import REGIME, Variable
+from workers.results import Variable
 
 
 def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
@@ -42,7 +42,7 @@ def write_digest(header: Header, index: tuple[int, ...], arrays: Mapping[str, np
 
 def drop_tile(header: Header, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
-    header.place.remove(chunk_key(REGIME, index))
+    header.place.remove(chunk_key(header.regime, index))
 
 
 def read_tile(

@@ -12,7 +12,7 @@ from atlas.store.tiles import write_tile
 from atlas.task.isolated import run_isolated
 from atlas.task.reuse import known_cells
 from atlas.task.task import Job, Receipt, checked_header, file_errors, receipt_of, solve_and_write, stored_tile
-from workers.results import FAILED, PROCESS_ENDED, REASON, REGIME, result_variables
+from workers.results import FAILED, PROCESS_ENDED, REASON, REGIME
 
 
 def run_job(job: Job) -> Receipt:
@@ -50,11 +50,12 @@ def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
         solved = job.retry.selects(stored)
         for name, given in job.retry.allowances(stored).items():
             stored[name] = np.where(solved, given, stored[name])
-        for variable in result_variables(spec.settings):
+        for variable in spec.variables:
             stored[variable.name][solved] = variable.fill
     if job.retry is None and is_done(header, job.index):
         return _receipt_of_stored(header, job.index)
-    stored[REGIME.name][solved], stored[REASON.name][solved] = FAILED, PROCESS_ENDED
+    first = header.leading(stored)  # views: what is written into them is in the tile
+    first[REGIME.name][solved], first[REASON.name][solved] = FAILED, PROCESS_ENDED
     write_tile(header, job.index, stored)
     receipt = replace(receipt_of(header, job.index, stored, solved), reasons={died: int(solved.sum())})
     return receipt if job.retry else replace(receipt, taken=int((~solved).sum()))
@@ -63,4 +64,4 @@ def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
 def _receipt_of_stored(header: Header, index: tuple[int, ...]) -> Receipt:
     """The receipt of a tile that was finished before: its worker died after it was written, before it was reported."""
     arrays = stored_tile(header, index)
-    return receipt_of(header, index, arrays, np.ones(arrays[REGIME.name].shape, dtype=bool))
+    return receipt_of(header, index, arrays, np.ones(header.tiling.at(index).shape, dtype=bool))

@@ -15,7 +15,7 @@ from atlas.store.schema import ALLOWANCES, extra_sizes
 from atlas.store.store import Header, is_done, machines, open_arrays, read_header, record_machine
 from atlas.store.tiles import read_tile
 from atlas.task.solving import solve_block
-from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results, result_variables
+from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results
 
 
 class Filled(NamedTuple):
@@ -58,10 +58,10 @@ def fill_tile(header: Header, slices: Slices) -> Filled:
 def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
     """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved."""
     shape = tuple(part.stop - part.start for part in slices)
-    arrays = empty_results(result_variables(header.spec.settings), shape, extra_sizes(header.spec))
+    arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
     if header.origin is not None:
         _copy_known(header, slices, arrays)
-    regime = arrays[REGIME.name]
+    regime = header.leading(arrays)[REGIME.name]
     return arrays, (regime == PENDING) | (regime == FAILED)
 
 
@@ -127,8 +127,7 @@ def _origin_of(header: Header) -> Header:
 def absent_results(origin: Header) -> list[str]:
     """Results that cells of an atlas have today and those of an older store do not: none of its cells can be copied."""
     present = {variable.name for variable in origin.variables}
-    today = result_variables(origin.spec.settings)
-    return [variable.name for variable in today if variable.name not in present and not variable.sparse]
+    return [variable.name for variable in origin.spec.variables if variable.name not in present and not variable.sparse]
 
 
 def count_shared(origin: Header, spec: Spec, done: set[tuple[int, ...]]) -> int:

@@ -16,6 +16,14 @@ def solve_block(spec: Spec, slices: Slices) -> "Solution":
     and RunError is raised for one.
     """
     params = spec.cell_params(slices)
+    if spec.basins:
+        from workers.basins import solve_basins
+
+        return solve_basins(spec.record, params, spec.settings, spec.attractors)
+    if spec.coexistence:
+        from workers.attractors import solve_attractors
+
+        return solve_attractors(spec.record, params, spec.settings, spec.attractors)
     if spec.continuation is None:
         from workers.tile import solve_cells
 

@@ -23,7 +23,7 @@ from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
 from atlas.task.reuse import fill_tile
 from workers import SOLVER_VERSION
-from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts, result_variables
+from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
@@ -154,12 +154,13 @@ def file_errors(store: str) -> Iterator[None]:
 def stored_tile(header: Header, index: tuple[int, ...]) -> dict[str, np.ndarray]:
     """All arrays of a finished tile: of results that an older store does not have, their fill values."""
     shape = header.tiling.at(index).shape
-    blank = empty_results(result_variables(header.spec.settings), shape, extra_sizes(header.spec))
+    blank = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
     return blank | read_tile(header, index)
 
 
 def receipt_of(header: Header, index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray) -> Receipt:
     """The receipt of a tile with these arrays, whose cells ``solved`` count; without times."""
+    arrays = header.leading(arrays)
     codes = arrays[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(

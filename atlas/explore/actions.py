@@ -1,0 +1,80 @@
+"""What a page does when it is asked to: files of the picture in view, a cell in detail, the spec of a new atlas."""
+
+import tempfile
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from atlas.explore.chosen import Chosen, Range
+from atlas.explore.explorer import Cell, Explorer
+from atlas.explore.subject import Subject
+from atlas.explore.view import Sight
+from atlas.explore.words import data_address
+from atlas.render import SCALAR, has_scale, portrait, render
+from atlas.service.plan import make_plan
+from atlas.service.probe import probe
+from atlas.spec.spec import Spec
+from atlas.spec.toml_text import spec_toml
+
+MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
+
+
+def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, ends: Any) -> tuple[str, str]:
+    """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
+    subject = explorer.subject
+    ds = explorer.seen(chosen.plane, sight, chosen.names)
+    options: dict[str, Any] = {"overlays": chosen.overlays}
+    if chosen.kind == SCALAR:
+        options |= {"variable": chosen.variable, "log": chosen.log}
+    if chosen.kind == SCALAR or has_scale(chosen.kind):
+        options |= dict(zip(("vmin", "vmax"), ends, strict=True))
+    name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
+    with tempfile.TemporaryDirectory() as folder:
+        path = render(ds, Path(folder) / name, chosen.kind, **options)
+        return name, data_address(MEDIA[suffix], path.read_bytes())
+
+
+def portrait_image(subject: Subject, cell: Cell) -> str:
+    """The portrait of a cell as the address of an image."""
+    settings = subject.spec.settings if cell.of_atlas else subject.settings
+    drawn = portrait(cell.parameters, system=subject.system, settings=settings, width=6.5, dpi=120)
+    data = BytesIO()
+    drawn.savefig(data, format="png", dpi=120)
+    return data_address("image/png", data.getvalue())
+
+
+@dataclass(frozen=True)
+class NewAtlas:
+    """The spec of an atlas: where its file lies, its text, the line that computes it, and what that costs."""
+
+    file: Path
+    text: str
+    line: str
+    cost: str
+
+
+def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, folder: Path) -> NewAtlas:
+    """Write the spec of a window with so many cells across into a folder, beside what is there already.
+
+    Its settings are those of the subject's spec. OSError where it cannot be written.
+    """
+    shape = (x[1] - x[0], y[1] - y[0]), (chosen.x[1] - chosen.x[0], chosen.y[1] - chosen.y[0])
+    up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))
+    axes = {
+        lattice.axis.name: {"start": low, "stop": high, "num": num, "scale": lattice.axis.scale}
+        for lattice, (low, high), num in ((subject.x, x, cells), (subject.y, y, up))
+    }
+    spec = Spec(subject.system, axes, dict(chosen.plane.parameters), subject.spec.settings)
+    text = spec_toml(subject.system, dict(chosen.plane.parameters), axes, subject.spec.settings)
+    for number in range(1, 1000):
+        file = folder / f"{Path(subject.name).stem}-{number}.toml"
+        try:
+            with file.open("x", encoding="utf-8") as opened:
+                opened.write(text)
+            break
+        except FileExistsError:
+            continue
+    plan = make_plan(spec)
+    plan = replace(plan, probe=probe(spec, plan.tiling.tile))
+    return NewAtlas(file, text, f"atlas run {file.name} -o {file.stem}.zarr", str(plan))

@@ -1,0 +1,119 @@
+"""What a page shows of its subject, as its controls and its address say: window, plane, kind, overlays, scale."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from urllib.parse import urlencode
+
+from atlas.errors import InputError
+from atlas.explore.subject import Plane, Subject
+from atlas.render import MAPS, OVERLAYS, SCALAR, needs
+from workers.results import LARGEST, REGIME, result_variables
+
+Range = tuple[float, float]
+
+_OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A choice. ``variable`` and ``log`` go with kind SCALAR; ends of the scale that are None are chosen for one."""
+
+    x: Range
+    y: Range
+    plane: Plane
+    kind: str
+    variable: str = ""
+    log: bool = False
+    overlays: tuple[str, ...] = ()
+    vmin: float | None = None
+    vmax: float | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The variables that it draws."""
+        own = [self.variable] if self.kind == SCALAR else needs(self.kind)
+        return list(dict.fromkeys([*own, *([LARGEST.name] if "isolines" in self.overlays else []), REGIME.name]))
+
+    @property
+    def scale(self) -> tuple[str, str, bool]:
+        """What pictures must have in common to be on one scale."""
+        return (self.kind, self.variable, self.log) if self.kind == SCALAR else (self.kind, "", False)
+
+
+def kinds(subject: Subject) -> list[str]:
+    """The kinds of maps whose variables the subject has."""
+    held = {variable.name for variable in result_variables(subject.settings)}
+    return [kind for kind in MAPS if held >= set(needs(kind))] + [SCALAR]
+
+
+def variables(subject: Subject) -> list[str]:
+    """The variables that can be mapped alone."""
+    return [v.name for v in result_variables(subject.settings) if not v.extra and v.name not in (REGIME.name, "reason")]
+
+
+def beginning(subject: Subject) -> Chosen:
+    """The whole plane, drawn as the first kind that there is."""
+    x, y = ((axis.values[0], axis.values[-1]) for axis in subject.spec.axes[:2])
+    return Chosen(x, y, subject.plane, kinds(subject)[0], variables(subject)[0])
+
+
+def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> Chosen:
+    """What an address asks for; InputError, which names the argument, for what it cannot."""
+    chosen, given = beginning(subject), {name: values[-1].decode() for name, values in arguments.items()}
+    x, y = (axis.name for axis in subject.spec.axes)
+    for name, value in given.items():
+        if name == x:
+            chosen = replace(chosen, x=_range(name, value, subject.x.log))
+        elif name == y:
+            chosen = replace(chosen, y=_range(name, value, subject.y.log))
+        elif name in dict(chosen.plane.parameters):
+            chosen = replace(chosen, plane=subject.moved(chosen.plane, name, _number(name, value)))
+        elif name in _OTHERS:
+            chosen = _other(subject, chosen, name, value)
+    return chosen
+
+
+def to_address(subject: Subject, chosen: Chosen) -> str:
+    """The query of an address that asks for it."""
+    x, y = (axis.name for axis in subject.spec.axes)
+    pairs = [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y)), ("kind", chosen.kind)]
+    if chosen.kind == SCALAR:
+        pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
+    pairs += [("overlay", ",".join(chosen.overlays))] if chosen.overlays else []
+    pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
+    own = dict(subject.plane.parameters)
+    pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
+    return urlencode(pairs, safe=":,")
+
+
+def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
+    possible = {"kind": kinds(subject), "variable": variables(subject)}.get(name)
+    if possible is not None:
+        if value not in possible:
+            raise InputError(f"{name}: found {value!r}; possible: {', '.join(possible)}")
+        return replace(chosen, kind=value) if name == "kind" else replace(chosen, variable=value)
+    if name == "overlay":
+        wanted = tuple(value.split(",")) if value else ()
+        unknown = [each for each in wanted if each not in OVERLAYS]
+        if unknown:
+            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(OVERLAYS)}")
+        return replace(chosen, overlays=wanted)
+    if name == "log":
+        return replace(chosen, log=value == "1")
+    end = _number(name, value)
+    return replace(chosen, vmin=end) if name == "vmin" else replace(chosen, vmax=end)
+
+
+def _number(name: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(f"{name}: found {value!r}, must be a number") from None
+
+
+def _range(name: str, value: str, log: bool) -> Range:
+    low, colon, high = value.partition(":")
+    ends = _number(name, low), _number(name, high if colon else "")
+    if not (float("-inf") < ends[0] < ends[1] < float("inf") and (ends[0] > 0 or not log)):
+        raise InputError(f"{name}: found {value!r}, must be LOW:HIGH{' above zero' if log else ''}")
+    return ends

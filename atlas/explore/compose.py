@@ -1,0 +1,144 @@
+"""The cells in view as a dataset, each from the finest that is known of it: what the render code draws."""
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.explore.subject import Plane, Subject
+from atlas.explore.tiles import Arrays
+from atlas.explore.view import Sight, TileKey, cells_of
+from atlas.query.resample import view as read_view
+from atlas.query.window import axis_values, cell_edges
+from atlas.store.schema import coordinates, variable_attributes
+from workers.results import PENDING, REGIME, result_variables
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def plane_names(subject: Subject) -> list[str]:
+    """The variables with one number a cell, ``regime`` last."""
+    return [variable.name for variable in result_variables(subject.settings) if not variable.extra]
+
+
+def composed(
+    subject: Subject,
+    plane: Plane,
+    sight: Sight,
+    tiles: Sequence[tuple[TileKey, Arrays]],
+    names: Iterable[str],
+    base: "xr.Dataset | None" = None,
+) -> "xr.Dataset":
+    """The cells in view, the named variables and the regime; what is not known is pending.
+
+    ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. It goes
+    over tiles that leave cells of the atlas out, and under those with more.
+    """
+
+    variables = {variable.name: variable for variable in result_variables(subject.settings)}
+    wanted = list(dict.fromkeys([*names, REGIME.name]))
+    shape = sight.index_y.size, sight.index_x.size
+    canvas = {name: np.full(shape, variables[name].fill, variables[name].dtype) for name in wanted}
+    for key, arrays in tiles:
+        if min(key.level_x, key.level_y) < 0:
+            _lay(canvas, sight, key, arrays)
+    if base is not None:
+        _lay_base(canvas, subject, sight, base)
+    for key, arrays in tiles:
+        if min(key.level_x, key.level_y) >= 0:
+            _lay(canvas, sight, key, arrays)
+    x, y = subject.x.values(sight.level_x, sight.index_x), subject.y.values(sight.level_y, sight.index_y)
+    return dataset(subject, plane, x, y, canvas)
+
+
+def dataset(
+    subject: Subject, plane: Plane, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
+) -> "xr.Dataset":
+    """Cells of the plane as the dataset of an atlas."""
+    import xarray
+
+    spec, fixed = subject.spec, [name for name, _ in plane.parameters]
+    described = coordinates(spec)
+    (across, up) = (axis.name for axis in spec.axes)
+    coords: dict[str, Any] = {
+        across: (across, x, described[across].attributes),
+        up: (up, y, described[up].attributes),
+    }
+    coords |= {name: ((), value, described[name].attributes) for name, value in plane.parameters}
+    variables = {variable.name: variable for variable in result_variables(subject.settings)}
+    arrays = {
+        name: ((up, across), values, variable_attributes(variables[name], fixed)) for name, values in canvas.items()
+    }
+    resolved = spec.resolved()
+    axes = [{"name": axis.name, "scale": axis.scale} for axis in spec.axes]
+    solve = dict(vars(subject.settings))
+    attrs = {
+        "spec": json.dumps({**resolved, "axes": axes, "parameters": dict(plane.parameters), "solve": solve}),
+        "digest": subject.digest(plane),
+    }
+    return xarray.Dataset(arrays, coords, attrs)
+
+
+def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Dataset | None":
+    """The cells of the atlas itself in view and around it, on the overview that suits the density; None outside."""
+    ds = subject.ds
+    if ds is None:
+        return None
+    part: dict[str, slice] = {}
+    pixels = []
+    for axis, lattice, level, first, last in (
+        (subject.spec.axes[0], subject.x, sight.level_x, sight.first_x, sight.last_x),
+        (subject.spec.axes[1], subject.y, sight.level_y, sight.first_y, sight.last_y),
+    ):
+        low, high = (int(np.floor(end)) for end in (first * 2.0**-level, last * 2.0**-level + 1.0))
+        low, high = max(0, low), min(len(axis), high + 1)
+        if low >= high:
+            return None
+        part[axis.name] = slice(low, high)
+        pixels.append(max(1, round((high - low) * 2.0 ** min(level, 0))))
+        assert lattice.axis == axis
+    held = [name for name in names if name in ds]
+    return read_view(ds.isel(part), held, None, pixels).load()
+
+
+def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Plane, key: TileKey) -> bool:
+    """Whether the atlas itself has all cells of a tile that is not finer than it.
+
+    ``done`` says of each cell of the atlas (y, x) whether it is solved.
+    """
+    if done is None or plane != subject.plane or max(key.level_x, key.level_y) > 0:
+        return False
+    rows, columns = key.index_y() << -key.level_y, key.index_x() << -key.level_x
+    inside = rows[0] >= 0 and columns[0] >= 0 and rows[-1] < done.shape[0] and columns[-1] < done.shape[1]
+    return bool(inside and done[np.ix_(rows, columns)].all())
+
+
+def _lay(canvas: Arrays, sight: Sight, key: TileKey, arrays: Arrays) -> None:
+    rows, columns = sight.place(key)
+    if not canvas.keys() <= arrays.keys() or rows.start >= rows.stop or columns.start >= columns.stop:
+        return
+    up = cells_of(key, sight.level_y, sight.index_y[rows], along_x=False)
+    across = cells_of(key, sight.level_x, sight.index_x[columns], along_x=True)
+    for name, values in canvas.items():
+        values[rows, columns] = arrays[name][np.ix_(up, across)]
+
+
+def _lay_base(canvas: Arrays, subject: Subject, sight: Sight, base: "xr.Dataset") -> None:
+    places, inside = [], []
+    for axis, values in (
+        (subject.spec.axes[1], subject.y.values(sight.level_y, sight.index_y)),
+        (subject.spec.axes[0], subject.x.values(sight.level_x, sight.index_x)),
+    ):
+        edges, count = cell_edges(base, axis.name), axis_values(base, axis.name).size
+        place = np.searchsorted(edges, values, side="right") - 1
+        inside.append((place >= 0) & (place < count))
+        places.append(np.clip(place, 0, count - 1))
+    dims = tuple(axis.name for axis in reversed(subject.spec.axes))
+    known = base[REGIME.name].transpose(*dims).values[np.ix_(*places)] != PENDING
+    known &= np.outer(*inside)
+    for name, values in canvas.items():
+        if name in base:
+            values[known] = base[name].transpose(*dims).values[np.ix_(*places)][known]

@@ -1,0 +1,91 @@
+"""Points of an axis at any depth: those of the atlas, and level by level those half way between.
+
+At level k point j lies at the position j / 2^k, counted in cells of the atlas from its first point on. Point j of a
+level is point 2 j of the next: levels are nested, and a point has the same value, to the bit, at every level that has
+it. Levels below zero leave points out.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.spec.axis import Axis
+
+LEAST_STEP = 64.0
+"""Points are at least so many units in the last place apart: closer ones are no longer evenly spaced."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The points of an axis at all levels; between two points of the atlas they are evenly spaced on its scale.
+
+    Beyond the ends of the axis they go on as between its last two points. InputError for an axis of one point.
+    """
+
+    axis: Axis
+
+    def __post_init__(self) -> None:
+        if len(self.axis) < 2:
+            raise InputError(f"axis {self.axis.name} has one point; to be explored it needs two or more")
+
+    @property
+    def log(self) -> bool:
+        """Whether the axis is logarithmic."""
+        return self.axis.scale == "log"
+
+    @cached_property
+    def _points(self) -> NDArray[np.float64]:
+        return np.array(self.axis.values)
+
+    @cached_property
+    def deepest(self) -> int:
+        """The deepest level: its points still differ by LEAST_STEP units in the last place."""
+        steps = np.diff(self._points) / np.spacing(np.abs(self._points).max())
+        return max(0, math.floor(math.log2(float(steps.min()) / LEAST_STEP)))
+
+    def values(self, level: int, index: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The values of points of a level, (N,)."""
+        if level > 0:
+            whole, rest = np.divmod(index, 1 << level)
+            share = rest / (1 << level)  # exact: a power of two
+        else:
+            whole, share = index << -level, np.zeros(index.shape)
+        cell = np.clip(whole, 0, self._points.size - 2)
+        low, high, along = self._points[cell], self._points[cell + 1], (whole - cell) + share
+        with np.errstate(over="ignore", under="ignore"):
+            between = low * (high / low) ** along if self.log else low + (high - low) * along
+        given = (share == 0.0) & (whole >= 0) & (whole < self._points.size)
+        return np.where(given, self._points[np.clip(whole, 0, self._points.size - 1)], between)
+
+    def positions(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The positions of values, in cells of the atlas from its first point on; the inverse of ``values``."""
+        cell = np.clip(np.searchsorted(self._points, values, side="right") - 1, 0, self._points.size - 2)
+        low, high = self._points[cell], self._points[cell + 1]
+        share = np.log(values / low) / np.log(high / low) if self.log else (values - low) / (high - low)
+        return np.asarray(cell + share)
+
+    def nearest(self, level: int, value: float) -> int:
+        """The point of a level whose cell holds a value."""
+        return math.floor(float(self.positions(np.array([value]))[0]) * 2.0**level + 0.5)
+
+    def edges(self, level: int, first: int, last: int) -> tuple[float, float]:
+        """Where the cells from the first to the last point of a level begin and end."""
+        low, high = self.values(level + 1, np.array([2 * first - 1, 2 * last + 1]))
+        return float(low), float(high)
+
+    def level(self, low: float, high: float, pixels: int) -> int:
+        """The deepest level whose cells are not finer than pixels, where a window is so many of them wide.
+
+        A quarter of a halving is let pass, as where overviews are chosen.
+        """
+        first, last = self.positions(np.array([low, high]))
+        return min(self.deepest, math.floor(math.log2(max(pixels, 1) / float(last - first)) + 0.25))
+
+    def admitted(self, parameter: Any, level: int, index: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which points of a level lie in the parameter's valid range."""
+        return np.asarray(parameter.admits(self.values(level, index)), dtype=bool)

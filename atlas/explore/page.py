@@ -1,0 +1,409 @@
+"""The page: the plane with its axes, its colours, the controls, the cell under the pointer, and a line on the work.
+
+The ranges of the axes belong to the browser. This side learns of them and sends images; setting them from here would
+race with the user.
+"""
+
+import html
+import logging
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.events import MouseLeave, MouseMove, RangesUpdate, SelectionGeometry, Tap
+from bokeh.layouts import column, row
+from bokeh.models import (
+    BoxSelectTool,
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    CustomJSTickFormatter,
+    Div,
+    GlobalInlineStyleSheet,
+    InlineStyleSheet,
+    Range1d,
+    TextInput,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+
+from atlas.errors import InputError, RunError
+from atlas.explore.actions import new_atlas, picture_file, portrait_image
+from atlas.explore.chosen import Chosen, from_address, to_address
+from atlas.explore.controls import Controls
+from atlas.explore.explorer import Explorer
+from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.style import PAGE, PANEL, TEXT
+from atlas.explore.words import cell_table, png_address, point_line, progress, ticks, title
+from atlas.render import SCALAR
+
+LEFT, RIGHT = 232, 320
+"""Widths of the columns beside the plane, in pixels."""
+LEAST = 16
+"""Pixels of a plane that is worth drawing."""
+TICK_SCRIPT = """
+const text = Math.abs(unit) === 1 && base === 0
+    ? (Math.abs(tick) >= 1e5 || (tick !== 0 && Math.abs(tick) < 1e-4) ? tick.toExponential(2)
+       : Number(tick.toFixed(Math.max(decimals, 3))).toString())
+    : Number(((tick - base) / unit).toFixed(decimals)).toString()
+return text.replace("-", "\\u2212")
+"""
+
+
+def fill(document: Document, explorer: Explorer, folder: Path) -> None:
+    """Make a page of a document; specs of new atlases are written into the folder."""
+    context = document.session_context
+    arguments = context.request.arguments if context is not None and context.request is not None else {}
+    trouble = ""
+    try:
+        chosen = from_address(explorer.subject, arguments)
+    except InputError as error:
+        chosen, trouble = from_address(explorer.subject, {}), str(error)
+    try:
+        page = Page(document, explorer, chosen, folder)
+    except Exception:
+        logging.getLogger(__name__).exception("a page could not be made")
+        raise
+    page.trouble = trouble
+    document.on_session_destroyed(lambda _: page.close())
+
+
+class Page:
+    """One page, of one browser's tab."""
+
+    def __init__(self, document: Document, explorer: Explorer, chosen: Chosen, folder: Path) -> None:
+        self._document, self._explorer, self._subject = document, explorer, explorer.subject
+        self._chosen, self._folder = chosen, folder
+        self._rests, self.trouble = True, ""
+        self._lock, self._closed = threading.Lock(), False
+        self._pointer: tuple[float, float] | None = None
+        self._box: tuple[tuple[float, float], tuple[float, float]] | None = None
+        self._ends: tuple[float | None, float | None] = (None, None)
+        self._controls = Controls(self._subject, chosen)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="atlas-page")
+        self._hovering = False
+        self._sizes: dict[str, int] = {}
+        self._make_plot()
+        self._make_panels()
+        self._wire()
+        document.title = f"{self._subject.name}: explorer"
+        document.add_root(self._layout())
+        document.add_periodic_callback(self._say_progress, 500)
+        self._painter = Painter(
+            explorer,
+            lambda painted: self._later(partial(self._show, painted)),
+            lambda why: self._later(partial(self._refused, why)),
+        )
+
+    def close(self) -> None:
+        """Free what the page holds."""
+        with self._lock:
+            self._closed = True
+        self._painter.close()
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _later(self, act: Callable[[], None]) -> None:
+        """Have something done in the thread of the page's document, for as long as there is one."""
+        with self._lock:
+            if not self._closed:
+                self._document.add_next_tick_callback(act)
+
+    def _make_plot(self) -> None:
+        subject, chosen = self._subject, self._chosen
+        kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
+        self._plot = plot = figure(
+            x_range=Range1d(*chosen.x),
+            y_range=Range1d(*chosen.y),
+            x_axis_type=kind_x,
+            y_axis_type=kind_y,
+            tools="pan,box_zoom,undo,redo,reset",
+            toolbar_location="above",
+            sizing_mode="stretch_both",
+            min_border_right=8,
+            lod_threshold=None,
+        )
+        wheel = WheelZoomTool()
+        plot.add_tools(wheel, BoxSelectTool(description="choose a window for an atlas"))
+        plot.toolbar.active_scroll = wheel
+        plot.toolbar.logo = None
+        plot.grid.visible = False
+        for axis in (plot.xaxis[0], plot.yaxis[0]):
+            axis.update(
+                axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None
+            )
+            axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
+        self._image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+        plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=self._image, level="image")
+        self._label_axes()
+
+    def _make_panels(self) -> None:
+        style: dict[str, Any] = {"stylesheets": [TEXT]}
+        self._title = Div(text=title(self._subject, self._chosen.plane), sizing_mode="stretch_width", **style)
+        self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, **style)
+        self._line = Div(sizing_mode="stretch_width", **style)
+        self._hover = Div(text="<h4>cell under the pointer</h4>", sizing_mode="stretch_width", **style)
+        self._cell = Div(text="<h4>click: a cell in detail</h4>", sizing_mode="stretch_width", **style)
+        self._portrait = Div(sizing_mode="stretch_width", **style)
+        self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
+        self._copy = Button(label="copy", visible=False, width=70)
+        self._made = Div(sizing_mode="stretch_width", **style)
+        self._address = Div(visible=False)
+        self._download = ColumnDataSource({"name": [], "href": []})
+
+    def _wire(self) -> None:
+        """Connect events with what they lead to."""
+        plot, controls = self._plot, self._controls
+        plot.on_event(RangesUpdate, self._moved)
+        plot.on_event(MouseMove, self._pointed)
+        plot.on_event(MouseLeave, lambda _: setattr(self, "_pointer", None))
+        plot.on_event(Tap, self._tapped)
+        plot.on_event(SelectionGeometry, self._boxed)
+        plot.on_change("inner_width", self._resized)
+        plot.on_change("inner_height", self._resized)
+        for widget, name in (
+            (controls.kind, "value"),
+            (controls.variable, "value"),
+            (controls.log, "active"),
+            (controls.overlays, "active"),
+            (controls.vmin, "value"),
+            (controls.vmax, "value"),
+        ):
+            widget.on_change(name, _heard(self._chose))
+        for name, slider in controls.sliders.items():
+            slider.on_change("value", partial(self._slid, name))
+        controls.rescale.on_click(self._rescale)
+        controls.keep.on_click(lambda on: self._explorer.keep_plane(self._chosen.plane) if on else None)
+        for suffix, button in controls.files.items():
+            button.on_click(partial(self._save, suffix))
+        controls.make.on_click(self._make)
+        script = "window.history.replaceState(null, '', '?' + cb_obj.text)"
+        self._address.js_on_change("text", CustomJS(code=script))
+        script = """
+            const link = document.createElement("a")
+            link.href = cb_obj.data["href"][0]; link.download = cb_obj.data["name"][0]; link.click()
+        """
+        self._download.js_on_change("data", CustomJS(code=script))
+        copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
+        self._copy.js_on_event("button_click", copying)
+
+    def _layout(self) -> Any:
+        controls, panel = (
+            self._controls,
+            {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"},
+        )
+        left = column(
+            controls.kind, controls.variable, controls.log,
+            row(controls.vmin, controls.vmax, sizing_mode="stretch_width"), controls.rescale,
+            controls.heading("lines over it"), controls.overlays,
+            controls.heading("parameters"), *controls.sliders.values(), controls.keep,
+            controls.heading("save the picture"), row(*controls.files.values(), sizing_mode="stretch_width"),
+            controls.heading("a new atlas of the view, or of a box"), controls.cells, controls.make,
+            width=LEFT, **panel,
+        )  # fmt: skip
+        middle = column(
+            self._title, row(self._plot, self._key, sizing_mode="stretch_both"), self._line, sizing_mode="stretch_both"
+        )
+        right = column(
+            self._hover, self._cell, row(self._point, self._copy, sizing_mode="stretch_width"), self._portrait,
+            self._made, self._address, width=RIGHT, **panel,
+        )  # fmt: skip
+        # A source without a view is sent along, and heard, as the tag of a model that has one.
+        self._address.tags = [self._download]
+        whole = row(left, middle, right, sizing_mode="stretch_both")
+        whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE)]
+        return whole
+
+    def _update(self) -> None:
+        """Have what is chosen shown, and say it in the address."""
+        size = (self._sizes.get("inner_width", 0), self._sizes.get("inner_height", 0))
+        if min(size) < LEAST:  # the browser has not laid it out yet
+            return
+        self._painter.show(self._chosen, size, self._rests)
+        self._address.text = to_address(self._subject, self._chosen)
+
+    def _resized(self, attr: str, old: Any, new: Any) -> None:
+        self._sizes[attr] = int(new or 0)
+        self._update()
+
+    def _moved(self, event: RangesUpdate) -> None:
+        ends = (event.x0, event.x1, event.y0, event.y1)
+        left, right, low, high = (float("nan") if end is None else float(end) for end in ends)
+        if not (left < right and low < high and np.isfinite([left, right, low, high]).all()):
+            return
+        self._chosen, self._rests = replace(self._chosen, x=(left, right), y=(low, high)), True
+        self._label_axes()
+        self._update()
+
+    def _label_axes(self) -> None:
+        for axis, lattice, window in (
+            (self._plot.xaxis[0], self._subject.x, self._chosen.x),
+            (self._plot.yaxis[0], self._subject.y, self._chosen.y),
+        ):
+            found = ticks(self._subject, lattice.axis.name, *window)
+            axis.axis_label = found.label
+            formatter: Any = axis.formatter
+            formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
+
+    def _chose(self) -> None:
+        controls = self._controls
+        controls.variable.visible = controls.log.visible = controls.kind.value == SCALAR
+        self._chosen, self._rests, self.trouble = replace(self._chosen, **controls.read()), True, ""
+        self._update()
+
+    def _slid(self, name: str, attribute: str, old: Any, new: Any) -> None:
+        plane = self._subject.moved(self._chosen.plane, name, float(new))
+        self._chosen, self._rests = replace(self._chosen, plane=plane), False
+        self._title.text = title(self._subject, plane)
+        self._controls.keep.update(
+            visible=plane != self._subject.plane and self._subject.header is not None, active=False
+        )
+        self._update()
+
+    def _rescale(self) -> None:
+        self._controls.vmin.value = self._controls.vmax.value = None
+        self._painter.rescale()
+
+    def _show(self, painted: Painted) -> None:
+        """Put a picture on the page."""
+        pixels = np.ascontiguousarray(painted.cells[::-1]).view(np.uint32)[..., 0]
+        (left, right), (low, high) = painted.x, painted.y
+        self._image.data = {"image": [pixels], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
+        self._key.text = f'<img src="{png_address(painted.key)}">'
+        self._ends = painted.ends
+        self.trouble = ""
+
+    def _refused(self, why: str) -> None:
+        self.trouble, self._hovering = why, False
+
+    def _say_progress(self) -> None:
+        explorer = self._explorer
+        left = explorer.patches.left(self._painter)
+        text = progress(explorer.patches.state, left, [*self._notes(), explorer.keeper.trouble])
+        if self.trouble:
+            text = f'<span class="trouble">{html.escape(self.trouble)}</span> &middot; {text}'
+        if text != self._line.text:
+            self._line.text = text
+
+    def _notes(self) -> list[str]:
+        subject, chosen = self._subject, self._chosen
+        notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
+        if self._explorer.keeper.header is not None and chosen.plane == subject.plane:
+            notes.append(f"kept in {subject.name}")
+        for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
+            first, last = lattice.edges(0, 0, len(lattice.axis) - 1)
+            slack = 1e-9 * (last - first)
+            if low < first - slack or high > last + slack:
+                notes.append("partly outside the atlas's window")
+                break
+        if chosen.plane != subject.plane:
+            notes.append("another plane than the atlas's" + ("" if self._controls.keep.active else ", not kept"))
+        failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
+        return notes + ([f"{failed} tiles failed"] if failed else [])
+
+    def _pointed(self, event: MouseMove) -> None:
+        if event.x is None or event.y is None:
+            return
+        self._pointer = (event.x, event.y)
+        if not self._hovering:
+            self._hovering = True
+            self._in_thread(self._look_up, self._pointer)
+
+    def _look_up(self, point: tuple[float, float]) -> Callable[[], None]:
+        """The text about the cell at a point, as a function that shows it."""
+        sight = self._painter.sight
+        cell = self._explorer.cell(self._chosen.plane, sight, *point) if sight is not None else None
+        text = "<h4>cell under the pointer</h4>" + (cell_table(cell, self._subject) if cell else "not known yet")
+
+        def show() -> None:
+            self._hovering = False
+            self._hover.text = text
+            if self._pointer is not None and self._pointer != point:
+                self._hovering = True
+                self._in_thread(self._look_up, self._pointer)
+
+        return show
+
+    def _tapped(self, event: Tap) -> None:
+        if event.x is None or event.y is None:
+            return
+        self._cell.text = "<h4>cell in detail</h4>solving it"
+        self._in_thread(self._detail, (event.x, event.y))
+
+    def _detail(self, point: tuple[float, float]) -> Callable[[], None]:
+        sight = self._painter.sight
+        cell = self._explorer.cell(self._chosen.plane, sight, *point) if sight is not None else None
+        if cell is None:
+            return lambda: self._cell.update(text="<h4>cell in detail</h4>not known yet")
+        table, line = cell_table(cell, self._subject), point_line(cell, self._subject)
+        try:
+            drawn = f'<img class="portrait" src="{portrait_image(self._subject, cell)}">'
+        except InputError as error:
+            drawn = html.escape(str(error))
+
+        def show() -> None:
+            self._cell.text = f"<h4>cell in detail</h4>{table}"
+            self._point.update(value=line, visible=True)
+            self._copy.visible = True
+            self._portrait.text = drawn
+
+        return show
+
+    def _boxed(self, event: SelectionGeometry) -> None:
+        box: Any = event.geometry or {}
+        if event.final and box.get("type") == "rect":
+            self._box = (box["x0"], box["x1"]), (box["y0"], box["y1"])
+
+    def _save(self, suffix: str) -> None:
+        sight = self._painter.sight
+        if sight is None:
+            return
+        chosen, ends = self._chosen, self._ends
+
+        def work(_: Any) -> Callable[[], None]:
+            name, href = picture_file(self._explorer, chosen, sight, suffix, ends)
+            return lambda: self._download.update(data={"name": [name], "href": [href]})
+
+        self._in_thread(work, None)
+
+    def _make(self) -> None:
+        chosen, cells = self._chosen, int(self._controls.cells.value or 2)
+        x, y = self._box or (chosen.x, chosen.y)
+        self._made.text = "<h4>new atlas</h4>solving a few cells for its cost"
+
+        def work(_: Any) -> Callable[[], None]:
+            made = new_atlas(self._subject, chosen, x, y, cells, self._folder)
+            parts = (str(made.file), made.text, made.line, made.cost)
+            file, text, line, cost = map(html.escape, parts)
+            shown = f"<h4>new atlas: {file}</h4><pre>{text}</pre><pre>{line}</pre><pre>{cost}</pre>"
+            return lambda: self._made.update(text=shown)
+
+        self._in_thread(work, None)
+
+    def _in_thread(self, work: Callable[[Any], Callable[[], None]], given: Any) -> None:
+        """Do something that takes a while, then show what it returns; what the user can mend is said."""
+
+        def run() -> None:
+            try:
+                show = work(given)
+            except (InputError, RunError, OSError) as error:
+                show = partial(self._refused, str(error))
+            self._later(show)
+
+        with self._lock:
+            if not self._closed:
+                self._thread.submit(run)
+
+
+def _heard(act: Callable[[], None]) -> Callable[[str, Any, Any], None]:
+    """A function as Bokeh calls it when a property has changed."""
+
+    def callback(attr: str, old: Any, new: Any) -> None:
+        act()
+
+    return callback

@@ -1,0 +1,215 @@
+"""What a page shows, made in a thread of the page's own: looked up, drawn, wanted, drawn again as tiles come in.
+
+A generation counts what was chosen: of an older one nothing is delivered any more.
+"""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, RunError
+from atlas.explore.chosen import Chosen, Range, beginning
+from atlas.explore.explorer import Explorer
+from atlas.explore.lattice import Lattice
+from atlas.explore.subject import Plane
+from atlas.explore.view import STAGES, Sight, TileKey, View
+from atlas.render import SCALAR, has_scale
+from atlas.render.screen import Screen, screen
+from workers.results import PENDING, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+REST = 0.15
+"""Seconds without a change after which a view is looked up."""
+STAY = 0.7
+"""Seconds without a change after which a plane that a slider moves to is solved in full."""
+PAUSE = 0.35
+"""Seconds between two pictures, at least."""
+SHARE = 0.6
+"""At most so much of the time is spent on drawing."""
+WHOLE = (240, 180)
+"""Pixels of the picture of the whole plane that the ends of a scale are taken from."""
+SETTLED = 0.01
+"""Share of pending cells from which on a picture can say how far a scale should reach."""
+KEY_WIDTH = 165
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A picture: its pixels from the top, what explains its colours, the window that it fills, the scale's ends."""
+
+    cells: NDArray[np.uint8]
+    key: NDArray[np.uint8]
+    x: Range
+    y: Range
+    ends: tuple[float | None, float | None]
+
+
+def warm(explorer: Explorer) -> None:
+    """Draw something once, so that the first page need not wait for all that drawing loads."""
+    chosen = beginning(explorer.subject)
+    sight = Sight.of(View(chosen.x, chosen.y, *WHOLE), explorer.subject.x, explorer.subject.y)
+    _drawn(explorer.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
+
+
+class Painter:
+    """Paints for one page. ``deliver`` and ``refuse`` get pictures and what speaks against one, in this thread."""
+
+    def __init__(self, explorer: Explorer, deliver: Callable[[Painted], None], refuse: Callable[[str], None]) -> None:
+        self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
+        self._wake, self._closed = threading.Event(), False
+        self._asked: tuple[Chosen, tuple[int, int], bool] | None = None
+        self._changed, self._fresh, self._stale = 0.0, False, False
+        self._held: dict[tuple[str, str, bool], Range] = {}
+        self._rescaling = False
+        self.generation = self.looked = 0
+        self.sight: Sight | None = None
+        self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
+        explorer.listen(self, self._told)
+        self._thread.start()
+
+    def show(self, chosen: Chosen, size: tuple[int, int], rests: bool = True) -> None:
+        """Show this on so many pixels. While a slider moves, nothing ``rests``: at first the first stage is solved."""
+        if (chosen, size, rests) == self._asked:
+            return
+        self._asked, self._changed, self._fresh = (chosen, size, rests), time.monotonic(), True
+        self.generation += 1
+        self._wake.set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not looked up yet, or not solved."""
+        return self._fresh or self._stale or self._explorer.patches.left(self) > 0
+
+    def rescale(self) -> None:
+        """Choose the ends of the scale anew, by what is in view."""
+        if self._asked:
+            self._held.pop(self._asked[0].scale, None)
+            self._rescaling = True
+            self._stale = True
+            self._wake.set()
+
+    def close(self) -> None:
+        """Paint no more, and want nothing more."""
+        self._closed = True
+        self._wake.set()
+        self._explorer.listen(self, None)
+
+    def _told(self, plane: Plane, key: TileKey) -> None:
+        if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
+            self._stale = True
+            self._wake.set()
+
+    def _run(self) -> None:
+        while not self._closed:
+            self._wake.wait(REST)
+            self._wake.clear()
+            if self._asked is None or self._closed:
+                continue
+            try:
+                if self._fresh and time.monotonic() - self._changed >= REST:
+                    self._fresh = False
+                    self._look(*self._asked)
+                elif not self._fresh and not self._asked[2] and time.monotonic() - self._changed >= STAY:
+                    self._asked = (*self._asked[:2], True)
+                    self._look(*self._asked)
+                elif self._stale and not self._fresh:
+                    self._stale = False
+                    self._paint()
+            except (InputError, RunError) as error:
+                self._refuse(str(error))
+            except OSError as error:
+                self._refuse(f"the store cannot be read: {error.strerror or error}")
+        self._explorer.listen(self, None)
+
+    def _look(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
+        """Find out what is known of a view, show it, and have the rest solved."""
+        self.looked += 1
+        explorer, subject = self._explorer, self._explorer.subject
+        self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), subject.x, subject.y)
+        explorer.patches.want(self, ())
+        explorer.look(chosen.plane, sight, chosen.names)
+        stages = range(STAGES, -1 if rests else STAGES - 1, -1)
+        explorer.want(self, chosen.plane, sight, stages)
+        self._paint()
+
+    def _paint(self) -> None:
+        asked, sight, generation = self._asked, self.sight, self.generation
+        if asked is None or sight is None:
+            return
+        (chosen, size, _), begin = asked, time.monotonic()
+        ds = self._explorer.seen(chosen.plane, sight, chosen.names)
+        x, y = _edges(self._explorer.subject.x, sight, "x"), _edges(self._explorer.subject.y, sight, "y")
+        pixels = (
+            _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
+            _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
+        )
+        low, high = self._ends(chosen)
+        made = _drawn(ds, chosen, pixels, low, high)
+        pending = float(np.mean(ds[REGIME.name].values == PENDING))
+        if made.ends is not None and pending <= SETTLED:
+            self._held.setdefault(chosen.scale, made.ends)
+        seconds = time.monotonic() - begin
+        if generation == self.generation:
+            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high)))
+        self._wait(max(PAUSE, seconds / SHARE) - seconds)
+
+    def _ends(self, chosen: Chosen) -> tuple[float | None, float | None]:
+        """The ends of the scale: those asked for, those held, those of the whole plane; None for the picture's own."""
+        if chosen.scale not in self._held and not self._rescaling:
+            self._held |= self._whole(chosen)
+        self._rescaling = False
+        low, high = self._held.get(chosen.scale, (None, None))
+        return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
+
+    def _whole(self, chosen: Chosen) -> dict[tuple[str, str, bool], Range]:
+        """The ends that suit the whole plane of the atlas, as far as it is known."""
+        subject = self._explorer.subject
+        if subject.ds is None:
+            return {}
+        windows = [lattice.edges(0, 0, len(lattice.axis) - 1) for lattice in (subject.x, subject.y)]
+        sight = Sight.of(View(windows[0], windows[1], *WHOLE), subject.x, subject.y)
+        ds = self._explorer.seen(subject.plane, sight, chosen.names)
+        if float(np.mean(ds[REGIME.name].values == PENDING)) > 0.5:
+            return {}
+        made = _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None)
+        return {} if made.ends is None else {chosen.scale: made.ends}
+
+    def _wait(self, seconds: float) -> None:
+        """Let others have the processor, unless something else is to be shown."""
+        end = time.monotonic() + seconds
+        while not (self._closed or self._fresh) and time.monotonic() < end:
+            time.sleep(0.02)
+
+
+def _drawn(ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None) -> Screen:
+    """A picture of what is chosen, with these ends of its scale where it has one that takes any."""
+    scalar = chosen.kind == SCALAR
+    ends = {"vmin": low, "vmax": high} if scalar or has_scale(chosen.kind) else {}
+    return screen(
+        ds, chosen.kind, pixels, KEY_WIDTH, overlays=chosen.overlays, variable=chosen.variable if scalar else None,
+        log=chosen.log and scalar, **ends,
+    )  # fmt: skip
+
+
+def _concerns(sight: Sight, key: TileKey) -> bool:
+    return key.level_x <= sight.level_x and key.level_y <= sight.level_y and sight.shows(key)
+
+
+def _edges(lattice: Lattice, sight: Sight, along: str) -> Range:
+    if along == "x":
+        return lattice.edges(sight.level_x, sight.first_x, sight.last_x)
+    return lattice.edges(sight.level_y, sight.first_y, sight.last_y)
+
+
+def _pixels(pixels: int, edges: Range, window: Range, log: bool) -> int:
+    """Pixels of a picture whose ends reach a little over the window's."""
+    spans = [math.log(high / low) if log else high - low for low, high in (edges, window)]
+    return max(16, round(pixels * spans[0] / spans[1]))

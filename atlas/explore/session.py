@@ -1,0 +1,119 @@
+"""A running explorer: its cluster, its pages, and how all of it ends."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
+
+from atlas.errors import InputError
+from atlas.explore.explorer import Explorer
+from atlas.explore.kept import MOST_BYTES
+from atlas.explore.subject import TOLERANCE, Subject, subject_of
+from atlas.query.window import Window, axis_names, axis_values
+from atlas.service.cluster import connected, local_cluster
+from atlas.service.plan import default_workers
+from atlas.service.timing import TIMING, Timing
+from atlas.store.store import read_header
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from distributed import Client
+
+
+class Exploration:
+    """Pages on a subject, served until ``stop``. A notebook shows the first of them."""
+
+    def __init__(self, explorer: Explorer, folder: Path, port: int = 0, query: str = "") -> None:
+        from atlas.explore.page import fill
+        from atlas.explore.painter import warm
+        from atlas.explore.server import PageServer
+
+        self.explorer, self._query = explorer, query
+        warm(explorer)
+        self._server = PageServer(partial(fill, explorer=explorer, folder=folder), port)
+
+    @property
+    def url(self) -> str:
+        """The address of a new page."""
+        return f"{self._server.url}?{self._query}" if self._query else self._server.url
+
+    def stop(self) -> None:
+        """Close the pages, end the work, keep what is solved."""
+        self._server.stop()
+        self.explorer.stop()
+
+    def _repr_html_(self) -> str:
+        return f'<iframe src="{self.url}" width="100%" height="720" style="border: 0"></iframe>'
+
+
+def explore(
+    given: "str | Subject",
+    chosen: Mapping[str, float] | None = None,
+    *,
+    client: "Client | None" = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    tolerance: float = TOLERANCE,
+    keep: bool = True,
+    most_bytes: int = MOST_BYTES,
+    folder: Path | None = None,
+    port: int = 0,
+    window: Window | None = None,
+    timing: Timing = TIMING,
+) -> Exploration:
+    """Pages on a store or a spec, at ``Exploration.url``.
+
+    Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, or on worker processes of this
+    machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at first. With ``keep``, what is solved lies
+    in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are written into ``folder``, by default the
+    working directory.
+    Raises InputError for what cannot be explored, and where Bokeh is not installed.
+    """
+    try:
+        import bokeh  # noqa: F401
+    except ImportError:
+        raise InputError("explore needs Bokeh: pip install 'impact-atlas[explore]'") from None
+    if not tolerance > 0:
+        raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
+    subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
+    connect = _connection(client, scheduler, workers or default_workers(), timing)
+    explorer = Explorer(subject, connect, keep, most_bytes, timing)
+    query = urlencode([(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()], safe=":")
+    try:
+        return Exploration(explorer, folder or Path.cwd(), port, query)
+    except BaseException:
+        explorer.stop()
+        raise
+
+
+def explore_dataset(ds: "xr.Dataset", **options: Any) -> Exploration:
+    """Pages on the store that a dataset shows, at its plane and its window; options as of ``explore``.
+
+    InputError for a dataset that is not as ``atlas.open`` gave it, a plane of a stack or a part of a plane apart.
+    """
+    source, names = ds.encoding.get("source"), axis_names(ds)
+    if not isinstance(source, str):
+        raise InputError("this dataset does not say which store it is of: explore the one that atlas.open returns")
+    spec = read_header(source).spec
+    chosen = {axis.name: float(ds[axis.name]) for axis in spec.axes[2:] if ds[axis.name].ndim == 0}
+    ends = {name: axis_values(ds, name) for name in names[:2]}
+    window = {name: (float(values.min()), float(values.max())) for name, values in ends.items() if values.size > 1}
+    return explore(source, chosen, window=window, **options)
+
+
+def _connection(
+    client: "Client | None", scheduler: str | None, workers: int, timing: Timing
+) -> "Callable[[], AbstractContextManager[Client]]":
+    if client is not None:
+        given = client
+
+        @contextmanager
+        def used() -> "Iterator[Client]":
+            yield given
+
+        return used
+    if scheduler is not None:
+        return partial(connected, scheduler, timing=timing)
+    return partial(local_cluster, workers)

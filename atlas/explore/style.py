@@ -1,0 +1,22 @@
+"""The looks of the page, as CSS."""
+
+PAGE = """
+html, body { height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }
+body > div { height: 100%; }
+"""
+
+TEXT = """
+:host { font: 12.5px/1.45 system-ui, sans-serif; color: #1a2433; }
+b { font-size: 14px; } i { font-family: Georgia, "Times New Roman", serif; font-size: 14px; }
+h4 { margin: 8px 0 2px; font-size: 12.5px; color: #5a6675; font-weight: 600; }
+table { border-collapse: collapse; width: 100%; } caption { text-align: left; color: #5a6675; padding-bottom: 2px; }
+td { padding: 0 4px 0 0; vertical-align: top; font-variant-numeric: tabular-nums; }
+td:first-child { color: #5a6675; white-space: nowrap; } td + td { word-break: break-all; }
+pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding: 6px; margin: 4px 0; }
+pre { font-size: 11.5px; }
+.trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
+"""
+
+PANEL = """
+:host { overflow-y: auto; overflow-x: hidden; padding: 0 6px; box-sizing: border-box; }
+"""

@@ -1,0 +1,164 @@
+"""What the page says, as plain Unicode and HTML: symbols, numbers, the cell under the pointer, the title, the ticks."""
+
+import base64
+import html
+import math
+import re
+import shlex
+import unicodedata
+from collections.abc import Iterable
+from dataclasses import fields
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from atlas.explore.explorer import Cell
+from atlas.explore.subject import Plane, Subject
+from atlas.service.patches import State
+from atlas.text import plural
+from workers import Settings
+from workers.model.system import System
+from workers.results import ERROR, LARGEST, REASON, REGIME, result_variables
+
+GREEK = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
+    "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
+    "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω", "Gamma": "Γ", "Delta": "Δ", "Lambda": "Λ", "Omega": "Ω",
+}  # fmt: skip
+_BELOW = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
+_ABOVE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+CLOSE = 1e-3
+"""A window so narrow, relative to its place, has ticks that count from a round number near its centre."""
+
+
+def plain(symbol: str) -> str:
+    """A symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
+    text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", symbol)
+    text = re.sub(r"\\([A-Za-z]+)", lambda found: GREEK.get(found[1], found[1]), text)
+    text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda found: _lowered(found[1] or found[2]), text)
+    return unicodedata.normalize("NFC", re.sub(r"[{}$\\,]", "", text))
+
+
+def _lowered(text: str) -> str:
+    low = text.translate(_BELOW)
+    return low if all(below != given for below, given in zip(low, text, strict=True)) else f"_{text}"
+
+
+def symbol_of(system: System, name: str) -> str:
+    """A parameter's symbol in Unicode."""
+    return plain(system.parameter(name).symbol or name)
+
+
+def title(subject: Subject, plane: Plane) -> str:
+    """The system and the fixed parameters that matter, as HTML: all but an initial state of zero."""
+    states, values = subject.system.states, dict(plane.parameters)
+    shown = [
+        f"<i>{html.escape(symbol_of(subject.system, name))}</i> = {number(values[name])}"
+        for name in (parameter.name for parameter in subject.system.parameters)
+        if name in values and (values[name] or name not in states)
+    ]
+    return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(shown)}"
+
+
+def number(value: float) -> str:
+    """A number as text shows it: six digits, a proper minus, powers of ten."""
+    mantissa, _, power = f"{value:.6g}".partition("e")
+    text = mantissa.replace("-", "−")
+    return f"{text}·10{str(int(power)).translate(_ABOVE)}" if power else text
+
+
+class Ticks(NamedTuple):
+    """How the ticks of an axis are written: (tick - base) / unit with so many decimals, and the axis's label."""
+
+    base: float
+    unit: float
+    decimals: int
+    label: str
+
+
+def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
+    """The ticks of a window: plain numbers, and where it is close to one value, the distance from a round one."""
+    parameter = subject.system.parameter(name)
+    meaning = parameter.meaning.split(":")[0]
+    unit = "–" if parameter.unit == "1" else parameter.unit
+    symbol = symbol_of(subject.system, name)
+    span, centre = high - low, 0.5 * (low + high)
+    power = math.floor(math.log10(span))
+    if span > CLOSE * abs(centre):
+        return Ticks(0.0, 1.0, max(0, 1 - power), f"{meaning} {symbol} [{unit}]")
+    base = round(centre, -power)
+    scale = f"10{str(power).translate(_ABOVE)}"
+    return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale} [{unit}]")
+
+
+def cell_table(cell: Cell, subject: Subject) -> str:
+    """All that is known of a cell, as an HTML table."""
+    units = {variable.name: variable.units for variable in result_variables(subject.spec.settings)}
+    names = [axis.name for axis in subject.spec.axes]
+    rows = [(symbol_of(subject.system, name), repr(cell.results[name])) for name in names]
+    rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " ")))
+    if REASON.name in cell.results:
+        rows.append((REASON.name, str(cell.results[REASON.name])))
+    if LARGEST.name in cell.results:
+        value, error = cell.results[LARGEST.name], cell.results[ERROR.name]
+        rows.append((LARGEST.name, f"{number(value)} ± {number(error)}"))
+    told = {*names, REGIME.name, REASON.name, LARGEST.name, ERROR.name, "distance"}
+    for name, value in cell.results.items():
+        if name not in told:
+            rows.append((name, _value(value, units.get(name, "1"))))
+    of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
+    body = "".join(f"<tr><td>{html.escape(left)}</td><td>{html.escape(right)}</td></tr>" for left, right in rows)
+    return f"<table><caption>{of}</caption>{body}</table>"
+
+
+def _value(value: Any, units: str) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return number(float(value)) if isinstance(value, float) else str(value)
+
+
+def point_line(cell: Cell, subject: Subject) -> str:
+    """The command that solves this cell again, to the bit."""
+    settings = subject.spec.settings if cell.of_atlas else subject.settings
+    words = ["atlas", "point"]
+    if not subject.system.packaged:
+        words += ["--system", f"{subject.system.name}.toml"]
+    elif subject.system.name != "two-mass":
+        words += ["--system", subject.system.name]
+    defaults = {parameter.name: parameter.default for parameter in subject.system.parameters}
+    for name, value in cell.parameters.items():
+        if value != defaults[name] or name in cell.results:
+            words += ["--set", f"{name}={value!r}"]
+    for field in fields(Settings):
+        value = getattr(settings, field.name)
+        if value != field.default:
+            words += [f"--{field.name.replace('_', '-')}", str(value)]
+    return shlex.join(words)
+
+
+def progress(state: State, left: int, notes: Iterable[str]) -> str:
+    """The line under the plane, as HTML."""
+    parts = [f"{plural(left, 'tile')} left" if left else "all that is in view is solved"]
+    if left:
+        parts.append(f"{state.rate:,.0f} cells/s".replace(",", "\N{NARROW NO-BREAK SPACE}"))
+    parts.append(plural(state.workers, "worker"))
+    parts += [html.escape(note) for note in notes if note]
+    text = " &middot; ".join(parts)
+    if state.trouble:
+        text = f'<span class="trouble">{html.escape(state.trouble)}</span> &middot; {text}'
+    return text
+
+
+def png_address(rgba: NDArray[np.uint8]) -> str:
+    """An image as an address that a page can show."""
+    data = BytesIO()
+    Image.fromarray(rgba).save(data, format="png")
+    return data_address("image/png", data.getvalue())
+
+
+def data_address(kind: str, content: bytes) -> str:
+    """The content of a file of this media type as an address."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"

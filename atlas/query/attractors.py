@@ -1,0 +1,61 @@
+"""Atlases of all attractors: one of them in every cell as a dataset of its own, and all of one cell as a list."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from atlas.errors import InputError
+from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_NAMES = {regime.code: regime.name for regime in REGIMES}
+
+
+def of_all(ds: "xr.Dataset") -> bool:
+    """Whether a dataset has all attractors of its cells."""
+    return ATTRACTOR in ds.dims
+
+
+def leading(ds: "xr.Dataset") -> "xr.Dataset":
+    """The attractor with the largest share in every cell; a dataset of one attractor a cell is itself."""
+    return one(ds, 0) if of_all(ds) else ds
+
+
+def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
+    """The attractor at that place in every cell, 0 for the one with the largest share.
+
+    A cell with fewer is as without a result. InputError for a place that is none.
+    """
+    if not of_all(ds):
+        raise InputError("attractor: this atlas has one attractor a cell; give [attractors] in its spec for all")
+    kept = ds.sizes[ATTRACTOR]
+    if place != int(place) or not 0 <= place < kept:
+        raise InputError(f"attractor: found {place:g}, must be a whole number, 0 to {kept - 1}")
+    made = ds.isel({ATTRACTOR: int(place)})
+    made.encoding = dict(ds.encoding)
+    return made.assign_attrs({ATTRACTOR: int(place)})
+
+
+def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
+    """The attractors of one cell, read, as entries of all their numbers; the regime and the reason by name.
+
+    None where no initial state is decided. States, spectra and sections are lists.
+    """
+    names = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
+    found = []
+    for k in range(min(int(cell["attractors"]), cell.sizes[ATTRACTOR])):
+        values = {name: cell[name].isel({ATTRACTOR: k}).values.tolist() for name in names}
+        found.append(in_words(values))
+    return found
+
+
+def in_words(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of one attractor, its shares first, the regime and the reason by name."""
+    words = {REGIME.name: _NAMES[int(values[REGIME.name])]}
+    if REASON.name in values and values[REASON.name] != NO_REASON:
+        words[REASON.name] = REASONS[int(values[REASON.name])].text
+    first = ("share", "share_low", "share_high")
+    ordered = {name: values[name] for name in first if name in values}
+    rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}
+    return words | ordered | rest

@@ -1,0 +1,112 @@
+"""A map as pixels of a screen: the plot area alone, and beside it what explains its colours."""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from atlas.query.window import axis_names, is_log
+from atlas.render.style import house
+
+DPI = 110.0
+SCALE = 0.85
+"""The size of the type relative to that of the standard page."""
+GAP = 16
+"""Pixels between the plot area and what is beside it."""
+BAR_ASPECT = 28.0
+"""Height of a colour bar over its width, as all pictures have it."""
+_drawing = threading.Lock()
+"""Matplotlib's settings belong to the whole process."""
+
+
+@dataclass(frozen=True)
+class Screen:
+    """Pixels of a map, (rows, columns, 4) in bytes from the top: its cells, and its colour bar and legend.
+
+    ``ends`` are the ends of the one scale that it has; None without one, or with several.
+    """
+
+    cells: NDArray[np.uint8]
+    key: NDArray[np.uint8]
+    ends: tuple[float, float] | None
+
+
+def screen(
+    ds: xr.Dataset,
+    kind: str,
+    size: tuple[int, int],
+    key_width: int,
+    *,
+    overlays: Sequence[str] = (),
+    variable: str | None = None,
+    log: bool = False,
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> Screen:
+    """Draw a map by the code that draws files, its cells on ``size`` (width, height) pixels, edge to edge.
+
+    Logarithmic axes are evenly spaced in the logarithm, however short. Other arguments and errors as in ``figure``.
+    """
+    from atlas.render import figure
+
+    width, height = size
+    whole, settings = width + key_width, house(SCALE)
+    with _drawing, mpl.rc_context(settings):  # type: ignore[arg-type]
+        drawn = Figure(figsize=(whole / DPI, height / DPI), dpi=DPI, facecolor="white")
+        canvas = FigureCanvasAgg(drawn)
+        area = (0.0, 0.0, width / whole, 1.0)
+        ax = drawn.add_axes(area)
+        look: Any = {"title": False, "vmin": vmin, "vmax": vmax}
+        figure(ds, kind, overlays=overlays, pixels=size, variable=variable, log=log, ax=ax, **look)
+        _bare(ax, ds)
+        ax.set_position(area)
+        bars = [each for each in drawn.axes if each is not ax]
+        low = _move_legend(drawn, ax, (width + GAP) / whole)
+        tall = 0.92 - low
+        for bar in bars:  # of the proportions that a bar with pointed ends insists on
+            bar.set_position(((width + GAP) / whole, low + 0.04, tall * height / BAR_ASPECT / whole, tall))
+        canvas.draw()
+        pixels = np.asarray(canvas.buffer_rgba())
+        low_end, high_end = bars[0].get_ylim() if len(bars) == 1 else (0.0, 0.0)
+    ends = (float(low_end), float(high_end)) if len(bars) == 1 else None
+    return Screen(pixels[:, :width].copy(), pixels[:, width:].copy(), ends)
+
+
+def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
+    """Put a plot's legend into the lower left of what is beside it, and return where it ends above."""
+    legend = ax.get_legend()
+    if legend is None:
+        return 0.0
+    handles: Any = legend.legend_handles
+    made = drawn.legend(
+        handles=handles,
+        labels=[text.get_text() for text in legend.get_texts()],
+        title=legend.get_title().get_text() or None,
+        alignment="left",
+        loc="lower left",
+        bbox_to_anchor=(left, 0.0),
+        borderaxespad=0.3,
+    )
+    legend.remove()
+    return float(made.get_window_extent().height / drawn.bbox.height)
+
+
+def _bare(ax: Axes, ds: xr.Dataset) -> None:
+    """Take away all of a plot but its area, and give it the scales of the screen."""
+    ax.set(title="", xlabel="", ylabel="")
+    x, y = axis_names(ds)
+    if not ax.get_images():  # an image fits even axes alone, on which a short logarithmic one does not differ
+        for name, change in ((x, ax.set_xscale), (y, ax.set_yscale)):
+            change("log" if is_log(ds, name) else "linear")
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    ax.xaxis.set_visible(False)
+    ax.yaxis.set_visible(False)

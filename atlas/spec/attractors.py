@@ -1,0 +1,67 @@
+"""The table ``[attractors]`` of a spec: from which initial states the attractors of each cell are sought."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from atlas.errors import InputError, check_names, shown
+from atlas.spec.axis import number
+from workers.model.system import System
+from workers.results import result_variables
+from workers.settings import Settings
+from workers.starts import Starts
+
+KEYS = ("starts", "seed", "box", "keep")
+MOST_COST = 2**31 - 1
+"""Forcing periods that a cell may cost in all, by the width of ``periods_used``."""
+
+
+def checked_attractors(given: object, record: System, settings: Settings) -> Starts | None:
+    """The initial states that a table asks for; InputError that names the key for what is wrong. None for None."""
+    if given is None:
+        return None
+    table: object = resolved_attractors(given) if isinstance(given, Starts) else given
+    if not isinstance(table, Mapping):
+        raise InputError(f"attractors: found {shown(table)}, must be a table")
+    check_names("key in attractors", table, KEYS)
+    if settings.method == "fixed":
+        raise InputError('attractors: need method = "adaptive", found "fixed"')
+    whole = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}
+    try:
+        made = Starts(**whole, box=_checked_box(table.get("box", {}), record))
+    except ValueError as error:
+        raise error if isinstance(error, InputError) else InputError(f"attractors.{error}") from None
+    each = settings.max_periods + settings.survival
+    if made.count * each > MOST_COST:
+        raise InputError(
+            f"attractors.starts: found {made.count}, of at most {each} periods each "
+            f"(solve.max_periods and survival); together they must be at most {MOST_COST}"
+        )
+    names = {variable.name for variable in result_variables(settings, attractors=True)}
+    taken = next((p.name for p in record.parameters if p.name in names), None)
+    if taken is not None:
+        raise InputError(f"attractors: this system has a parameter named {taken}, as a result is; rename it")
+    return made
+
+
+def resolved_attractors(starts: Starts) -> dict[str, Any]:
+    """The table as plain JSON."""
+    box = {name: [low, high] for name, low, high in starts.box}
+    return {"starts": starts.count, "seed": starts.seed, "box": box, "keep": starts.keep}
+
+
+def _checked_box(given: object, record: System) -> tuple[tuple[str, float, float], ...]:
+    if not isinstance(given, Mapping):
+        raise InputError(f"attractors.box: found {shown(given)}, must be a table of components of the initial state")
+    check_names("component in attractors.box", given, record.states)
+    found = []
+    for name in record.states:
+        if name not in given:
+            continue
+        ends = given[name]
+        if not isinstance(ends, list | tuple) or len(ends) != 2:
+            raise InputError(f"attractors.box.{name}: found {shown(ends)}, must be two numbers, lowest and highest")
+        low, high = (number(f"attractors.box.{name}", end) for end in ends)
+        if not low <= high:
+            raise InputError(f"attractors.box.{name}: found {low:g} to {high:g}, must rise")
+        found.append((name, low, high))
+    return tuple(found)

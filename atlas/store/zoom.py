@@ -1,0 +1,99 @@
+"""What was explored and is kept: the group ``zoom`` of a store, beside its arrays.
+
+``zoom/PLANE/SHEET`` is a store of its own within the store: a block of a level's cells with their own spec, digest and
+commit rule, so that whatever reads an atlas reads it. Sheets are written by explorers under the store's claim.
+"""
+
+import json
+import shutil
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+from atlas.store.archive import ZipPlace
+from atlas.store.location import LocalPlace, ObjectPlace, Place
+from atlas.store.store import ROOT, ZOOM, Header
+from workers.results import REGIME
+
+_SEEN = "seen"
+FILE_BLOCK = 4096
+"""Bytes that an object takes at least, where nobody tells its size."""
+
+
+def sheet_place(header: Header, plane: str, sheet: str) -> Place:
+    """Where a sheet of a plane lies, made or not; ValueError for a store that cannot have any."""
+    place, key = header.place, f"{ZOOM}/{plane}/{sheet}"
+    if isinstance(place, LocalPlace):
+        return LocalPlace(place.path / key)
+    if isinstance(place, ObjectPlace):
+        return replace(place, url=f"{place.url}/{key}")
+    raise ValueError(f"{place}: nothing can be kept in a packed store")
+
+
+def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
+    """Make the group of a plane, and the group of all planes, where there are none."""
+    about = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
+    for key, attributes in ((ZOOM, about), (f"{ZOOM}/{plane}", dict(described))):
+        group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+        if not header.place.exists(f"{key}/{ROOT}"):
+            header.place.put_new(f"{key}/{ROOT}", json.dumps(group).encode())
+
+
+def sheets(header: Header) -> list[tuple[str, str]]:
+    """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
+    if isinstance(header.place, ZipPlace):
+        return []
+    parts = [key.split("/") for key in _roots(header)]
+    return sorted((each[1], each[2]) for each in parts)
+
+
+def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
+    """The bytes of a sheet on its disk, in whole blocks; at a URL, at least so many."""
+    total = 0
+    for key in header.place.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
+        size = 1
+        if header.place.local is not None:
+            with suppress(FileNotFoundError):
+                size = (header.place.local / key).stat().st_size
+        total += -(-size // FILE_BLOCK) * FILE_BLOCK
+    return total
+
+
+def seen_sheets(header: Header) -> dict[tuple[str, str], float]:
+    """When each sheet was looked at last, in seconds since 1970, as far as it was noted."""
+    found: dict[tuple[str, str], float] = {}
+    for plane in {plane for plane, _ in sheets(header)}:
+        group = json.loads(header.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
+        noted = group.get("attributes", {}).get(_SEEN, {})
+        found |= {(plane, sheet): float(when) for sheet, when in noted.items()}
+    return found
+
+
+def note_seen(header: Header, seen: Mapping[tuple[str, str], float]) -> None:
+    """Note when sheets were looked at last. For the claim's holder only."""
+    for plane in {plane for plane, _ in seen}:
+        key = f"{ZOOM}/{plane}/{ROOT}"
+        group = json.loads(header.place.get(key) or b"{}")
+        noted = {sheet: when for (of, sheet), when in seen.items() if of == plane}
+        if group and group["attributes"].get(_SEEN) != noted:
+            group["attributes"][_SEEN] = noted
+            header.place.put(key, json.dumps(group).encode())
+
+
+def drop_sheet(header: Header, plane: str, sheet: str) -> None:
+    """Remove a sheet: first what says that its tiles are done, so that a kill leaves none that lacks something."""
+    root = f"{ZOOM}/{plane}/{sheet}/"
+    keys = sorted(header.place.list_keys(root), key=lambda key: (f"/{REGIME.name}/c/" not in key, key.endswith(ROOT)))
+    for key in keys:
+        header.place.remove(key)
+    if header.place.local is not None:
+        shutil.rmtree(header.place.local / root, ignore_errors=True)
+
+
+def _roots(header: Header) -> list[str]:
+    """The keys of the roots of all sheets; on a disk without a look at what lies in them."""
+    local = header.place.local
+    if local is not None:
+        return [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
+    return [key for key in header.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]

@@ -1,0 +1,102 @@
+"""The last step of an atlas of basins: labels of attractors that the reference set missed, and the table of all."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.store.basins import Column, has_table, write_table
+from atlas.store.schema import DIMENSIONS, variable_attributes
+from atlas.store.store import Header, done_tiles
+from atlas.store.tiles import read_tile, write_tile
+from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL, result_variables
+from workers.starts import wilson
+
+if TYPE_CHECKING:
+    from workers.basins import Table
+
+POINTS = 256
+"""Section states of each attractor in the table."""
+
+
+def complete_basins(header: Header) -> None:
+    """Give every initial state its last label, and write the table of the attractors.
+
+    Cells are gone through in the order of the plane, so that neither the tiles nor the workers, nor an interruption,
+    decide a label. Nothing is done while tiles are missing, or where all of it is done.
+    """
+    from workers.basins import Table, added, fixed_values
+
+    spec, tiles = header.spec, sorted(done_tiles(header))
+    if len(tiles) < header.tiling.count:
+        return
+    labels = np.full(spec.shape, UNKNOWN_LABEL, dtype=np.int64)
+    for index in tiles:
+        labels[header.tiling.at(index).slices] = read_tile(header, index, [LABEL.name])[LABEL.name]
+    if has_table(header) and not (labels == BEYOND_TABLE).any():
+        return
+    assert spec.attractors is not None
+    params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
+    defaults = {p.name: p.default for p in spec.record.parameters}
+    values = fixed_values(spec.record, defaults | params)
+    table = Table(spec.record, values, spec.settings, spec.attractors)
+    beyond = (labels == BEYOND_TABLE) | (labels >= len(table.attractors))
+    if beyond.any():
+        labels[beyond] = added(table, _states(header, tiles, beyond))
+        for index in tiles:
+            part = header.tiling.at(index).slices
+            if beyond[part].any():
+                arrays = read_tile(header, index)
+                arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
+                write_tile(header, index, arrays)
+    solved = np.concatenate([_solved(header, index) for index in tiles])
+    write_table(header, _columns(header, table, labels, int(solved.sum())))
+
+
+def _states(header: Header, tiles: list[tuple[int, ...]], wanted: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The states on their attractors of these cells, in the order of the plane."""
+    states = np.full((*wanted.shape, len(header.spec.record.states)), np.nan)
+    for index in tiles:
+        part = header.tiling.at(index).slices
+        if wanted[part].any():
+            states[part] = read_tile(header, index, ["state"])["state"]
+    return states[wanted]
+
+
+def _solved(header: Header, index: tuple[int, ...]) -> NDArray[np.bool_]:
+    return np.ravel(read_tile(header, index, [REGIME.name])[REGIME.name] != INVALID)
+
+
+def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: int) -> Mapping[str, Column]:
+    """The table's variables. Shares are of the initial states of the plane that are not beyond a stop."""
+    from workers.basins import section_points
+
+    count = len(table.attractors)
+    hits = np.array([np.count_nonzero(labels == k) for k in range(count)], dtype=np.int64)
+    low, high = wilson(hits, max(solved, 1))
+    mirror = table.mirrors().astype(np.int32)
+    cells = _described("initial states of the plane that reach it")
+    made = {
+        "cells": Column((ATTRACTOR,), hits, cells),
+        "share": Column((ATTRACTOR,), hits / max(solved, 1), _described("share of the plane that reaches it")),
+        "share_low": Column((ATTRACTOR,), low, _described("lower end of the 95 % Wilson interval of the share")),
+        "share_high": Column((ATTRACTOR,), high, _described("upper end of the 95 % Wilson interval of the share")),
+        "mirror": Column((ATTRACTOR,), mirror, _described("label of its mirror image; itself where symmetric; or -1")),
+        "points": Column(
+            (ATTRACTOR, "point", DIMENSIONS["state"]),
+            section_points(table, POINTS),
+            _described("section states; of an orbit each once"),
+        ),
+    }
+    for variable in result_variables(table.settings):
+        values: list[Any] = [each.result[variable.name] for each in table.attractors]
+        dims = (ATTRACTOR, *(DIMENSIONS.get(dim, dim) for dim in variable.extra))
+        shape = np.shape(values[0]) if values else tuple(0 for _ in variable.extra)
+        array = np.array(values, dtype=variable.dtype).reshape(count, *shape)
+        made[variable.name] = Column(dims, array, variable_attributes(variable, []))
+    return made
+
+
+def _described(meaning: str) -> dict[str, Any]:
+    return {"long_name": meaning, "units": "1"}

@@ -1,0 +1,56 @@
+"""A patch: cells of a grid of two parameters that somebody is looking at, solved and handed back."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.task.compile import compile_once
+from atlas.task.task import check_solver
+from workers import SOLVER_VERSION, Settings
+from workers.model.system import System
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What is to be solved. All that crosses the scheduler; ``solve_patch`` redoes it by hand.
+
+    x, y    the name of an axis and the values of the grid along it
+    wanted  which cells (y, x) are to be solved, as numpy.packbits packs them; empty for all
+    """
+
+    system: System
+    parameters: Mapping[str, float]
+    settings: Settings
+    x: tuple[str, tuple[float, ...]]
+    y: tuple[str, tuple[float, ...]]
+    wanted: bytes = b""
+    solver_version: int = SOLVER_VERSION
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """The cells (y, x) to be solved."""
+        shape = len(self.y[1]), len(self.x[1])
+        if not self.wanted:
+            return np.ones(shape, dtype=bool)
+        bits = np.frombuffer(self.wanted, dtype=np.uint8)
+        return np.unpackbits(bits, count=shape[0] * shape[1]).reshape(shape).astype(bool)
+
+
+def packed(mask: NDArray[np.bool_]) -> bytes:
+    """The cells of a mask as a patch has them."""
+    return b"" if mask.all() else np.packbits(mask).tobytes()
+
+
+def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
+    """Results of the wanted cells, row by row in arrays (N, ...); RefusedError where this worker has another solver."""
+    from workers.tile import solve_tile
+
+    check_solver(patch.solver_version)
+    compile_once(patch.settings)
+    rows, columns = np.nonzero(patch.mask)
+    (x, across), (y, up) = patch.x, patch.y
+    cells: dict[str, Any] = {**patch.parameters, x: np.array(across)[columns], y: np.array(up)[rows]}
+    return solve_tile(patch.system, cells, patch.settings)

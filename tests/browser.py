@@ -1,0 +1,115 @@
+"""A page of the explorer in Debian's chromium, driven by Playwright; tests skip where there is none, outside CI."""
+
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+WHY = "needs chromium: apt-get install -y chromium"
+
+
+def needs_browser() -> None:
+    """Skip where there is no chromium; fail in CI, where there has to be one."""
+    if CHROMIUM is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(WHY)
+
+
+class Tab:
+    """A tab: what the browser complained of, which hosts it asked, and the state of the page's models."""
+
+    def __init__(self, page: Any) -> None:
+        self.page, self.complaints, self.hosts = page, [], set()
+        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
+
+    def image(self) -> list[float] | None:
+        """The window (x, y, width, height) that the picture fills; None while there is none."""
+        found = self.page.evaluate(
+            """() => {
+                if (!window.Bokeh || !Bokeh.documents.length) return null
+                for (const model of Bokeh.documents[0]._all_models.values())
+                    if (model.type === "ColumnDataSource" && model.data.image && model.data.image.length)
+                        return ["x", "y", "dw", "dh"].map((name) => model.data[name][0])
+                return null
+            }"""
+        )
+        return found if found is None else list(found)
+
+    def text(self) -> str:
+        """All that stands on the page."""
+        return str(
+            self.page.evaluate(
+                """() => {
+                    const read = (node) => node.nodeType === 3 ? node.textContent
+                        : [...(node.shadowRoot ? node.shadowRoot.childNodes : []), ...node.childNodes]
+                            .filter((each) => !["STYLE", "SCRIPT"].includes(each.nodeName)).map(read).join(" ")
+                    return read(document.body)
+                }"""
+            )
+        )
+
+    def plot(self) -> tuple[float, float, float, float]:
+        """The plot area in pixels of the tab: left, top, width, height."""
+        box = self.page.evaluate(
+            """() => {
+                const view = [...Bokeh.index.roots].map(function find(view) {
+                    if (view.model.type === "Figure") return view
+                    for (const child of view.child_views || []) { const found = find(child); if (found) return found }
+                    return null
+                }).filter(Boolean)[0]
+                const inner = view.frame.bbox, box = view.el.getBoundingClientRect()
+                return [box.left + inner.left, box.top + inner.top, inner.width, inner.height]
+            }"""
+        )
+        left, top, width, height = box
+        return left, top, width, height
+
+    def wheel(self, times: int, at: tuple[float, float] = (0.3, 0.6)) -> None:
+        """Turn the wheel so often, at once, over a point of the plane, given as shares of its width and height."""
+        left, top, width, height = self.plot()
+        self.page.evaluate(
+            """([x, y, times]) => {
+                let node = document.elementFromPoint(x, y)
+                for (let inner = node; inner; node = inner || node) {
+                    inner = node.shadowRoot && node.shadowRoot.elementFromPoint(x, y)
+                    if (!inner || inner === node) break
+                    node = inner
+                }
+                for (let k = 0; k < times; k++)
+                    node.dispatchEvent(new WheelEvent("wheel",
+                        {clientX: x, clientY: y, deltaY: -120, bubbles: true, composed: true, cancelable: true}))
+            }""",
+            [left + at[0] * width, top + at[1] * height, times],
+        )
+
+    def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+        """What a condition gives, once it is true; fails after so many seconds."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            found = condition()
+            if found:
+                return found
+            time.sleep(0.1)
+        raise AssertionError(f"not within {seconds:g} s; the page says: {self.text()[-600:]}")
+
+
+@contextmanager
+def opened(url: str, width: int = 1000, height: int = 440) -> Iterator[Tab]:
+    """A tab that shows an address."""
+    needs_browser()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        try:
+            tab = Tab(browser.new_context(viewport={"width": width, "height": height}).new_page())
+            tab.page.goto(url)
+            yield tab
+        finally:
+            browser.close()

@@ -1,0 +1,231 @@
+"""What an explorer solves, keeps and finds again, without a page."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from distributed import Client
+
+import atlas
+from atlas.explore.explorer import Explorer
+from atlas.explore.kept import Keeper, SheetKey
+from atlas.explore.subject import Plane, Subject, subject_of
+from atlas.explore.view import TILE, Sight, TileKey, View
+from atlas.service.lease import claimed
+from atlas.store.sidecar import notes_of
+from atlas.store.store import read_header
+from atlas.store.zoom import sheet_place, sheets
+from atlas.task.patch import solve_patch
+from workers.results import PENDING, REGIME
+
+
+def waited(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
+    """Whether a condition holds within so many seconds."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def view_of(subject: Subject, pixels: int = 40) -> Sight:
+    """A window within the plane, a few tiles of it."""
+    (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
+    window = (float(x[1]), float(x[3])), (float(y[1]), float(y[3]))
+    return Sight.of(View(*window, pixels, pixels), subject.x, subject.y)
+
+
+@contextmanager
+def exploring(store: Path | str, client: Client, **options: object) -> Iterator[Explorer]:
+    """An explorer of a store whose cells are solved on a client."""
+
+    @contextmanager
+    def connect() -> Iterator[Client]:
+        yield client
+
+    made = Explorer(subject_of(str(store)), connect, **options)  # type: ignore[arg-type]
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def solved(explorer: Explorer, sight: Sight, plane: Plane | None = None) -> list[TileKey]:
+    """Have a view solved, and return the tiles in the order in which they came."""
+    came: list[TileKey] = []
+    plane = plane or explorer.subject.plane
+    explorer.listen("test", lambda _, key: came.append(key))
+    explorer.look(plane, sight, ["largest"])
+    explorer.want("test", plane, sight, range(3, -1, -1))
+    assert waited(lambda: explorer.patches.left("test") == 0)
+    explorer.listen("test", None)
+    return came
+
+
+def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_bit(
+    finished: Path, client: Client
+) -> None:
+    with exploring(finished, client) as explorer:
+        subject, sight = explorer.subject, view_of(explorer.subject)
+        solved(explorer, sight)
+        ds = explorer.seen(subject.plane, sight, ["largest"])
+        assert not np.any(ds[REGIME.name].values == PENDING)
+        cell = explorer.cell(subject.plane, sight, 2.4012345, 0.21)
+    assert cell is not None
+    alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)
+    same = {name: value for name, value in cell.results.items() if name in alone and name not in subject.spec.dims}
+    assert len(same) > 15
+    assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
+
+
+def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject, 150)
+        came = solved(explorer, sight)
+        again = solved(explorer, sight)
+    assert len(set(came)) == len(came) and not again
+    middle = [sum(key[:2]) for key in came]
+    assert np.mean(middle[: len(middle) // 3]) < np.mean(middle[-len(middle) // 3 :])
+
+
+def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        solved(explorer, sight)
+        first = explorer.seen(explorer.subject.plane, sight, ["largest", "period"])
+    with exploring(finished, client) as explorer:
+        assert solved(explorer, sight) == []
+        explorer.look(explorer.subject.plane, sight, ["largest", "period"])
+        second = explorer.seen(explorer.subject.plane, sight, ["largest", "period"])
+    assert first.identical(second)
+
+
+def test_kept_cells_leave_the_atlas_as_it_was_and_are_verified_with_it(finished: Path, client: Client) -> None:
+    before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
+    with exploring(finished, client) as explorer:
+        solved(explorer, view_of(explorer.subject))
+    assert all(path.read_bytes() == content for path, content in before.items())
+    report = atlas.verify(finished)
+    assert report.fine and report.sheets > 0
+
+
+def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explorer(
+    finished: Path, client: Client
+) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        solved(explorer, sight)
+    (chunk, *_) = sorted((finished / "zoom").glob(f"*/x{sight.level_x}_*/largest/c/*/*"))
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
+    report = atlas.verify(finished, sample=0)
+    assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
+    with exploring(finished, client) as explorer:
+        assert len(solved(explorer, sight)) > 0
+        assert not np.any(explorer.seen(explorer.subject.plane, sight, ["largest"])[REGIME.name].values == PENDING)
+
+
+def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        solved(explorer, view_of(explorer.subject))
+    header = read_header(finished)
+    for plane, sheet in sheets(header):
+        ds = xr.open_zarr(finished / "zoom" / plane / sheet)
+        done = ds[REGIME.name].values != PENDING
+        assert done.any() and np.isfinite(ds.periods_used.values[done]).all()
+        assert read_header(sheet_place(header, plane, sheet)).spec.settings == explorer.subject.settings
+
+
+def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject, sight = explorer.subject, view_of(explorer.subject)
+        plane = subject.moved(subject.plane, "R", 0.71)
+        solved(explorer, sight, plane)
+        assert not (finished / "zoom").exists()
+        explorer.keep_plane(plane)
+    assert {name for name, _ in sheets(read_header(finished))} == {subject.digest(plane)[:16]}
+
+
+def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        with claimed(notes_of(finished), str(finished)):
+            solved(explorer, view_of(explorer.subject))
+            assert waited(lambda: "kept later" in explorer.keeper.trouble)
+            assert not (finished / "zoom").exists()
+        assert waited(lambda: explorer.keeper.trouble == "" and (finished / "zoom").exists())
+
+
+def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as one, exploring(finished, client) as other:
+        sight = view_of(one.subject)
+        threads = [threading.Thread(target=solved, args=(each, sight)) for each in (one, other)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert waited(lambda: (finished / "zoom").exists())
+    assert atlas.verify(finished).fine
+
+
+def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Client, tmp_path: Path) -> None:
+    atlas.pack(finished, tmp_path / "packed.zip")
+    with exploring(tmp_path / "packed.zip", client) as explorer:
+        sight = view_of(explorer.subject)
+        assert solved(explorer, sight) and "read only" in explorer.keeper.trouble
+
+
+def test_a_store_that_cannot_be_written_is_explored_without_keeping(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(30, "Read-only file system")
+
+    monkeypatch.setattr("atlas.store.sidecar.Folder.put", refuse)
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        assert solved(explorer, sight)
+        assert waited(lambda: "cannot be written" in explorer.keeper.trouble)
+        assert explorer.keeper.header is None
+
+
+def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path, client: Client) -> None:
+    subject = subject_of(str(finished))
+    arrays = solve_patch(subject.patch(subject.plane, TileKey(0, 0, 0, 0)))
+    tile = {name: array.reshape((TILE, TILE, *array.shape[1:])) for name, array in arrays.items()}
+    keys = [TileKey(level, level, 0, 0) for level in (2, 3, 4)]
+    for k, key in enumerate(keys):
+        keeper = Keeper(subject, most_bytes=1)
+        keeper.offer(subject.plane, key, tile)
+        keeper.stop()
+        assert keeper.trouble == ""
+        if k == 0:
+            assert len(sheets(read_header(finished))) == 1  # what was just looked at is never dropped
+    keeper = Keeper(subject, most_bytes=1, recent=0.0)
+    keeper.offer(subject.plane, TileKey(5, 5, 0, 0), tile)
+    keeper.stop()
+    kept = [sheet for _, sheet in sheets(read_header(finished))]
+    assert kept in ([], [SheetKey(5, 5, 0, 0).name])
+
+
+def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject, 600)
+        explorer.listen("page", lambda *_: None)
+        assert explorer.want("page", explorer.subject.plane, sight, range(3, -1, -1)) > 100
+        explorer.listen("page", None)
+        assert explorer.patches.left("page") == 0
+
+
+def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject = explorer.subject
+        sight = Sight.of(View((2.0, 3.0), (-0.1, 0.1), 30, 30), subject.x, subject.y)
+        solved(explorer, sight)
+        ds = explorer.seen(subject.plane, sight, [])
+        assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
+    assert atlas.verify(finished).fine

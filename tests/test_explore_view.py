@@ -1,0 +1,265 @@
+"""What an explorer looks at: levels of an axis, tiles of a view, the cells in view as a dataset; nothing is solved."""
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas.errors import InputError
+from atlas.explore.chosen import beginning, from_address, kinds, to_address
+from atlas.explore.compose import composed
+from atlas.explore.explorer import below
+from atlas.explore.lattice import Lattice
+from atlas.explore.subject import Plane, Subject, exploring, subject_of
+from atlas.explore.tiles import Tiles
+from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
+from atlas.explore.words import plain, ticks
+from atlas.spec.axis import Axis
+from atlas.spec.toml_text import spec_toml
+from workers.results import PENDING, REGIME, empty_results, result_variables
+
+LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
+LOG = Lattice(Axis("b", tuple(np.geomspace(0.01, 1.0, 51).tolist()), "log"))
+UNEVEN = Lattice(Axis("omega", (1.0, 1.5, 3.0, 3.1)))
+each = pytest.mark.parametrize("lattice", [LINEAR, LOG, UNEVEN], ids=["linear", "log", "uneven"])
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    spec = atlas.Spec(
+        "two-mass", {"omega": {"start": 2, "stop": 4, "num": 101}, "b": {"start": 0.1, "stop": 0.5, "num": 81}}
+    )
+    return Subject(spec, exploring(spec.settings))
+
+
+@each
+def test_points_of_level_zero_are_those_of_the_axis_to_the_bit(lattice: Lattice) -> None:
+    index = np.arange(len(lattice.axis))
+    assert lattice.values(0, index).tolist() == list(lattice.axis.values)
+
+
+@each
+@pytest.mark.parametrize("level", [0, 1, 7, 20])
+def test_a_point_has_the_same_bits_at_the_next_level(lattice: Lattice, level: int) -> None:
+    index = np.arange(-50, 200, dtype=np.int64) * 3
+    assert lattice.values(level, index).tolist() == lattice.values(level + 1, 2 * index).tolist()
+
+
+@each
+@pytest.mark.parametrize("level", [0, 3, 20, "deepest"])
+def test_points_rise_strictly_at_every_level(lattice: Lattice, level: int | str) -> None:
+    depth = lattice.deepest if level == "deepest" else int(level)
+    middle = (len(lattice.axis) - 2) << depth
+    values = lattice.values(depth, np.arange(middle - 40, middle + 40, dtype=np.int64))
+    assert np.all(np.diff(values) > 0)
+
+
+@each
+def test_positions_are_the_inverse_of_values_to_a_thousandth_of_a_cell_a_million_times_deeper(lattice: Lattice) -> None:
+    index = (np.int64(1) << 20) + np.arange(100, dtype=np.int64)
+    assert np.abs(lattice.positions(lattice.values(20, index)) * 2.0**20 - index).max() < 1e-3
+
+
+def test_cells_in_view_are_between_one_and_two_pixels_wide() -> None:
+    for pixels in (100, 333, 640, 1000):
+        cells = 100 * 2.0 ** LINEAR.level(2.0, 4.0, pixels)
+        assert 0.84 <= pixels / cells <= 2.0
+
+
+def test_an_axis_of_one_point_cannot_be_explored() -> None:
+    with pytest.raises(InputError, match="axis omega has one point; to be explored it needs two or more"):
+        Lattice(Axis("omega", (1.0,)))
+
+
+def test_tiles_come_coarse_levels_first_and_each_from_the_centre_out(subject: Subject) -> None:
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 640, 480), subject.x, subject.y)
+    wanted = list(sight.wanted())
+    levels = [key.level_x for key in wanted]
+    assert levels == sorted(levels) and len(set(levels)) == STAGES + 1
+    finest = [key for key in wanted if key.level_x == sight.level_x]
+    middle = 0.5 * (sight.first_x + sight.last_x), 0.5 * (sight.first_y + sight.last_y)
+    width, height = sight.index_x.size, sight.index_y.size
+    away = [
+        np.hypot(((k.x + 0.5) * TILE - middle[0]) / width, ((k.y + 0.5) * TILE - middle[1]) / height) for k in finest
+    ]
+    assert away == sorted(away)
+
+
+def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject) -> None:
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 640, 480), subject.x, subject.y)
+    for stage in range(STAGES + 1):
+        covered = np.zeros((sight.index_y.size, sight.index_x.size), int)
+        for key in sight.tiles(stage):
+            covered[sight.place(key)] += 1
+        assert np.all(covered == 1)
+
+
+def test_the_tile_above_has_every_fourth_cell_of_a_tile() -> None:
+    for key in (TileKey(3, 2, 5, -4), TileKey(1, 1, -1, 0)):
+        rows, columns = key.quarter
+        assert np.array_equal(2 * key.above.index_x()[columns], key.index_x()[::2])
+        assert np.array_equal(2 * key.above.index_y()[rows], key.index_y()[::2])
+        assert key in below(key.above)
+
+
+def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray]:
+    sizes = {"exponent": 4, "state": 4, "sample": 0}
+    arrays = empty_results(result_variables(subject.settings), (TILE, TILE), sizes)
+    arrays["largest"][:] = value
+    arrays[REGIME.name][:] = 3
+    return arrays
+
+
+def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 300, 200), subject.x, subject.y)
+    coarse, fine = sight.tiles(2)[0], sight.tiles(0)[0]
+    tiles = Tiles()
+    for key, value in ((fine, 1.0), (coarse, 4.0)):
+        tiles.put(subject.plane, key, filled(subject, key, value))
+    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
+    expected = np.full((sight.index_y.size, sight.index_x.size), np.nan)
+    expected[sight.place(coarse)] = 4.0
+    expected[sight.place(fine)] = 1.0
+    assert np.array_equal(ds.largest.values, expected, equal_nan=True)
+    assert np.array_equal(ds.regime.values == PENDING, np.isnan(expected))
+
+
+def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Subject) -> None:
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 300, 200), subject.x, subject.y)
+    key = sight.tiles(1)[0]
+    arrays = filled(subject, key, 0.0)
+    arrays["largest"] += subject.x.values(key.level_x, key.index_x())
+    tiles = Tiles()
+    tiles.put(subject.plane, key, arrays)
+    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"])
+    off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
+    assert off.max() <= 1.0 + 1e-6
+
+
+def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject) -> None:
+    keys = [TileKey(0, 0, i, 0) for i in range(4)]
+    arrays = filled(subject, keys[0], 0.0)
+    tiles = Tiles(3 * sum(array.nbytes for array in arrays.values()))
+    for key in keys[:3]:
+        tiles.put(subject.plane, key, arrays)
+    tiles.get(subject.plane, keys[0])
+    tiles.put(subject.plane, keys[3], arrays)
+    assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
+
+
+def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
+    from urllib.parse import parse_qs
+
+    given = {"omega": [b"2.5:2.75"], "b": [b"0.2:0.21"], "kind": [b"scalar"], "variable": [b"peak_to_peak"],
+             "log": [b"1"], "overlay": [b"grazing,isolines"], "vmin": [b"0.1"], "R": [b"0.75"]}  # fmt: skip
+    chosen = from_address(subject, given)
+    again = {name: [text.encode() for text in texts] for name, texts in parse_qs(to_address(subject, chosen)).items()}
+    assert from_address(subject, again) == chosen
+    assert chosen.plane == subject.plane.moved("R", 0.75)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"omega": [b"3:2"]}, "omega: found '3:2', must be LOW:HIGH"),
+        ({"R": [b"1.5"]}, "R = 1.5: must satisfy 0 <= R <= 1"),
+        ({"kind": [b"sweep"]}, "kind: found 'sweep'; possible: exponent"),
+        ({"overlay": [b"stars"]}, "overlay: found 'stars'; possible: grazing"),
+    ],
+)
+def test_an_address_that_asks_for_what_there_is_not_is_refused(
+    subject: Subject, given: dict[str, list[bytes]], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        from_address(subject, given)
+
+
+def test_without_exponents_the_kinds_that_need_them_are_not_offered() -> None:
+    spec = atlas.Spec("two-mass", {"omega": [1.0, 2.0], "b": [0.1, 0.2]}, solve={"exponents": "none"})
+    offered = kinds(Subject(spec, exploring(spec.settings)))
+    assert "exponent" not in offered and beginning(Subject(spec, spec.settings)).kind == "period"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("fig6", "explore shows a plane, found one axis"), ("omega-c", "no such file, and unknown example 'omega-c'")],
+)
+def test_what_is_no_plane_is_refused(name: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        subject_of(name)
+
+
+def test_planes_that_differ_in_a_parameter_or_in_how_they_are_solved_have_digests_of_their_own(
+    subject: Subject,
+) -> None:
+    finer = Subject(subject.spec, exploring(subject.spec.settings, tolerance=0.1))
+    planes = [subject.digest(subject.plane), subject.digest(subject.plane.moved("R", 0.7)), finer.digest(subject.plane)]
+    assert len(set(planes)) == 3
+
+
+def test_symbols_of_mathtext_are_written_in_unicode() -> None:
+    assert [plain(text) for text in (r"\mu_m", r"\dot x_1(0)", "f_2", r"x_{12}", "R")] == [
+        "μₘ",
+        "ẋ₁(0)",
+        "f₂",
+        "x₁₂",
+        "R",
+    ]
+
+
+def test_ticks_of_a_window_a_million_times_smaller_count_from_a_round_number(subject: Subject) -> None:
+    low, high = 2.9941234567, 2.9941234567 + 3.5e-6
+    found = ticks(subject, "omega", low, high)
+    assert low - 1e-5 < found.base < high + 1e-5 and len(repr(found.base)) <= 9
+    assert found.unit == 1e-6 and "distance from 2.99412" in found.label
+    value = low + 1e-6
+    assert abs((value - found.base) / found.unit * found.unit + found.base - value) <= np.spacing(value)
+
+
+def test_the_text_of_a_spec_is_read_as_that_spec() -> None:
+    from atlas.spec.spec import Spec
+    from workers.model.toml_text import parse_toml
+
+    axes = {
+        "omega": {"start": 2.0, "stop": 4.0, "num": 9, "scale": "linear"},
+        "b": {"start": 0.1, "stop": 1.0, "num": 5, "scale": "log"},
+    }
+    for system in ("two-mass", "bouncing-ball"):
+        record = atlas.Spec(system, {"omega": [1.0, 2.0], "R": [0.5, 0.6]}).record
+        sides = axes if system == "two-mass" else {"omega": axes["omega"], "A": axes["b"]}
+        made = atlas.Spec(record, sides, {"R": 0.7}, atlas.Settings(tolerance=0.02))
+        text = spec_toml(record, made.parameters, sides, made.settings)
+        assert Spec.from_mapping(parse_toml(text)).digest == made.digest
+
+
+def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None:
+    from dataclasses import replace
+
+    from atlas.spec.spec import Spec
+    from workers.model.toml_text import parse_toml
+
+    record = replace(atlas.Spec("two-mass", {"omega": [1.0, 2.0]}).record, packaged=False, name="mine")
+    sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
+    made = atlas.Spec(record, sides)
+    assert Spec.from_mapping(parse_toml(spec_toml(record, made.parameters, sides, made.settings))).digest == made.digest
+
+
+def test_a_plane_is_told_by_its_parameters_alone() -> None:
+    assert Plane.of({"R": 0.8, "tau": 1.0}) == Plane((("R", 0.8), ("tau", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["fig6"], "explore shows a plane, found one axis"),
+        (["omega-b", "--select", "R=0.7"], "--select picks a plane of a stack, found a plane of b, omega"),
+        (["omega-b", "--tolerance", "0"], "tolerance: found 0.0, must be a number > 0"),
+        (["omega-b", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give one of the two"),
+    ],
+)
+def test_the_command_refuses_in_one_line_what_cannot_be_explored(words: list[str], message: str) -> None:
+    from click.testing import CliRunner
+
+    from atlas.cli.main import main
+
+    shown = CliRunner().invoke(main, ["explore", "--no-browser", *words])
+    assert shown.exit_code == 2 and message in shown.stderr.splitlines()[-1]

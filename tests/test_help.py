@@ -1,0 +1,87 @@
+"""Claims about what the command says of itself: whole summaries, an example for each command, kinds with meanings."""
+
+import shlex
+from dataclasses import fields
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from atlas.cli.main import main
+from atlas.cli.options import SETTING_MEANINGS
+from atlas.render import KINDS, OVERLAYS, SCALAR
+from atlas.render.meanings import KIND_MEANINGS, OVERLAY_MEANINGS
+from atlas.spec.spec import Spec, example_names
+from tests.test_docs import parse
+from workers import Settings
+
+
+def shown(*words: str) -> str:
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def examples(text: str) -> list[str]:
+    """The lines to type in a help."""
+    return [line.strip() for line in text.partition("Examples:")[2].splitlines() if line.strip()]
+
+
+def test_the_summary_of_no_command_is_cut() -> None:
+    listed = shown("--help")
+    assert "..." not in listed.replace("[ARGS]...", "")
+    assert all(f"\n  {name} " in listed for name in main.commands)
+
+
+@pytest.mark.parametrize("name", main.commands)
+def test_the_help_of_a_command_ends_with_lines_that_can_be_typed(name: str) -> None:
+    lines = examples(shown(name, "--help"))
+    assert lines
+    for line in lines:
+        words = shlex.split(line.partition(">")[0])
+        assert words[:2] == ["atlas", name]
+        parse(words[1:])
+
+
+@pytest.mark.parametrize("name", main.commands)
+def test_every_option_of_a_command_says_what_it_does(name: str) -> None:
+    options = [each for each in main.commands[name].params if isinstance(each, click.Option)]
+    assert not [each.name for each in options if not each.help]
+
+
+def test_every_kind_and_overlay_has_a_meaning_in_the_help() -> None:
+    assert sorted(KIND_MEANINGS) == sorted((*KINDS, SCALAR))
+    assert sorted(OVERLAY_MEANINGS) == sorted(OVERLAYS)
+    listed = shown("render", "--help")
+    assert all(meaning in listed for meaning in [*KIND_MEANINGS.values(), *OVERLAY_MEANINGS.values()])
+
+
+def test_every_setting_has_a_meaning() -> None:
+    assert [*SETTING_MEANINGS] == [field.name for field in fields(Settings)]
+
+
+@pytest.mark.parametrize("name", example_names())
+def test_an_example_that_is_printed_is_the_spec_of_its_name(name: str, tmp_path: Path) -> None:
+    (tmp_path / "copy.toml").write_text(shown("example", name))
+    assert Spec.from_toml(tmp_path / "copy.toml").digest == Spec.from_toml(name).digest
+
+
+def test_without_a_name_the_examples_are_listed() -> None:
+    listed = shown("example")
+    assert all(f"\n{name} " in listed for name in example_names())
+
+
+def test_an_unknown_example_is_answered_with_the_nearest() -> None:
+    result = CliRunner().invoke(main, ["example", "tinny"])
+    assert (result.exit_code, result.output) == (2, "Error: unknown example 'tinny'; did you mean 'tiny'?\n")
+
+
+def test_a_table_is_as_wide_as_it_needs_to_be_where_a_notebook_asks_for_colours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    listed = shown("systems", "two-mass")
+    assert "\x1b" not in listed and "…" not in listed
+    assert "clearance: half the gap between the stops" in listed

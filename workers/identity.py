@@ -1,0 +1,160 @@
+"""Which known attractor a motion falls into: exactly where that is an orbit, by statistics where it is not.
+
+An orbit is known by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into it
+where a section state h of it lies near h* and what J does not explain of the next p periods is less than half of the
+contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|: the test by which an orbit itself is accepted, see
+``orbit.newton.settle``, without a new proof.
+
+Chaos and tori are known by batches of BATCH section states each: the means of the 2n block coordinates and of their
+squares. Two motions are told apart where one of these 4n means differs by more than DIFFERENT standard errors, of the
+pooled variance of the batches.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.cells import scale_at
+from workers.kernel.jit import kernel
+from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, oscillator_of
+from workers.kernel.stroboscopic import step
+from workers.orbit.map import FixedPoint, jacobian_of, separation
+from workers.orbit.newton import nonlinear_part
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+NEAR_ORBIT = 1e-2
+"""Distance from a known orbit, relative to the motion's scale, from which on a motion may be falling into it."""
+SAME_ORBIT = 1e-6
+"""Distance of section states of one orbit, found twice, relative to the motion's scale."""
+BATCH = 64
+"""Section states of a batch."""
+REFERENCE, FIRST_LOOK, SECOND_LOOK = 64, 16, 48
+"""Batches that an attractor is known by; those by which a motion is compared with it, and once more if it differs."""
+DIFFERENT = 5.0
+"""Standard errors from which on two motions are not on one attractor."""
+LEAST_SPREAD = 1e-9
+"""Spread of a mean that is rounding, relative to the root mean square of what is averaged."""
+
+
+class KnownOrbits(NamedTuple):
+    """M orbits, those of cell c from first[c] on to before last[c].
+
+    h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn.
+    """
+
+    first: Rows
+    last: Rows
+    h: Array
+    period: Rows
+    jacobian: Array
+    contraction: Array
+
+
+@kernel
+def orbits_reached(metric, swing, sections, kept, rows, owner, known):
+    """Which known orbit of its cell each of these motions falls into, -1 for none.
+
+    sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the cell of each motion. An orbit can
+    be told from two turns of the motion.
+    """
+    found = np.full(len(rows), -1)
+    last = sections.shape[1] - 1
+    for e in range(len(rows)):
+        r = rows[e]
+        c = owner[r]
+        for m in range(known.first[c], known.last[c]):
+            p = known.period[m]
+            if 2 * p > kept[r]:
+                continue
+            at, nearest = 0, np.inf
+            for j in range(p):
+                here = separation(metric[r], sections[r, last - p - j], known.h[m])
+                if here < nearest:
+                    at, nearest = j, here
+            start, image = sections[r, last - p - at], sections[r, last - at]
+            scale = scale_at(metric[r], swing[r], start)
+            if not nearest <= NEAR_ORBIT * scale:
+                continue
+            point = FixedPoint(known.h[m], known.h[m], 0, known.jacobian[m], 0.0)
+            rest = nonlinear_part(metric[r], start, image, point)
+            if nearest <= 1e-9 * scale or rest < 0.5 * known.contraction[m] * nearest:
+                found[e] = m
+                break
+    return found
+
+
+@kernel
+def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
+    """Periods (len(rows),) after which sections of these motions stay within NEAR_ORBIT of those a turn later.
+
+    flown (N,) periods gone through, of which the last ``kept`` (N,) sections are known; period (len(rows),) of the
+    orbit that each falls into.
+    """
+    found = np.empty(len(rows), dtype=np.int64)
+    last = sections.shape[1] - 1
+    for e in range(len(rows)):
+        r, p = rows[e], period[e]
+        k = last
+        near = NEAR_ORBIT * scale_at(metric[r], swing[r], sections[r, last])
+        while k - p > last - kept[r] and separation(metric[r], sections[r, k], sections[r, k - p]) <= near:
+            k -= 1
+        found[e] = flown[r] - (last - k) - p + 1
+    return found
+
+
+@kernel
+def turn(oscillators, r, h, contact, steps, half):
+    """So many steps of the map from a block state h (n, 2) of oscillator r: each state, h the first, and the Jacobian.
+
+    NaN from where the motion cannot be followed.
+    """
+    osc = oscillator_of(oscillators, r)
+    motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
+    states = np.full((steps + 1, h.shape[0], 2), np.nan)
+    states[0] = h
+    for k in range(steps):
+        step(osc, motion, half)
+        if motion.tally[STATUS] != RUNNING:
+            break
+        states[k + 1] = motion.h
+    return states, jacobian_of(motion.V)
+
+
+def on_orbit(metric: Array, states: Array, h: Array, scale: float) -> bool:
+    """Whether a block state h (n, 2) is one of those of an orbit, states (p, n, 2)."""
+    away = metric * (states[..., 0] - h[:, 0]) ** 2 + (states[..., 1] - h[:, 1]) ** 2
+    return bool(np.sqrt(away.sum(axis=-1)).min() < SAME_ORBIT * scale)
+
+
+@kernel
+def batch_moments(sections, rows, count):
+    """Means (len(rows), 4n) over the last ``count`` sections of each motion: of block coordinates, of their squares."""
+    n = sections.shape[2]
+    found = np.zeros((len(rows), 4 * n))
+    last = sections.shape[1]
+    for e in range(len(rows)):
+        for k in range(last - count, last):
+            for j in range(n):
+                for i in range(2):
+                    value = sections[rows[e], k, j, i]
+                    found[e, 2 * j + i] += value
+                    found[e, 2 * n + 2 * j + i] += value * value
+    return found / count
+
+
+def distance(one: Array, other: Array) -> float:
+    """How far apart the means of two motions are, in standard errors, by batches (k, 4n) of each: the largest of all.
+
+    |a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
+    """
+    k, m = len(one), len(other)
+    squares = ((one - one.mean(axis=0)) ** 2).sum(axis=0) + ((other - other.mean(axis=0)) ** 2).sum(axis=0)
+    half = one.shape[1] // 2
+    size = np.sqrt(np.concatenate([one.mean(axis=0)[half:], one.mean(axis=0)[half:]]))
+    size[half:] **= 2
+    error = np.sqrt((squares / (k + m - 2) + (LEAST_SPREAD * size) ** 2) * (1.0 / k + 1.0 / m))
+    away = np.abs(one.mean(axis=0) - other.mean(axis=0))
+    return float(np.max(np.where(away == 0.0, 0.0, away / np.where(error > 0.0, error, np.inf))))

@@ -1,0 +1,143 @@
+"""The initial states from which the attractors of a cell are sought, and what counting them shows."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.oscillator import Oscillator
+from workers.settings import check_whole
+
+Array = NDArray[np.float64]
+
+MOST_STARTS, MOST_KEPT = 10_000, 64
+REACH = 2.0
+"""The default box, in amplitudes of the motion."""
+TRIES = 16
+"""Points of the sequence per initial state: those beyond a stop are passed over."""
+CONFIDENCE = 0.05
+"""Probability of missing an attractor of ``unseen_share``."""
+NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Starts:
+    """From which initial states a cell is solved: its own first, then points that fill a box evenly.
+
+    count    initial states, the cell's own among them; half of them where these all reach one attractor; 1 to 10,000
+    seed     of the points, a scrambled Halton sequence; 0 to 2^31
+    box      (name, low, high) of components of the physical state; the others have the default, see ``boxes``
+    keep     attractors kept of each cell, those with the largest shares; 1 to 64
+
+    Raises ValueError, in one line that names the field, for anything else.
+    """
+
+    count: int = 32
+    seed: int = 0
+    box: tuple[tuple[str, float, float], ...] = ()
+    keep: int = 4
+
+    def __post_init__(self) -> None:
+        check_whole("starts", self.count, 1, MOST_STARTS)
+        check_whole("seed", self.seed, 0, 2**31)
+        check_whole("keep", self.keep, 1, MOST_KEPT)
+        for name, low, high in self.box:
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+                raise ValueError(f"box.{name}: found {low!r} to {high!r}, must be finite numbers that rise")
+
+    @property
+    def enough(self) -> int:
+        """Initial states after which a cell is done where all of them reach one attractor."""
+        return -(-self.count // 2)
+
+    def waves(self) -> list[range]:
+        """The initial states by their numbers, in the parts that are solved one after the other."""
+        found, first = [range(0, 1)], 1
+        while first < self.count:
+            last = min(2 * first, self.count) if first < self.enough else self.count
+            found.append(range(first, min(last, self.enough) if first < self.enough else last))
+            first = found[-1].stop
+        return found
+
+
+def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ...], own: Array) -> Array:
+    """The initial states (N, starts, 2n) of N cells, in order; NaN where too few points of the box lie between stops.
+
+    own     (N, 2n) the cells' own, the first of each
+    names   of the components
+    """
+    N, size = own.shape
+    found = np.full((N, starts.count, size), np.nan)
+    found[:, 0] = own
+    if starts.count == 1:
+        return found
+    low, high = boxes(starts, oscillators, names)
+    points = _points(size, TRIES * (starts.count - 1), starts.seed)
+    for k in range(N):
+        states = low[k] + points * (high[k] - low[k])
+        y = states[:, : size // 2] @ oscillators.gap_row[k]
+        inside = np.flatnonzero((y > oscillators.lower[k]) & (y < oscillators.upper[k]))[: starts.count - 1]
+        found[k, 1 : 1 + len(inside)] = states[inside]
+    return found
+
+
+def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Lowest and highest initial states (N, 2n) of N cells.
+
+    By default each displacement lies within REACH a of its rest position and each velocity within REACH v of 0. a and v
+    are the amplitudes of the impact-free answer to the force, but at least half of the gap, as far as the coordinate
+    takes part in it, and omega times that. Where the gap is that of one coordinate, that stays between the stops.
+    """
+    N, n = oscillators.gap_row.shape
+    moves = oscillators.to_physical
+    forced = oscillators.forced.reshape(N, 2 * n, -1, 2)
+    amplitude = np.sum(np.hypot(*np.moveaxis(np.einsum("nij,njhp->nihp", moves, forced), -1, 0)), axis=-1)
+    middle = np.einsum("nij,nj->ni", moves, oscillators.rest.reshape(N, 2 * n))
+    row = np.abs(oscillators.gap_row)
+    half = 0.5 * (oscillators.upper - oscillators.lower)
+    gap = np.where(np.isfinite(half), half, 0.0)[:, None] * row / np.sum(row * row, axis=1)[:, None]
+    omega = 2.0 * np.pi / oscillators.period
+    scale = np.maximum(amplitude, np.concatenate([gap, omega[:, None] * gap], axis=1))
+    low, high = middle - REACH * scale, middle + REACH * scale
+    for name, first, last in starts.box:
+        k = names.index(name)
+        low[:, k], high[:, k] = first, last
+    (alone,) = np.nonzero((oscillators.gap_row != 0.0).sum(axis=1) == 1)
+    k = np.argmax(oscillators.gap_row[alone] != 0.0, axis=1)
+    ends = np.stack([oscillators.lower[alone], oscillators.upper[alone]]) / oscillators.gap_row[alone, k]
+    low[alone, k] = np.maximum(low[alone, k], ends.min(axis=0))
+    high[alone, k] = np.minimum(high[alone, k], ends.max(axis=0))
+    return low, high
+
+
+@lru_cache(maxsize=8)
+def _points(size: int, count: int, seed: int) -> Array:
+    """So many points of the unit cube (count, size)."""
+    from scipy.stats import qmc  # it takes a while to load
+
+    points: Array = qmc.Halton(size, scramble=True, rng=seed).random(count)
+    return points
+
+
+def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMAL_95) -> tuple[Array, Array]:
+    """The ends of Wilson's interval of a share of which ``hits`` of ``count`` were seen, z standard errors wide.
+
+    (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n.
+
+    >>> low, high = wilson(0, 32)
+    >>> round(float(high), 4)
+    0.1072
+    """
+    n = np.asarray(count, dtype=np.float64)
+    p = np.asarray(hits) / n
+    middle = (p + z * z / (2.0 * n)) / (1.0 + z * z / n)
+    half = z * np.sqrt(p * (1.0 - p) / n + z * z / (4.0 * n * n)) / (1.0 + z * z / n)
+    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
+
+
+def unseen_share(count: NDArray[Any] | int) -> Array:
+    """The share of an attractor that so many starts all miss with probability CONFIDENCE: 1 - 0.05^(1/n)."""
+    return np.asarray(1.0 - CONFIDENCE ** (1.0 / np.asarray(count, dtype=np.float64)))
