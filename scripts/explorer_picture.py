@@ -14,7 +14,7 @@ from playwright.sync_api import sync_playwright
 from atlas.explore.session import explore
 
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=grazing"
-WIDTH, HEIGHT = 1440, 820
+SIZE = 1440, 820
 CELL = 640, 470
 
 
@@ -29,7 +29,7 @@ def main() -> None:
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             page.goto(f"{running.url}?{WINDOW}")
             end = time.monotonic() + given.seconds
             time.sleep(8.0)

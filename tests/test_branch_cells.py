@@ -81,6 +81,7 @@ def test_section_states_are_those_of_simulated_motion(found: DrawnBranches, shif
     assert (branch.sections if shift == 0.0 else -branch.mirrored)[k, 0] == pytest.approx(states, abs=1e-13)
 
 
+@pytest.mark.slow
 def test_a_spent_budget_is_told() -> None:
     cut = atlas.branch({"omega": 3.02}, along="omega", window=(2.99, 3.03), settings=QUICK, leaving=True, budget=1)
     assert [(each.branch, each.event.kind, each.why) for each in cut.untried] == [
@@ -88,6 +89,7 @@ def test_a_spent_budget_is_told() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_branch_that_ends_at_another_follows_that_too() -> None:
     """From the asymmetric orbit: the symmetric one is the branch that it leaves."""
     found = atlas.branch({"omega": 2.98}, along="omega", window=(2.95, 3.03), settings=QUICK, leaving=True)

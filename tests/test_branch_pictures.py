@@ -40,6 +40,13 @@ def found() -> DrawnBranches:
     return atlas.branch({"omega": 3.02}, along="omega", window=(2.95, 3.05), settings=settings, leaving=True)
 
 
+@pytest.fixture(scope="module")
+def over(swept: xr.Dataset) -> Axes:
+    """The bifurcation diagram of these cells with its branches."""
+    ax: Axes = render.figure(swept, overlays="branches").axes[0]
+    return ax
+
+
 def drawn_lines(ax: Axes, stable: bool) -> list[np.ndarray]:
     """The lines of stable or of unstable orbits."""
     kinds: list[Any] = [each for each in ax.collections if isinstance(each, LineCollection) and each.get_zorder() == 4]
@@ -76,26 +83,26 @@ def test_a_picture_of_branches_has_axes_with_symbols_and_is_written(found: Drawn
     assert found.digest in (tmp_path / "branch.svg").read_text()
 
 
-def test_branches_pass_through_the_section_values_of_every_cell(swept: xr.Dataset) -> None:
-    ax = render.figure(swept, overlays="branches").axes[0]
-    lines = [each[np.argsort(each[:, 0])] for each in drawn_lines(ax, True)]
+def test_branches_pass_through_the_section_values_of_every_cell(swept: xr.Dataset, over: Axes) -> None:
+    lines = [each[np.argsort(each[:, 0])] for each in drawn_lines(over, True)]
     gap = swept["section"].values[..., 0]
     for omega, values in zip(OMEGA, gap, strict=True):
         here = [np.interp(omega, each[:, 0], each[:, 1], left=np.nan, right=np.nan) for each in lines]
         assert np.nanmin(np.abs(np.array(here)[:, None] - values), axis=0) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_the_unstable_orbit_between_is_drawn_though_no_cell_holds_it(swept: xr.Dataset) -> None:
-    ax = render.figure(swept, overlays="branches").axes[0]
-    (dashed,) = drawn_lines(ax, False)
+def test_the_unstable_orbit_between_is_drawn_though_no_cell_holds_it(over: Axes) -> None:
+    (dashed,) = drawn_lines(over, False)
     assert (dashed[:, 0].min(), dashed[:, 0].max()) == (pytest.approx(2.95), pytest.approx(BREAKING, abs=1e-9))
 
 
+@pytest.mark.slow
 def test_cells_on_known_branches_add_none(swept: xr.Dataset) -> None:
     tree = tree_through([swept, swept])
     assert sorted(branch.itinerary.symmetric for branch in tree.branches) == [False, True]
 
 
+@pytest.mark.slow
 def test_two_sweeps_together_take_branches_too(swept: xr.Dataset) -> None:
     figure = render.figure(swept, against=swept, overlays="branches")
     assert len(drawn_lines(figure.axes[0], False)) == 1

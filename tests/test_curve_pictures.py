@@ -36,6 +36,7 @@ def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
     return figure
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", render.MAPS)
 def test_every_map_takes_curves_and_draws_them_along_their_points(kind: str) -> None:
     ax = drawn(curves(), kind).axes[0]

@@ -54,6 +54,16 @@ def test_proven_cells_are_orbits_of_the_equations() -> None:
     assert agree(params, Settings(exponents="spectrum", max_periods=1000, survival=1000, tolerance=0.3)) >= 18
 
 
+@pytest.mark.parametrize("omega", [0.9, 0.95])
+def test_an_orbit_of_a_rigid_mode_far_from_the_middle_is_found(omega: float) -> None:
+    """A ball that starts high: the offset of y is many times what an impact does to it."""
+    values = {"omega": omega, "R": 0.7, "y": 0.5, "v": 3.0}
+    found = solve_tile("bouncing-ball", values, Settings(max_periods=1000))
+    assert (found["period"], found["impacts_lower"]) == (1, 1)
+    orbit = orbit_from_state(find_system("bouncing-ball"), values, found["state"], 1)
+    assert orbit.speeds == pytest.approx([-2.0 * np.pi / omega / 1.7], abs=1e-12)
+
+
 @pytest.mark.slow
 def test_a_thousand_proven_cells_are_orbits_of_the_equations() -> None:
     params = drawn(2300, 3, omega=(0.6, 4.5), b=(0.03, 1.0), R=(0.3, 0.95), f2=(-1.0, 1.0))

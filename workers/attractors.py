@@ -36,13 +36,10 @@ from workers.results import (
     empty_results,
     result_variables,
 )
-from workers.search import Found, sampled, search, watch
+from workers.search import Found, motions_at_once, sampled, search, watch
 from workers.settings import Settings
 from workers.starts import Starts, initial_states, unseen_share, wilson
 from workers.tile import Solution
-
-MOTIONS_AT_ONCE = 4096
-"""Motions under way together, about."""
 
 STABLE = (NO_IMPACT, PERIODIC)
 STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
@@ -76,7 +73,7 @@ def solve_attractors(
     count, size = int(np.prod(shape)), len(record.states)
     sizes = {ATTRACTOR: starts.keep, "exponent": size, "state": size, "sample": settings.section_samples}
     found = empty_results(result_variables(settings, attractors=True), (count,), sizes)
-    at_once = max(16, MOTIONS_AT_ONCE // max(map(len, starts.waves())))
+    at_once = max(1, motions_at_once(settings, size) // max(map(len, starts.waves())))
     for begin in range(0, count, at_once):
         part = slice(begin, begin + at_once)
         here = {name: column[part] for name, column in flat.items()}

@@ -29,14 +29,11 @@ from workers.results import (
     empty_results,
     result_variables,
 )
-from workers.search import Found, search
+from workers.search import Found, motions_at_once, search
 from workers.settings import Settings
 from workers.starts import Starts
 from workers.stretch import batch_of, run
 from workers.tile import Solution
-
-AT_ONCE = 4096
-"""Motions under way together."""
 
 
 class Table:
@@ -105,8 +102,9 @@ def solve_basins(
     size = len(record.states)
     sizes = {"exponent": size, "state": size, "sample": settings.section_samples}
     found = empty_results(variables, (len(states),), sizes)
-    for begin in range(0, len(states), AT_ONCE):
-        part = slice(begin, begin + AT_ONCE)
+    at_once = motions_at_once(settings, size)
+    for begin in range(0, len(states), at_once):
+        part = slice(begin, begin + at_once)
         _label(table, states[part], {name: array[part] for name, array in found.items()})
     return Solution({name: array.reshape(shape + array.shape[1:]) for name, array in found.items()})
 

@@ -25,9 +25,19 @@ from workers.outcome import put_impact_free, put_periodic, put_stopped
 from workers.results import APERIODIC, CHAOTIC, NO_REASON, PENDING, QUASIPERIODIC, empty_results, result_variables
 from workers.settings import Settings
 from workers.solve import begun
+from workers.tile import MEMORY_AT_ONCE
 
 WATCHED_AT_ONCE = 1024
 """Periods of a stretch of watching."""
+
+MOST_MOTIONS, LEAST_MOTIONS = 4096, 64
+"""Motions under way together: as many as the memory for section states has room for, between these."""
+
+
+def motions_at_once(settings: Settings, size: int) -> int:
+    """How many motions of so many state components are searched for together."""
+    room = MEMORY_AT_ONCE // (8 * size * (settings.max_period + settings.section_samples + 1))
+    return int(np.clip(room, LEAST_MOTIONS, MOST_MOTIONS))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MOST = 100
-"""Branches that are followed through a sweep."""
+"""Branches that are followed through a sweep: more would not be told apart."""
 LONGEST = 12
 """Impacts of the orbits that are followed: longer ones, mostly late in a cascade, would crowd the picture."""
 NEAR = 1e-3
@@ -39,31 +39,33 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds), axis_names(ds)
+    for other in sweeps[1:]:
+        if axis_names(other) != (along,):
+            raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
     if columns(ds) or along in system.states:
         raise InputError(f"branches follow orbits along a parameter, and {along} is none that they depend on")
     for name in _STORED:
         if name not in ds:
             raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")
+    defaults = {p.name: p.default for p in system.parameters}
     fixed = {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
-    ends = axis_values(ds, along)
+    low, high = float(axis_values(ds, along).min()), float(axis_values(ds, along).max())
+    if low == high:
+        raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: Tree | None = None
     for cell in (cell for each in sweeps for cell in _cells(each, along)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
             continue
         try:
-            seed = seed_of(cell, system, {**_defaults(system), **fixed, along: value})
-            tree = tree or Tree(system, seed.values, along, (float(ends.min()), float(ends.max())), MOST, LONGEST)
+            seed = seed_of(cell, system, {**defaults, **fixed, along: value})
+            tree = tree or Tree(system, seed.values, along, (low, high), MOST, LONGEST)
             tree.grow(seed.orbit, value, leaving=True)
         except ValueError:  # of a cell that the equations do not take, a neighbour is tried
             continue
     if tree is None:
         raise InputError("no cell here has an orbit to follow: none is periodic with impacts and no rest on a stop")
     return tree
-
-
-def _defaults(system: Any) -> dict[str, float]:
-    return {p.name: p.default for p in system.parameters}
 
 
 def _cells(ds: "xr.Dataset", along: str) -> Iterator[dict[str, Any]]:

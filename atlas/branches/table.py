@@ -98,11 +98,10 @@ class Branches:
 
     @property
     def digest(self) -> str:
-        """Digest of all that decides these branches."""
-        return digest_of(
-            identity(self.system.resolved())
-            | {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
-        )
+        """Digest of all that decides these branches: the system, where they are followed, and from which orbit."""
+        start = self.traced[0].sections[0].tolist()
+        where = {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
+        return digest_of(identity(self.system.resolved()) | where | {"start": start, "branches": len(self.traced)})
 
     def _points(self) -> Iterator[tuple[Any, ...]]:
         for number, branch in enumerate(self.traced):

@@ -16,6 +16,9 @@ from workers.orbit.many import attract, many_of, moved
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+CEASES, PERSISTS, IS = range(3)
+"""What becomes of a cell's orbit at the parameters of another cell."""
+
 
 class CellOrbits:
     """The orbits of a plane's cells, each found once; of a cell without one, None."""
@@ -42,21 +45,32 @@ class CellOrbits:
         """The forcing frequency (N,) at points (N, 2)."""
         return np.asarray(self.family.model(values)[0].omega)
 
-    def persist(self, pairs: Cells) -> Mask:
-        """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters.
+    def persist(self, pairs: Cells) -> NDArray[np.int64]:
+        """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters:
+        CEASES, PERSISTS, or IS where it is the orbit of the second cell.
 
         By Newton's method from one to the other, half way first; admissible by certified crossings.
         """
-        found = np.zeros(len(pairs), dtype=bool)
+        found = np.full(len(pairs), CEASES)
+        regions = self.plane.regions[pairs]
         for rows, orbits in self._grouped(pairs[:, 0]):
             here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
             start = many_of(orbits, here)
             try:
                 half = moved(self.family, start, 0.5 * (here + there))
-                found[rows] = attract(self.family, moved(self.family, half, there))
+                taken = moved(self.family, half, there)
+                attracts = attract(self.family, taken)
             except (NoOscillatorError, ValueError):
                 continue
+            found[rows[attracts]] = PERSISTS
+            for k, row in enumerate(rows):
+                if attracts[k] and regions[row, 0] == regions[row, 1] and self._is_of(pairs[row, 1], taken.orbit(k)):
+                    found[row] = IS
         return found
+
+    def _is_of(self, cell: int, orbit: Orbit) -> bool:
+        own, values = self.of(int(cell)), self.plane.values(np.array([cell]))
+        return own is not None and same_orbit(own, orbit, float(self.omega(values)[0]))
 
     def belong(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
         """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.following import Followed, lies_on
-from atlas.curves.search import BASIN, CURVE, OPEN, Search
+from atlas.curves.search import BASIN, CURVE, NONE, OPEN, Search
 from atlas.curves.table import KINDS, Corner, Curve, Curves
 
 
@@ -106,6 +106,7 @@ def _order(curve: Curve) -> tuple[Any, ...]:
 
 
 def _counts(verdicts: NDArray[np.int64]) -> dict[str, int]:
+    verdicts = verdicts[verdicts != NONE]
     found = {name: int(np.sum(verdicts == code)) for name, code in (("curve", CURVE), ("basins", BASIN))}
     open_ones = int(np.sum(verdicts == OPEN))
     return {

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.plane import Cells, Plane
+from workers.results import PENDING
 
 TOGETHER = 48
 """Edges that are looked beside in one stage."""
@@ -12,7 +13,7 @@ AGAIN = 8
 """Edges of one border in a stage, once one of it has been looked beside."""
 
 FRUITLESS = 3
-"""Looks without an event after which the border of a region with cells of no known orbit is left."""
+"""Looks without an event after which the border to cells of no known orbit is left, unless most looks found one."""
 
 OPEN, BASIN = 0, 1
 """As in ``atlas.curves.search``: edges of which nothing is known, and those where an orbit exists on both sides."""
@@ -22,15 +23,15 @@ BETWEEN, BESIDE, BASINS = range(3)
 
 
 class Groups:
-    """The edges of a plane by border: the two regions that meet there, those below ``least`` cells counted as none.
+    """The edges of a plane by border: of a region with another one, or with cells of a regime that have none.
 
-    Edges between two cells of none are on no border.
+    Regions below ``least`` cells count as none. Edges between two cells of none are on no border.
     """
 
     def __init__(self, plane: Plane, least: int) -> None:
         self.plane = plane
-        numbers = np.where(plane.region_sizes[plane.regions] >= least, plane.regions, 0)
-        self.inside: NDArray[np.bool_] = numbers > 0
+        self.inside: NDArray[np.bool_] = plane.region_sizes[plane.regions] >= least
+        numbers = np.where(self.inside, plane.regions, PENDING - plane.regime - 1)
         keys, which = np.unique(np.sort(numbers[plane.edges], axis=1), axis=0, return_inverse=True)
         self.which: Cells = which.ravel()
         self.edges = [np.flatnonzero(self.which == k) for k in range(len(keys)) if keys[k, 1] > 0]
@@ -50,7 +51,7 @@ class Groups:
             rank, wanted = int(self.rank[k]), edges[verdicts[edges] == OPEN]
             if not len(wanted) and not self.looked[k]:
                 rank, wanted = BASINS, edges[verdicts[edges] == BASIN]
-            if len(wanted) and (rank == BETWEEN or self.fruitless[k] < FRUITLESS):
+            if len(wanted) and (rank == BETWEEN or self._promising(k)):
                 found.append((rank, -len(wanted), k, wanted))
         first = min((rank for rank, *_ in found), default=0)
         chosen: list[int] = []
@@ -64,7 +65,10 @@ class Groups:
         """An edge was looked beside, and events were found or not."""
         k = self.number[self.which[edge]]
         self.looked[k] += 1
-        self.fruitless[k] = 0 if fruitful else self.fruitless[k] + 1
+        self.fruitless[k] += not fruitful
+
+    def _promising(self, k: int) -> bool:
+        return bool(self.fruitless[k] < FRUITLESS or 2 * self.fruitless[k] < self.looked[k])
 
     def orders(self, edge: Cells) -> tuple[tuple[int, int], ...]:
         """The ways across an edge from cells of regions, from the shorter orbit with the fewer impacts first."""

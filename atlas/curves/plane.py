@@ -26,6 +26,11 @@ Cells = NDArray[np.int64]
 SMALL = 4
 """Regions of fewer cells are counted apart."""
 
+JUMP, ALONE = 0.03, 3.0
+"""Relative change of the mean speed of impacts from a cell to the next, and that in units of those beside it: where it
+is more than both, the orbit may be another one of the same kind."""
+
+SPEED = "mean_impact_speed"
 NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
 
 
@@ -35,7 +40,8 @@ class Plane:
 
     axes, x, y      the names of its axes, x first, and the values of both
     log             which of them is logarithmic
-    regime, period, impacts_upper, impacts_lower, symmetric (cells,), state (cells, 2n)   as the atlas has them
+    regime, period, impacts_upper, impacts_lower, symmetric, speed (cells,), state (cells, 2n)   as the atlas has them,
+                    speed the mean one of impacts, NaN where it has none
     fixed           all other parameters by name
     """
 
@@ -50,6 +56,7 @@ class Plane:
     impacts_upper: NDArray[np.int64]
     impacts_lower: NDArray[np.int64]
     symmetric: NDArray[np.bool_]
+    speed: Array
     state: Array
 
     @property
@@ -126,21 +133,34 @@ class Plane:
 
     @cached_property
     def edges(self) -> Cells:
-        """The edges (E, 2) between neighbouring cells of which one at least is proven, and not in the other's region,
-        as pairs of cells; along x first, then along y.
+        """The edges (E, 2) between neighbouring cells of which one at least is proven, and not in the other's region or
+        perhaps on another orbit, as pairs of cells; along x first, then along y.
         """
         number = np.arange(len(self.regime)).reshape(self.shape)
         pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
         found = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs])
         region = self.regions[found]
-        differ = region[:, 0] != region[:, 1]
+        jumps = np.concatenate([self._jumps(1), self._jumps(0)])
+        differ = (region[:, 0] != region[:, 1]) | jumps
         return np.asarray(found[differ & self.valid[found].all(axis=1)])
+
+    def _jumps(self, axis: int) -> NDArray[np.bool_]:
+        """Of all pairs of neighbours along an axis of the array, whether their orbit may be another one although of the
+        same kind: the mean speed of impacts jumps, and does so nowhere else nearby.
+        """
+        speed, region = (np.moveaxis(each.reshape(self.shape), axis, 0) for each in (self.speed, self.regions))
+        inside = (region[1:] == region[:-1]) & (region[1:] > 0)
+        steps = np.where(inside, np.nan_to_num(np.abs(np.diff(speed, axis=0))), 0.0)
+        around = np.pad(steps, [(1, 1), (0, 0)])
+        alone = steps > ALONE * np.maximum(around[:-2], around[2:])
+        large = steps > JUMP * 0.5 * np.nan_to_num(np.abs(speed[1:]) + np.abs(speed[:-1]))
+        return np.moveaxis(alone & large, 0, axis).ravel()
 
     @cached_property
     def digest(self) -> str:
         """Of all that curves depend on: cells, axes, system and fixed parameters."""
         found = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
-        for name in ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state"):
+        for name in ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state"):
             found.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return found.hexdigest()
 
@@ -186,5 +206,6 @@ def plane_of(header: Header) -> Plane:
         impacts_upper=cells("impacts_upper", np.int64),
         impacts_lower=cells("impacts_lower", np.int64),
         symmetric=cells("symmetric", np.bool_),
+        speed=cells(SPEED, np.float64) if SPEED in ds else np.full(len(x) * len(y), np.nan),  # older stores lack it
         state=cells("state", np.float64),
     )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.curves.cells import CellOrbits
+from atlas.curves.cells import CEASES, IS, PERSISTS, CellOrbits
 from atlas.curves.following import Followed, Located, lies_on
 from atlas.curves.groups import Groups
 from atlas.curves.near import ONE_CELL, middles, passed
@@ -33,9 +33,9 @@ WAY = 1000
 SHORT, LONG = 2.0, 12.0
 """Cells that the orbit of a cell is followed over: past an edge where it ends; where only basins end, further on."""
 
-OPEN, BASIN, CURVE, TRIED = range(4)
+OPEN, BASIN, CURVE, TRIED, NONE = range(5)
 """What is known of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
-its cells passes within one cell; it was looked beside, and there is no such curve."""
+its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
 
 Result = dict[str, Any]
 
@@ -118,8 +118,9 @@ class Search:
         parts = [slice(k, k + CHUNK) for k in range(0, len(ways), CHUNK)]
         yield [Persist(tuple((int(a), int(b)) for a, b in ways[part])) for part in parts]
         for part, result in zip(parts, self._results, strict=True):
-            there = np.array(result.get("persist", [False] * len(ways[part])), dtype=bool)
-            self.verdicts[which[part][there]] = BASIN
+            there = np.array(result.get("persist", [CEASES] * len(ways[part])))
+            self.verdicts[which[part][there == PERSISTS]] = BASIN
+            self.verdicts[which[part][there == IS]] = NONE
             self._note(result)
 
     def _look_beside(self, edges: list[int]) -> Iterator[list[Any]]:

@@ -26,7 +26,7 @@ class Persist:
 @dataclass(frozen=True)
 class Look:
     """The events of the orbits of some cells on the way to a neighbour each, and on, so many cells in all; of the first
-    orbit that has any within ``near`` cells, else of all.
+    way that has any.
     """
 
     ways: tuple[tuple[int, int], ...]

@@ -39,12 +39,13 @@ from atlas.explore.chosen import Chosen, from_address, to_address
 from atlas.explore.controls import Controls
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
-from atlas.explore.style import PAGE, PANEL, TEXT
+from atlas.explore.style import KEY, LINE, PAGE, PANEL, TEXT
 from atlas.explore.words import cell_table, png_address, point_line, progress, ticks, title
 from atlas.render import SCALAR
 
 LEFT, RIGHT = 232, 320
 """Widths of the columns beside the plane, in pixels."""
+LINE_HEIGHT = 20
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
 TICK_SCRIPT = """
@@ -125,7 +126,9 @@ class Page:
             tools="pan,box_zoom,undo,redo,reset",
             toolbar_location="above",
             sizing_mode="stretch_both",
-            min_border_right=8,
+            min_border_left=76,  # room for any tick's label: the plane keeps its size
+            min_border_right=12,
+            min_border_bottom=52,
             lod_threshold=None,
         )
         wheel = WheelZoomTool()
@@ -144,9 +147,11 @@ class Page:
 
     def _make_panels(self) -> None:
         style: dict[str, Any] = {"stylesheets": [TEXT]}
-        self._title = Div(text=title(self._subject, self._chosen.plane), sizing_mode="stretch_width", **style)
-        self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, **style)
-        self._line = Div(sizing_mode="stretch_width", **style)
+        # Of fixed height, whatever they say: else the plane would change its size with every word.
+        line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
+        self._title = Div(text=title(self._subject, self._chosen.plane), **line)
+        self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
+        self._line = Div(**line)
         self._hover = Div(text="<h4>cell under the pointer</h4>", sizing_mode="stretch_width", **style)
         self._cell = Div(text="<h4>click: a cell in detail</h4>", sizing_mode="stretch_width", **style)
         self._portrait = Div(sizing_mode="stretch_width", **style)

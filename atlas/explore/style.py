@@ -20,3 +20,12 @@ pre { font-size: 11.5px; }
 PANEL = """
 :host { overflow-y: auto; overflow-x: hidden; padding: 0 6px; box-sizing: border-box; }
 """
+
+LINE = """
+:host { overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
+:host > div { overflow: hidden; text-overflow: ellipsis; }
+"""
+
+KEY = """
+:host { position: relative; overflow: hidden; } img { position: absolute; left: 0; top: 0; max-width: none; }
+"""

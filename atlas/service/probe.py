@@ -56,6 +56,8 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     warm_up(spec.settings)
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
+    if spec.attractors is not None:
+        _solve(spec, settings, starts[:1], length)  # it has kernels of its own
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
     steps: list[_Measured] = []
     spent, done = 0.0, 0

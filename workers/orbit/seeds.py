@@ -8,7 +8,16 @@ from numpy.typing import NDArray
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
 from workers.kernel.stroboscopic import motion_from, propagate
 from workers.model.system import System
-from workers.orbit.equations import Impacts, Itinerary, Orbit, block_state
+from workers.orbit.equations import (
+    Impacts,
+    Itinerary,
+    Orbit,
+    at_impacts,
+    block_state,
+    impacts_of,
+    stops,
+    unknown_offset,
+)
 from workers.orbit.extended import Extended, solve
 from workers.orbit.linear import Family, family_of, linear_of
 
@@ -45,7 +54,16 @@ def orbit_from_state(
     sides = impacts[:, 1]
     itinerary = Itinerary(tuple(int(side) for side in sides), periods, symmetric)
     orbit = Orbit(itinerary, impacts[:, 0].copy(), sides * impacts[:, 2])
-    return refined(family_of(system, values, ()), orbit, np.zeros(0))
+    family = family_of(system, values, ())
+    return refined(family, orbit._replace(offset=_offset(family, orbit)), np.zeros(0))
+
+
+def _offset(family: Family, orbit: Orbit) -> float:
+    """About the offset of y of a rigid mode: by how much the impacts of the orbit without it miss their stops."""
+    lin, points = family.model(np.zeros((1, 0)))[0], impacts_of(orbit)
+    if not unknown_offset(lin, orbit.itinerary) or not orbit.itinerary.sides:
+        return 0.0
+    return float(np.mean(stops(lin, orbit.itinerary) - at_impacts(lin, orbit.itinerary, points)[0]))
 
 
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
