@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         Spec,
         branch,
         extend,
-        find_curves,
         open,
         pack,
         point,
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
         run,
         verify,
     )
+    from atlas.service.curves import find_curves
     from workers import solve_tile
 
     __version__: str
@@ -67,6 +67,10 @@ def __getattr__(name: str) -> Any:
         import workers
 
         return workers.solve_tile  # apart from the others, as it takes Numba with it
+    if name == "find_curves":
+        from atlas.service.curves import find_curves
+
+        return find_curves  # likewise
     from atlas import api
 
     return getattr(api, name)

@@ -12,7 +12,6 @@ from atlas.check.verify import verify
 from atlas.curves.settings import CurveSettings
 from atlas.query.open import open_atlas
 from atlas.render import portrait
-from atlas.service.curves import find_curves
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
@@ -36,7 +35,6 @@ __all__ = [
     "branch",
     "errors",
     "extend",
-    "find_curves",
     "open",
     "pack",
     "point",

@@ -11,11 +11,14 @@ import time
 
 from playwright.sync_api import sync_playwright
 
+from atlas.explore.painter import Painter
 from atlas.explore.session import explore
 
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=grazing"
 SIZE = 1440, 820
 CELL = 640, 470
+PAINTED = """() => [...Bokeh.documents[0]._all_models.values()].some(
+    (model) => model.type === "ColumnDataSource" && model.data.image && model.data.image.length)"""
 
 
 def main() -> None:
@@ -32,10 +35,9 @@ def main() -> None:
             page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             page.goto(f"{running.url}?{WINDOW}")
             end = time.monotonic() + given.seconds
-            time.sleep(8.0)
-            while time.monotonic() < end and any(
-                running.explorer.patches.left(who) for who in running.explorer.listeners
-            ):
+            page.wait_for_function(PAINTED, timeout=120_000)
+            painters = [who for who in running.explorer.listeners if isinstance(who, Painter)]
+            while time.monotonic() < end and any(painter.busy for painter in painters):
                 time.sleep(1.0)
             page.mouse.click(*CELL)
             page.locator("img.portrait").wait_for(timeout=60_000)

@@ -28,6 +28,10 @@ class Tab:
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
 
+    def address(self) -> str:
+        """The address that the tab shows now."""
+        return str(self.page.evaluate("() => window.location.href"))
+
     def image(self) -> list[float] | None:
         """The window (x, y, width, height) that the picture fills; None while there is none."""
         found = self.page.evaluate(

@@ -12,15 +12,17 @@ from distributed import Client
 
 import atlas
 from atlas import render
+from atlas.check.overviews import check_overviews
 from atlas.check.rules import broken_rules
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.overview.upkeep import Overviews
 from atlas.query.attractors import leading
 from atlas.store.store import read_header
 from atlas.store.tiles import drop_tile, read_tile
 from workers import Settings
 from workers.attractors import solve_attractors
-from workers.results import CHAOTIC, PENDING
+from workers.results import CHAOTIC, FAILED, PENDING
 from workers.starts import Starts
 
 AXES = {"omega": {"start": 3.6, "stop": 4.4, "num": 3}, "R": {"start": 0.7, "stop": 0.9, "num": 4}}
@@ -154,6 +156,25 @@ def test_arrays_do_not_depend_on_the_tile_shape(solved: Path, tmp_path: Path, cl
     atlas.run(spec_of(store={"tile": [4, 1]}), tmp_path / "other.zarr", client=client)
     one, other = xr.open_zarr(solved), xr.open_zarr(tmp_path / "other.zarr")
     assert all(one[name].values.tobytes() == other[name].values.tobytes() for name in one.data_vars)
+
+
+def test_cells_of_a_tile_that_ends_its_process_are_failed_in_the_first_place(solved: Path) -> None:
+    """What marks them writes into the results of the first attractor, which are those of the tile itself."""
+    header = read_header(solved)
+    arrays = read_tile(header, (0, 0))
+    header.leading(arrays)["regime"][...] = FAILED
+    assert (arrays["regime"][..., 0] == FAILED).all() and (arrays["regime"][..., 1] != FAILED).all()
+
+
+def test_overviews_are_of_the_attractor_with_the_largest_share(solved: Path, tmp_path: Path) -> None:
+    header = read_header(shutil.copytree(solved, tmp_path / "out.zarr"))
+    with Overviews(header, side=2, least=2) as made:
+        assert made.finish() > 0
+    assert not check_overviews(header, set(), lambda _level: None).faults
+    coarse = xr.open_zarr(header.path, group="overviews/1")
+    assert coarse["share"].dims == ("R", "omega")
+    largest = xr.open_zarr(header.path)["share"].values[:2, :2, 0]
+    assert coarse["share"].values[0, 0] == pytest.approx(largest.mean())
 
 
 def test_what_a_store_may_not_hold_is_found(solved: Path) -> None:

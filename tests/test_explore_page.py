@@ -51,7 +51,7 @@ def tab(running: Exploration) -> Iterator[Tab]:
 
 def arguments(tab: Tab) -> dict[str, list[bytes]]:
     """The arguments of a tab's address, as the server gets them."""
-    found = parse_qs(urlsplit(tab.page.url).query)
+    found = parse_qs(urlsplit(tab.address()).query)
     return {name: [value.encode() for value in values] for name, values in found.items()}
 
 
@@ -131,7 +131,7 @@ def test_a_click_draws_the_portrait_and_gives_the_line_that_solves_the_cell_alon
 def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")
-    tab.until(lambda: "R=" in tab.page.url)
+    tab.until(lambda: "R=" in tab.address())
     tab.until(lambda: "another plane than the atlas's" in tab.text())
     tab.until(lambda: painter_of(running).sight is not None and not painter_of(running).busy, 120.0)
     plane = from_address(running.explorer.subject, arguments(tab)).plane
@@ -143,13 +143,13 @@ def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab:
     tab.page.goto(running.url + "?omega=2.0:3.0&b=0.1:0.3&kind=period&R=0.75")
     tab.until(tab.image)
     tab.wheel(2)
-    tab.until(lambda: "omega=2.0:3.0" not in tab.page.url)
+    tab.until(lambda: "omega=2.0:3.0" not in tab.address())
     time.sleep(0.5)
-    address = tab.page.url
+    address = tab.address()
     tab.page.reload()
     tab.until(tab.image)
     time.sleep(0.5)
-    assert tab.page.url == address and "kind=period" in address and "R=0.75" in address
+    assert tab.address() == address and "kind=period" in address and "R=0.75" in address
 
 
 def test_two_pages_at_once_show_different_windows(running: Exploration, tab: Tab) -> None:

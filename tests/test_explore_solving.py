@@ -84,6 +84,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
 
 
+@pytest.mark.slow
 def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject, 150)
@@ -106,6 +107,7 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
     assert first.identical(second)
 
 
+@pytest.mark.slow
 def test_kept_cells_leave_the_atlas_as_it_was_and_are_verified_with_it(finished: Path, client: Client) -> None:
     before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
     with exploring(finished, client) as explorer:
@@ -115,6 +117,7 @@ def test_kept_cells_leave_the_atlas_as_it_was_and_are_verified_with_it(finished:
     assert report.fine and report.sheets > 0
 
 
+@pytest.mark.slow
 def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explorer(
     finished: Path, client: Client
 ) -> None:
@@ -130,6 +133,7 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
         assert not np.any(explorer.seen(explorer.subject.plane, sight, ["largest"])[REGIME.name].values == PENDING)
 
 
+@pytest.mark.slow
 def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         solved(explorer, view_of(explorer.subject))
@@ -141,6 +145,7 @@ def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> Non
         assert read_header(sheet_place(header, plane, sheet)).spec.settings == explorer.subject.settings
 
 
+@pytest.mark.slow
 def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject, sight = explorer.subject, view_of(explorer.subject)
@@ -151,6 +156,7 @@ def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, clie
     assert {name for name, _ in sheets(read_header(finished))} == {subject.digest(plane)[:16]}
 
 
+@pytest.mark.slow
 def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         with claimed(notes_of(finished), str(finished)):
@@ -160,6 +166,7 @@ def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finishe
         assert waited(lambda: explorer.keeper.trouble == "" and (finished / "zoom").exists())
 
 
+@pytest.mark.slow
 def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client) -> None:
     with exploring(finished, client) as one, exploring(finished, client) as other:
         sight = view_of(one.subject)
@@ -172,6 +179,7 @@ def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client
     assert atlas.verify(finished).fine
 
 
+@pytest.mark.slow
 def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Client, tmp_path: Path) -> None:
     atlas.pack(finished, tmp_path / "packed.zip")
     with exploring(tmp_path / "packed.zip", client) as explorer:
@@ -179,6 +187,7 @@ def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Clie
         assert solved(explorer, sight) and "read only" in explorer.keeper.trouble
 
 
+@pytest.mark.slow
 def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -193,6 +202,7 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
         assert explorer.keeper.header is None
 
 
+@pytest.mark.slow
 def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path, client: Client) -> None:
     subject = subject_of(str(finished))
     arrays = solve_patch(subject.patch(subject.plane, TileKey(0, 0, 0, 0)))
@@ -221,6 +231,7 @@ def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) 
         assert explorer.patches.left("page") == 0
 
 
+@pytest.mark.slow
 def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject = explorer.subject

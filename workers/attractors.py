@@ -244,7 +244,7 @@ class Coexistence:
     ) -> None:
         """Take what has ended for a transient, and its motions for what they have become."""
         first = 0
-        kept: list[int] = []
+        gone: list[int] = []
         for c, each in suspects:
             rows = np.arange(first, first + len(each.starts))
             first += len(rows)
@@ -256,14 +256,14 @@ class Coexistence:
                 each.last = [found.state_after[r] for r in rows]
                 continue
             each.transient = True
-            kept += rows[ended].tolist()
+            gone += rows[ended].tolist()
             stay = rows[~ended]
             self.tallies[c].used += int(found.used[stay].sum())
             each.starts, each.last = number[stay].tolist(), [found.state_after[r] for r in stay]
             if last or not len(stay):
                 self.tallies[c].attractors.remove(each)
                 self.tallies[c].undecided += each.starts
-        chosen = np.array(kept, dtype=np.int64)
+        chosen = np.array(gone, dtype=np.int64)
         if len(chosen):
             self._assign(owner[chosen], number[chosen], found.only(chosen), known)
 
@@ -286,12 +286,10 @@ class Coexistence:
         for (c, each), batches, cost in zip(alone, found, used.tolist(), strict=True):
             self.tallies[c].used += cost
             alike = [other for other in self.tallies[c].attractors if other.regime == each.regime]
-            apart = (
-                [distance(other.reference, batches) for other in alike if other.reference is not None]
-                if (batches is not None)
-                else []
-            )
-            if apart and min(apart) <= DIFFERENT:
+            if batches is None:  # it has settled
+                continue
+            apart = [distance(other.reference, batches) for other in alike if other.reference is not None]
+            if min(apart) <= DIFFERENT:
                 each.mirror = alike[int(np.argmin(apart))]
         for _, each in alone:
             if each.mirror is not None and each.mirror.mirror is not each:

@@ -22,7 +22,6 @@ from atlas.cli.options import (
 from atlas.cli.output import to_json
 from atlas.curves.export import check_path, export
 from atlas.curves.settings import CurveSettings
-from atlas.service.curves import find_curves
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
 
@@ -59,6 +58,8 @@ def curves(
     They are kept in STORE; where it has them already nothing is computed. Prints which share of the borders between
     regions they explain. The same command resumes a search that was stopped.
     """
+    from atlas.service.curves import find_curves  # with it Numba
+
     check_workers(scheduler, workers)
     if out is not None:
         check_path(out)

@@ -6,7 +6,7 @@ from urllib.parse import urlencode
 
 from atlas.errors import InputError
 from atlas.explore.subject import Plane, Subject
-from atlas.render import MAPS, OVERLAYS, SCALAR, needs
+from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
 from workers.results import LARGEST, REGIME, result_variables
 
 Range = tuple[float, float]
@@ -94,9 +94,9 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         return replace(chosen, kind=value) if name == "kind" else replace(chosen, variable=value)
     if name == "overlay":
         wanted = tuple(value.split(",")) if value else ()
-        unknown = [each for each in wanted if each not in OVERLAYS]
+        unknown = [each for each in wanted if each not in MAP_OVERLAYS]
         if unknown:
-            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(OVERLAYS)}")
+            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(MAP_OVERLAYS)}")
         return replace(chosen, overlays=wanted)
     if name == "log":
         return replace(chosen, log=value == "1")

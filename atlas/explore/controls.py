@@ -19,7 +19,7 @@ from atlas.explore.chosen import Chosen, kinds, variables
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Subject
 from atlas.explore.words import symbol_of
-from atlas.render import OVERLAYS, SCALAR
+from atlas.render import MAP_OVERLAYS, SCALAR
 from workers.model.parameter import Parameter
 
 STEPS = 200
@@ -48,8 +48,8 @@ class Controls:
             **wide,
         )
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], visible=scalar, **wide)
-        drawn = [OVERLAYS.index(name) for name in chosen.overlays]
-        self.overlays = CheckboxGroup(labels=list(OVERLAYS), active=drawn, **wide)
+        drawn = [MAP_OVERLAYS.index(name) for name in chosen.overlays]
+        self.overlays = CheckboxGroup(labels=list(MAP_OVERLAYS), active=drawn, **wide)
         self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
         self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
         self.rescale = Button(label="fit the scale to the view", **wide)
@@ -71,7 +71,7 @@ class Controls:
             "kind": self.kind.value,
             "variable": self.variable.value,
             "log": bool(self.log.active),
-            "overlays": tuple(OVERLAYS[i] for i in sorted(self.overlays.active)),
+            "overlays": tuple(MAP_OVERLAYS[i] for i in sorted(self.overlays.active)),
             "vmin": self.vmin.value,
             "vmax": self.vmax.value,
         }

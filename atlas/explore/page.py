@@ -156,7 +156,7 @@ class Page:
         self._cell = Div(text="<h4>click: a cell in detail</h4>", sizing_mode="stretch_width", **style)
         self._portrait = Div(sizing_mode="stretch_width", **style)
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
-        self._copy = Button(label="copy", visible=False, width=70)
+        self._copy = Button(label="copy", visible=False, width=70, align="end")
         self._made = Div(sizing_mode="stretch_width", **style)
         self._address = Div(visible=False)
         self._download = ColumnDataSource({"name": [], "href": []})
@@ -215,7 +215,7 @@ class Page:
             self._title, row(self._plot, self._key, sizing_mode="stretch_both"), self._line, sizing_mode="stretch_both"
         )
         right = column(
-            self._hover, self._cell, row(self._point, self._copy, sizing_mode="stretch_width"), self._portrait,
+            self._hover, row(self._point, self._copy, sizing_mode="stretch_width"), self._portrait, self._cell,
             self._made, self._address, width=RIGHT, **panel,
         )  # fmt: skip
         # A source without a view is sent along, and heard, as the tag of a model that has one.

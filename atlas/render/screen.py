@@ -73,6 +73,9 @@ def screen(
         tall = 0.92 - low
         for bar in bars:  # of the proportions that a bar with pointed ends insists on
             bar.set_position(((width + GAP) / whole, low + 0.04, tall * height / BAR_ASPECT / whole, tall))
+        for label in [bar.yaxis.label for bar in bars]:
+            share = 0.96 * height / label.get_window_extent().height
+            label.set_fontsize(float(label.get_fontsize()) * min(1.0, share))
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())
         low_end, high_end = bars[0].get_ylim() if len(bars) == 1 else (0.0, 0.0)
