@@ -91,18 +91,14 @@ def test_no_page_loads_anything_from_another_host(site: Path, pages: dict[Path, 
     assert not sheets
 
 
-def test_notebooks_were_run_and_drew_their_pictures(pages: dict[Path, Page]) -> None:
-    notebooks = [path for path in (ROOT / "docs").rglob("*.md") if "```{code-cell}" in path.read_text()]
+def test_notebooks_were_run_and_drew_their_pictures(site: Path, pages: dict[Path, Page]) -> None:
+    docs = ROOT / "docs"
+    notebooks = [path for path in docs.rglob("*.md") if "```{code-cell}" in path.read_text()]
     assert notebooks
     for notebook in notebooks:
-        text = notebook.read_text()
-        (page,) = (
-            page
-            for path, page in pages.items()
-            if path.stem == notebook.stem and path.parent.name in (notebook.parent.name, "html")
-        )
+        page = pages[site / notebook.relative_to(docs).with_suffix(".html")]
         drawn = [address for address in page.loaded if re.search(r"_images/[0-9a-f]{32,}", address)]
-        assert len(drawn) >= text.count('Image("'), notebook.name
+        assert len(drawn) >= notebook.read_text().count('Image("'), notebook.name
 
 
 def test_formulas_are_drawn_and_none_is_left_as_source(site: Path) -> None:
