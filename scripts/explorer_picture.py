@@ -17,7 +17,7 @@ from atlas.explore.session import explore
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=grazing"
 SIZE = 1440, 820
 CELL = 640, 470
-PAINTED = """() => [...Bokeh.documents[0]._all_models.values()].some(
+PAINTED = """() => window.Bokeh && Bokeh.documents.length && [...Bokeh.documents[0]._all_models.values()].some(
     (model) => model.type === "ColumnDataSource" && model.data.image && model.data.image.length)"""
 
 

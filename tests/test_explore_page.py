@@ -56,9 +56,14 @@ def arguments(tab: Tab) -> dict[str, list[bytes]]:
 
 
 def painter_of(running: Exploration) -> Painter:
-    """The painter of the only page there is."""
-    (painter,) = [who for who in running.explorer.listeners if isinstance(who, Painter)]
-    return painter
+    """The painter of the only page there is, once others that were left are forgotten."""
+    end = time.monotonic() + 20.0
+    while True:
+        painters = [who for who in running.explorer.listeners if isinstance(who, Painter)]
+        if len(painters) == 1 or time.monotonic() > end:
+            (painter,) = painters
+            return painter
+        time.sleep(0.1)
 
 
 def settled(running: Exploration, tab: Tab) -> None:

@@ -19,19 +19,14 @@ from bokeh.document import Document
 from bokeh.events import MouseLeave, MouseMove, RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
 from bokeh.models import (
-    BoxSelectTool,
     Button,
     ColumnDataSource,
     CustomJS,
-    CustomJSTickFormatter,
     Div,
     GlobalInlineStyleSheet,
     InlineStyleSheet,
-    Range1d,
     TextInput,
-    WheelZoomTool,
 )
-from bokeh.plotting import figure
 
 from atlas.errors import InputError, RunError
 from atlas.explore.actions import new_atlas, picture_file, portrait_image
@@ -39,8 +34,9 @@ from atlas.explore.chosen import Chosen, from_address, to_address
 from atlas.explore.controls import Controls
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
+from atlas.explore.plot import label_axes, make_plot
 from atlas.explore.style import KEY, LINE, PAGE, PANEL, TEXT
-from atlas.explore.words import cell_table, png_address, point_line, progress, ticks, title
+from atlas.explore.words import cell_table, png_address, point_line, progress, title
 from atlas.render import SCALAR
 
 LEFT, RIGHT = 232, 320
@@ -48,13 +44,6 @@ LEFT, RIGHT = 232, 320
 LINE_HEIGHT = 20
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
-TICK_SCRIPT = """
-const text = Math.abs(unit) === 1 && base === 0
-    ? (Math.abs(tick) >= 1e5 || (tick !== 0 && Math.abs(tick) < 1e-4) ? tick.toExponential(2)
-       : Number(tick.toFixed(Math.max(decimals, 3))).toString())
-    : Number(((tick - base) / unit).toFixed(decimals)).toString()
-return text.replace("-", "\\u2212")
-"""
 
 
 def fill(document: Document, explorer: Explorer, folder: Path) -> None:
@@ -90,7 +79,7 @@ class Page:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="atlas-page")
         self._hovering = False
         self._sizes: dict[str, int] = {}
-        self._make_plot()
+        self._plot, self._image = make_plot(self._subject, chosen)
         self._make_panels()
         self._wire()
         document.title = f"{self._subject.name}: explorer"
@@ -114,36 +103,6 @@ class Page:
         with self._lock:
             if not self._closed:
                 self._document.add_next_tick_callback(act)
-
-    def _make_plot(self) -> None:
-        subject, chosen = self._subject, self._chosen
-        kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
-        self._plot = plot = figure(
-            x_range=Range1d(*chosen.x),
-            y_range=Range1d(*chosen.y),
-            x_axis_type=kind_x,
-            y_axis_type=kind_y,
-            tools="pan,box_zoom,undo,redo,reset",
-            toolbar_location="above",
-            sizing_mode="stretch_both",
-            min_border_left=76,  # room for any tick's label: the plane keeps its size
-            min_border_right=12,
-            min_border_bottom=52,
-            lod_threshold=None,
-        )
-        wheel = WheelZoomTool()
-        plot.add_tools(wheel, BoxSelectTool(description="choose a window for an atlas"))
-        plot.toolbar.active_scroll = wheel
-        plot.toolbar.logo = None
-        plot.grid.visible = False
-        for axis in (plot.xaxis[0], plot.yaxis[0]):
-            axis.update(
-                axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None
-            )
-            axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
-        self._image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
-        plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=self._image, level="image")
-        self._label_axes()
 
     def _make_panels(self) -> None:
         style: dict[str, Any] = {"stylesheets": [TEXT]}
@@ -242,18 +201,8 @@ class Page:
         if not (left < right and low < high and np.isfinite([left, right, low, high]).all()):
             return
         self._chosen, self._rests = replace(self._chosen, x=(left, right), y=(low, high)), True
-        self._label_axes()
+        label_axes(self._plot, self._subject, self._chosen)
         self._update()
-
-    def _label_axes(self) -> None:
-        for axis, lattice, window in (
-            (self._plot.xaxis[0], self._subject.x, self._chosen.x),
-            (self._plot.yaxis[0], self._subject.y, self._chosen.y),
-        ):
-            found = ticks(self._subject, lattice.axis.name, *window)
-            axis.axis_label = found.label
-            formatter: Any = axis.formatter
-            formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
 
     def _chose(self) -> None:
         controls = self._controls

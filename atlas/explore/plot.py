@@ -1,0 +1,60 @@
+"""The plot of the page: the plane's axes, and the image in it."""
+
+from typing import Any
+
+from bokeh.models import BoxSelectTool, ColumnDataSource, CustomJSTickFormatter, Range1d, WheelZoomTool
+from bokeh.plotting import figure
+
+from atlas.explore.chosen import Chosen
+from atlas.explore.subject import Subject
+from atlas.explore.words import ticks
+
+TICK_SCRIPT = """
+const text = Math.abs(unit) === 1 && base === 0
+    ? (Math.abs(tick) >= 1e5 || (tick !== 0 && Math.abs(tick) < 1e-4) ? tick.toExponential(2)
+       : Number(tick.toFixed(Math.max(decimals, 3))).toString())
+    : Number(((tick - base) / unit).toFixed(decimals)).toString()
+return text.replace("-", "\\u2212")
+"""
+
+
+def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSource]:
+    """The plot of a plane, and the source of its image."""
+    kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
+    plot = figure(
+        x_range=Range1d(*chosen.x),
+        y_range=Range1d(*chosen.y),
+        x_axis_type=kind_x,
+        y_axis_type=kind_y,
+        tools="pan,box_zoom,undo,redo,reset",
+        toolbar_location="above",
+        sizing_mode="stretch_both",
+        min_border_left=76,  # room for any tick's label: the plane keeps its size
+        min_border_right=12,
+        min_border_bottom=52,
+        lod_threshold=None,
+    )
+    wheel = WheelZoomTool()
+    plot.add_tools(wheel, BoxSelectTool(description="choose a window for an atlas"))
+    plot.toolbar.active_scroll = wheel
+    plot.toolbar.logo = None
+    plot.grid.visible = False
+    for axis in (plot.xaxis[0], plot.yaxis[0]):
+        axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
+        axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
+    image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
+    plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image")
+    label_axes(plot, subject, chosen)
+    return plot, image
+
+
+def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:
+    """Give the axes the ticks and the names that suit their window."""
+    for axis, lattice, window in (
+        (plot.xaxis[0], subject.x, chosen.x),
+        (plot.yaxis[0], subject.y, chosen.y),
+    ):
+        found = ticks(subject, lattice.axis.name, *window)
+        axis.axis_label = found.label
+        formatter: Any = axis.formatter
+        formatter.args = {"base": found.base, "unit": found.unit, "decimals": found.decimals}
