@@ -77,7 +77,8 @@ def test_basins_are_of_one_machine() -> None:
         solve_basins("two-mass", {"omega": np.array([3.0, 4.0])})
 
 
-@pytest.mark.parametrize("starts", [1, pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("starts", [1, 16])
 def test_labels_and_the_table_have_the_same_bits_for_any_tiles(tmp_path: Path, client: Client, starts: int) -> None:
     """With one initial state in the reference set most attractors are found by the tiles, and labelled last."""
     stores = [tmp_path / f"{k}.zarr" for k in range(3)]

@@ -93,7 +93,8 @@ def test_a_store_that_has_the_curves_gives_them_at_once(searched: tuple[Path, Cu
     assert not list(part_names(read_header(path)))
 
 
-@pytest.mark.parametrize("stop_after", [2, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stop_after", [2, 5])
 def test_a_search_that_was_stopped_goes_on_and_finds_the_same_to_the_bit(
     fresh: Path, searched: tuple[Path, CurvesSummary], client: Client, stop_after: int
 ) -> None:

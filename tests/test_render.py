@@ -91,7 +91,7 @@ def test_a_kind_for_other_axes_is_refused_with_those_possible(tmp_path: Path) ->
 
 
 def test_an_unknown_kind_is_refused_with_those_possible(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="unknown kind of picture 'pie'; possible here: sweep$"):
+    with pytest.raises(InputError, match=r"unknown kind of picture 'pie'; possible here: sweep$"):
         render.render(sweep(largest=np.zeros(4)), tmp_path / "map.png", "pie")
 
 
