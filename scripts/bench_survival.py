@@ -10,7 +10,6 @@ Usage: .venv/bin/python -m scripts.bench_survival [--light] [--json FILE]
 
 import argparse
 import json
-import math
 import multiprocessing
 import time
 from pathlib import Path
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from workers import Settings, solve_tile
 from workers.adaptive import WITHOUT_RIVAL
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED
+from workers.starts import wilson
 
 FURTHER = 80_000
 """Periods after a verdict in which a settled motion makes it wrong."""
@@ -63,15 +63,6 @@ def solved(
     return arrays, sum(seconds for _, seconds in found)
 
 
-def wilson(hits: int, of: int, z: float = 1.96) -> tuple[float, float]:
-    """The 95 % interval of a share."""
-    if of == 0:
-        return 0.0, 1.0
-    p, scale = hits / of, 1.0 + z * z / of
-    centre, half = p + z * z / (2 * of), z * math.sqrt(p * (1.0 - p) / of + z * z / (4.0 * of * of))
-    return (centre - half) / scale, (centre + half) / scale
-
-
 def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tolerance: float) -> list[dict[str, Any]]:
     """One row for each survival."""
     params = plane(name, side)
@@ -92,7 +83,7 @@ def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tol
                 "chaotic": int(chaotic.sum()),
                 "wrong": int(wrong.sum()),
                 "wrong_share": wrong.sum() / max(chaotic.sum(), 1),
-                "interval": wilson(int(wrong.sum()), int(chaotic.sum())),
+                "interval": tuple(map(float, wilson(int(wrong.sum()), int(chaotic.sum())))),
                 "wrong_of_all": wrong.sum() / count,
                 "undetermined": (found["regime"] == UNDETERMINED).sum() / count,
                 "uncertain": int((found["reason"][chaotic] != 0).sum()),

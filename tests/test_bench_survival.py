@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from scripts.bench_error_bars import compared
-from scripts.bench_survival import PLANES, measure, plane, show, wilson
+from scripts.bench_survival import PLANES, measure, plane, show
+from workers.starts import wilson
 
 pytestmark = pytest.mark.slow
 

@@ -22,6 +22,7 @@ from atlas.curves.following import events_between, follow_event, lies_on
 from atlas.curves.plane import plane_of
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import read_curves, write_curves
+from atlas.errors import InputError
 from atlas.service.curves import CurvesSummary, find_curves
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
@@ -78,6 +79,11 @@ def test_every_border_between_regions_is_explained(searched: tuple[Path, CurvesS
     edges = searched[1].as_dict()["edges"]["regions"]
     assert edges["all"] > 0
     assert edges["curve"] + edges["basins"] == edges["all"]
+
+
+def test_workers_do_not_go_with_a_client(tmp_path: Path, client: Client) -> None:
+    with pytest.raises(InputError, match="workers: found 2, goes with a local cluster only, not with a client"):
+        find_curves(tmp_path / "plane.zarr", client=client, options=RunOptions(workers=2))
 
 
 def test_the_search_is_its_naive_twin_to_the_bit(searched: tuple[Path, CurvesSummary]) -> None:

@@ -298,7 +298,7 @@ class Coexistence:
     def write(self, found: dict[str, NDArray[Any]]) -> None:
         """Write the result arrays of these cells."""
         for c, tally in enumerate(self.tallies):
-            kept = sorted(tally.attractors, key=lambda a: (-len(a.starts), min(a.starts)))
+            kept = sorted(tally.attractors, key=lambda a: a.order)
             shown, left = kept[: self.starts.keep], kept[self.starts.keep :]
             found["periods_used"][c] = tally.used
             found["attractors"][c], found["starts"][c] = len(kept), tally.tried
@@ -321,10 +321,7 @@ class Coexistence:
                     found["lumped_distance"][c, k] = each.distance
                 if each.regime in (CHAOTIC, APERIODIC):
                     found["survived"][c, k] = each.pooled
-                symmetric = bool(each.result["symmetric"]) or (
-                    each.regime == NO_IMPACT and self.oscillators.symmetric[c] > 0.0
-                )
-                mirror = each if symmetric else each.mirror
+                mirror = each.image(bool(self.oscillators.symmetric[c] > 0.0))
                 found["mirror"][c, k] = next((i for i, a in enumerate(shown) if a is mirror), -1)
                 if 0 in each.starts:
                     found["own"][c] = k

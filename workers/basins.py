@@ -50,7 +50,7 @@ class Table:
         self.cells = Coexistence(oscillators, reasons, own, settings, starts, record.states)
         self.cells.solve()
         tally = self.cells.tallies[0]
-        tally.attractors.sort(key=lambda each: (-len(each.starts), min(each.starts)))
+        tally.attractors.sort(key=lambda each: each.order)
 
     @property
     def attractors(self) -> list[Attractor]:
@@ -64,13 +64,10 @@ class Table:
 
     def mirrors(self) -> NDArray[np.int64]:
         """The label of the mirror image of each attractor, -1 where none is known; of a symmetric one its own."""
-        symmetric = self.oscillator.symmetric[0] > 0.0
-        found = []
-        for each in self.attractors:
-            own = bool(each.result["symmetric"]) or (symmetric and each.regime == STABLE[0])
-            twin = each if own else each.mirror
-            found.append(next((k for k, other in enumerate(self.attractors) if other is twin), -1))
-        return np.array(found, dtype=np.int64)
+        symmetric = bool(self.oscillator.symmetric[0] > 0.0)
+        images = [each.image(symmetric) for each in self.attractors]
+        places = [next((k for k, other in enumerate(self.attractors) if other is image), -1) for image in images]
+        return np.array(places, dtype=np.int64)
 
     def known(self) -> Known:
         """The attractors as motions are compared with them."""

@@ -51,6 +51,16 @@ class Attractor:
     pooled: int = 0
     transient: bool = False
 
+    @property
+    def order(self) -> tuple[int, int]:
+        """What attractors of a cell are sorted by: those of larger share first, then those that were found first."""
+        return -len(self.starts), min(self.starts)
+
+    def image(self, symmetric: bool) -> "Attractor | None":
+        """Its mirror image, itself where it is its own; None where none is known. ``symmetric``: the machine is."""
+        own = bool(self.result["symmetric"]) or (self.regime == NO_IMPACT and symmetric)
+        return self if own else self.mirror
+
     def join(self, start: int, found: "Found", r: int) -> None:
         """An initial state's motion was recognised to reach it."""
         if self.reference is None:

@@ -125,17 +125,19 @@ def _points(size: int, count: int, seed: int) -> Array:
 def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMAL_95) -> tuple[Array, Array]:
     """The ends of Wilson's interval of a share of which ``hits`` of ``count`` were seen, z standard errors wide.
 
-    (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n.
+    (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n; 0 to 1 where nothing was counted.
 
     >>> low, high = wilson(0, 32)
     >>> round(float(high), 4)
     0.1072
     """
-    n = np.asarray(count, dtype=np.float64)
+    counted = np.asarray(count, dtype=np.float64)
+    n = np.where(counted > 0.0, counted, 1.0)
     p = np.asarray(hits) / n
     middle = (p + z * z / (2.0 * n)) / (1.0 + z * z / n)
     half = z * np.sqrt(p * (1.0 - p) / n + z * z / (4.0 * n * n)) / (1.0 + z * z / n)
-    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
+    low, high = np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
+    return np.where(counted > 0.0, low, 0.0), np.where(counted > 0.0, high, 1.0)
 
 
 def unseen_share(count: NDArray[Any] | int) -> Array:

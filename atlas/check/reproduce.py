@@ -9,6 +9,7 @@ import numpy as np
 
 from atlas.spec.spec import Spec
 from atlas.store.schema import ALLOWANCES
+from atlas.task.solving import solve_apart
 from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, REGIMES, leading
 
 ERRORS = 5.0
@@ -33,19 +34,14 @@ class Sample:
 
 def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
     """The results of the cell as they come out now, in the stored ones' shapes."""
-    from atlas.task.solving import solve_block
-    from workers.tile import solve_cells
-
     block = tuple(slice(i, i + 1) for i in sample.cell)
-    if spec.attractors is not None:
-        arrays = solve_block(spec, block).arrays
-        if spec.basins:  # what lies beyond the table gets its label when all cells are known
-            beyond = arrays[LABEL.name] == BEYOND_TABLE
-            arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
-        return arrays
-    given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in ALLOWANCES}
-    settings = replace(spec.settings, **given)
-    return solve_cells(spec.record, spec.cell_params(block), settings).arrays
+    allowed = ALLOWANCES if spec.attractors is None else ()  # others cannot be retried
+    given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in allowed}
+    arrays = solve_apart(spec, spec.cell_params(block), replace(spec.settings, **given)).arrays
+    if spec.basins:  # what lies beyond the table gets its label when all cells are known
+        beyond = arrays[LABEL.name] == BEYOND_TABLE
+        arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
+    return arrays
 
 
 def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:

@@ -76,7 +76,7 @@ def figure(
     """
     from atlas.render.page import page as page_of  # with it matplotlib
 
-    wanted = Wanted(page_of(ax, **look), kind, window, _several_of(overlays), against, pixels, variable, log)
+    wanted = Wanted(page_of(ax, **look), kind, window, _as_tuple(overlays), against, pixels, variable, log)
     drawn = draw(ds, wanted)
     return drawn if ax is None else ax
 
@@ -113,12 +113,12 @@ def render(
     from atlas.render.style import provenance_of
 
     page = page_of(**look)
-    wanted = Wanted(page, kind, window, _several_of(overlays), against, None, variable, log)
+    wanted = Wanted(page, kind, window, _as_tuple(overlays), against, None, variable, log)
     provenance = provenance_of(ds, *([] if against is None else [against]))
     return write(draw(ds, wanted), target, suffix, provenance, page)
 
 
-def _several_of(overlays: str | Sequence[str]) -> tuple[str, ...]:
+def _as_tuple(overlays: str | Sequence[str]) -> tuple[str, ...]:
     return (overlays,) if isinstance(overlays, str) else tuple(overlays)
 
 

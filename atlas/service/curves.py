@@ -14,13 +14,13 @@ from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
-from atlas.service.cluster import connected, leave_if_bootstrapping, local_cluster
+from atlas.service.cluster import leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import outcomes
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress
-from atlas.service.run import claimed_place, worker_count
+from atlas.service.run import check_client, claimed_place, joined, worker_count
 from atlas.service.summary import TileFailure
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.curves import drop_parts, get_part, part_names, put_part
@@ -98,6 +98,7 @@ def find_curves(
     stopped. Raises InputError where the store is no finished plane; see also ``run``.
     """
     leave_if_bootstrapping()
+    check_client(client, options)
     with reporting(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
         header = read_header(waiting(place_of(store), options.patience))
@@ -108,9 +109,7 @@ def find_curves(
         if stored is not None:
             return CurvesSummary(str(header.place), stored)
         refuse_packed(header.place)
-        if client is None and options.scheduler is not None:
-            options.report(Progress(f"connecting to {options.scheduler}", passing=True))
-            client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+        client = joined(client, options, stack)
         workers = worker_count(client, options)
         claim = stack.enter_context(claimed_place(header.place, options))
         return _Coordinator(header, search, digest, options, claim, stack, workers, client).run()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from atlas.service.plan import Probe
 from atlas.spec.spec import Spec
 from atlas.task.compile import warm_up
+from atlas.task.solving import solve_apart
 from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
@@ -135,19 +136,13 @@ def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[
 def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> "Solution":
     """The cells from each of these starts on, as arrays (starts, length)."""
     from workers.continuation import solve_lines
-    from workers.tile import solve_cells
 
     along = -1 if spec.continuation is None else spec.continuation[0]
     slices = [tuple(slice(i, i + (length if k == along else 1)) for k, i in enumerate(start)) for start in starts]
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
-        if spec.attractors is None:
-            return solve_cells(spec.record, params, settings)
-        from workers.attractors import solve_attractors
-        from workers.basins import solve_basins
-
-        return (solve_basins if spec.basins else solve_attractors)(spec.record, params, settings, spec.attractors)
+        return solve_apart(spec, params, settings)
     return solve_lines(spec.record, params, settings, backward=spec.continuation[1])
 
 

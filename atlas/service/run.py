@@ -90,15 +90,12 @@ class Target:
 def complete(target: Target, client: "Client | None" = None, options: RunOptions = DEFAULTS) -> Summary:
     """Make or complete a store; see ``run``. Raises RunError also where the store is of another run than asked for."""
     leave_if_bootstrapping()
-    if client is not None and options.workers is not None:
-        raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
+    check_client(client, options)
     with ExitStack() as stack:
         header = target.find()
         if options.retry is not None:
             _check_retry(target, header)
-        if client is None and options.scheduler is not None:
-            options.report(Progress(f"connecting to {options.scheduler}", passing=True))
-            client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
+        client = joined(client, options, stack)
         plan = make_plan(target.spec, worker_count(client, options), header.tile if header else None)
         if target.place.local is not None:
             check_disk(plan, target.place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
@@ -158,6 +155,20 @@ def _check_retry(target: Target, header: Header | None) -> None:
         raise InputError(
             f"{target.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
         )
+
+
+def check_client(client: "Client | None", options: RunOptions) -> None:
+    """InputError where a number of workers is given for a cluster that is the caller's."""
+    if client is not None and options.workers is not None:
+        raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
+
+
+def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
+    """The client to work on: the one given, or one of the scheduler asked for; None where a local cluster is."""
+    if client is not None or options.scheduler is None:
+        return client
+    options.report(Progress(f"connecting to {options.scheduler}", passing=True))
+    return stack.enter_context(connected(options.scheduler, options.tls, options.timing))
 
 
 def worker_count(client: "Client | None", options: RunOptions) -> int:

@@ -1,12 +1,29 @@
 """A block of a spec's cells solved as the spec says: each on its own, or in whole lines where an axis is continued."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from atlas.errors import RunError
 from atlas.spec.spec import Slices, Spec
+from workers import Settings
 
 if TYPE_CHECKING:
     from workers.tile import Solution
+
+
+def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Solution":
+    """Results of the spec's kind, with these settings, of cells that do not depend on each other."""
+    if spec.basins:
+        from workers.basins import solve_basins
+
+        return solve_basins(spec.record, params, settings, spec.attractors)
+    if spec.coexistence:
+        from workers.attractors import solve_attractors
+
+        return solve_attractors(spec.record, params, settings, spec.attractors)
+    from workers.tile import solve_cells
+
+    return solve_cells(spec.record, params, settings)
 
 
 def solve_block(spec: Spec, slices: Slices) -> "Solution":
@@ -16,18 +33,8 @@ def solve_block(spec: Spec, slices: Slices) -> "Solution":
     and RunError is raised for one.
     """
     params = spec.cell_params(slices)
-    if spec.basins:
-        from workers.basins import solve_basins
-
-        return solve_basins(spec.record, params, spec.settings, spec.attractors)
-    if spec.coexistence:
-        from workers.attractors import solve_attractors
-
-        return solve_attractors(spec.record, params, spec.settings, spec.attractors)
     if spec.continuation is None:
-        from workers.tile import solve_cells
-
-        return solve_cells(spec.record, params, spec.settings)
+        return solve_apart(spec, params, spec.settings)
     axis, backward = spec.continuation
     if slices[axis].indices(spec.shape[axis]) != (0, spec.shape[axis], 1):
         raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
