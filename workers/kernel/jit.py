@@ -24,8 +24,9 @@ __all__ = ["CACHE", "inlined", "kernel", "kernel_and_part", "piece"]
 
 
 def _source_hash() -> str:
-    digest = hashlib.sha256()
-    package = Path(__file__).parents[1]
+    """Of where the sources lie, too: Numba looks for a kernel by that, and would not find what a copy compiled."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256(os.fsencode(package) + b"\0")
     for source in sorted(package.rglob("*.py")):
         digest.update(source.relative_to(package).as_posix().encode() + b"\0" + source.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
