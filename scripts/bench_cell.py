@@ -2,8 +2,9 @@
 
 Cells: periodic, free of impacts, free of impacts with a structure of their own (masses, springs or dampers that no
 other cell has). Periods: those of Figs 3, 4 and 5 of Li & Tan (2011) with no, one or all exponents, as the difference
-of two lengths of the same run. Planes: a part of the packaged one, and one without chaos. Each version runs in a
-process of its own, and one waits while the other measures; best of several.
+of two lengths of the same run; and, of this version alone, those of machines of 1, 2, 4 and 8 masses. Planes: a part of
+the packaged one, and one without chaos. Each version runs in a process of its own, and one waits while the other
+measures; best of several.
 
 Usage: .venv/bin/python scripts/bench_cell.py [--against ROOT] [--light]      ROOT: a checkout of the other version
 """
@@ -30,6 +31,8 @@ FIGURES = {
     "5": {**_FIG, "mu_k": 2.0, "mu_m": 2.0, "zeta": 0.5, "f2": 5.0, "omega": 3.0, "b": 0.2},
 }
 EXPONENTS = ("none", "largest", "spectrum")
+MASSES = {1: "single-mass", 2: "two-mass", 4: "chain-4", 8: "chain-8"}
+"""A packaged system of so many masses, measured with its default parameters."""
 
 
 def cells(kind: str, count: int) -> dict[str, Any]:
@@ -67,15 +70,23 @@ def measured(case: Mapping[str, Any]) -> float:
     if "kind" in case:
         params = cells(case["kind"], count)
         return 1e3 * processor_time(lambda: solve_tile("two-mass", params)) / count
-    params = {**FIGURES[case["figure"]]}
-    params["b"] = params["b"] * (1.0 + 1e-5 * np.arange(count))
+    system, params = case.get("system", "two-mass"), FIGURES.get(case.get("figure", ""), {})
+    slightly = 1.0 + 1e-5 * np.arange(count)
+    params = {**params, "b": params["b"] * slightly} if params else {"omega": default_omega(system) * slightly}
     seconds = []
     for periods in (case["periods"], 4 * case["periods"]):
         settings = Settings(
             exponents=case["exponents"], method="fixed", transient_periods=50, periods=periods, max_period=1
         )
-        seconds.append(processor_time(lambda s=settings: solve_tile("two-mass", params, s)))  # type: ignore[misc]
+        seconds.append(processor_time(lambda s=settings: solve_tile(system, params, s)))  # type: ignore[misc]
     return 1e6 * (seconds[1] - seconds[0]) / (3 * case["periods"] * count)
+
+
+def default_omega(system: str) -> float:
+    """The forcing frequency of a packaged system where none is given."""
+    from workers.model.system import find_system
+
+    return next(float(p.default) for p in find_system(system).parameters if p.name == "omega")
 
 
 def serve() -> None:
@@ -102,13 +113,16 @@ class Version:
         return float(self.process.stdout.readline())
 
 
-def cases(light: bool) -> list[dict[str, Any]]:
-    """What is measured."""
+def cases(light: bool, alone: bool) -> list[dict[str, Any]]:
+    """What is measured of two versions, or of this one alone."""
     size = 144 if light else 1024
     found: list[dict[str, Any]] = [{"kind": kind, "cells": size} for kind in KINDS]
     for figure in FIGURES:
         for exponents in EXPONENTS:
             found.append({"figure": figure, "exponents": exponents, "cells": 256, "periods": 20 if light else 500})
+    for system in MASSES.values() if alone else ():
+        for exponents in EXPONENTS:
+            found.append({"system": system, "exponents": exponents, "cells": 256, "periods": 20 if light else 500})
     return found
 
 
@@ -126,11 +140,12 @@ def main() -> None:
     rounds = 2 if options.light else 5
     print("| case | target | " + ("other | this | ratio |" if options.against else "this |"))
     print("|---|---|---|" + ("---|---|" if options.against else ""))
-    for case in cases(options.light):
+    for case in cases(options.light, alone=options.against is None):
         best = [math.inf] * len(versions)
         for _ in range(rounds + 1):
             best = [min(b, v.measure(case)) for b, v in zip(best, versions, strict=True)]
-        name = f"{case['kind']}, ms a cell" if "kind" in case else f"Fig. {case['figure']}, {case['exponents']}, us"
+        what = case.get("system") or f"Fig. {case.get('figure')}"
+        name = f"{case['kind']}, ms a cell" if "kind" in case else f"{what}, {case['exponents']}, us a period"
         numbers = [f"{b:.3f}" for b in best] + ([f"{best[0] / best[1]:.2f}"] if options.against else [])
         print(f"| {name} | {TARGETS.get(case.get('kind', ''), '')} | {' | '.join(numbers)} |", flush=True)
 

@@ -5,8 +5,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from scripts.bench_cell import KINDS, cells, measured
+from scripts.bench_cell import KINDS, MASSES, cells, measured
+from workers.model.system import find_system
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
 from workers.tile import solve_tile
 
@@ -23,6 +25,11 @@ def test_the_cells_are_what_their_kinds_say() -> None:
 def test_both_kinds_of_measure_are_numbers() -> None:
     assert measured({"kind": "periodic", "cells": 9}) > 0.0
     assert np.isfinite(measured({"figure": "3", "exponents": "largest", "cells": 16, "periods": 20}))
+
+
+@pytest.mark.parametrize("n", MASSES)
+def test_a_system_measured_for_its_number_of_masses_has_so_many(n: int) -> None:
+    assert len(find_system(MASSES[n]).states) == 2 * n
 
 
 def test_another_version_answers_in_a_process_of_its_own() -> None:
