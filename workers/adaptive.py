@@ -164,8 +164,7 @@ class Course:
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
-        reserve = self.settings.max_periods // 10
-        decide = self.settings.max_periods - reserve - (self.cells.used[rows] - self.watched[rows])
+        decide = self.settings.deciding_periods - (self.cells.used[rows] - self.watched[rows])
         return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
 
     def _watchable(self, rows: Rows) -> Rows:
@@ -284,8 +283,7 @@ class Course:
         cells = self.cells
         mean, error, count = cells.growth(rows)
         positive = clearly_positive(mean, error, count)
-        decided = self.settings.max_periods - self.settings.max_periods // 10
-        half_spent = cells.used[rows] - self.watched[rows] >= decided // 2
+        half_spent = cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
         chaotic = positive & ((error <= self._half) | half_spent)
         self._watch(rows[chaotic])
         missing = np.where(positive, _periods_for(count, error, self._half) - count, math.inf)

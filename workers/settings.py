@@ -58,6 +58,11 @@ class Settings:
         check_whole("max_period", self.max_period, 1, LONGEST_ORBIT)
         check_whole("section_samples", self.section_samples, 0, MOST_SAMPLES)
 
+    @property
+    def deciding_periods(self) -> int:
+        """Forcing periods within which a cell is decided; the tenth of ``max_periods`` that is left is for proofs."""
+        return self.max_periods - self.max_periods // 10
+
 
 def _one_of(name: str, value: object, known: tuple[str, ...]) -> None:
     if value not in known:

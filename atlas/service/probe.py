@@ -161,7 +161,7 @@ def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> t
     if "error" in arrays:
         with np.errstate(over="ignore"):  # a tolerance of next to nothing
             wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
-        spent = np.minimum(used, few.max_periods - few.max_periods // 10)
+        spent = np.minimum(used, few.deciding_periods)
         least += np.where((regime == CHAOTIC) & (wanted > 1.0), spent * (wanted - 1.0), 0.0)
     return least, np.where(regime == UNDETERMINED, used / share, least)
 
