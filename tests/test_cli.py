@@ -52,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
 
 
 def test_help_comes_without_the_heavy_imports() -> None:
-    heavy = ["dask", "distributed", "xarray", "zarr", "matplotlib", "numba"]
+    heavy = ["dask", "distributed", "xarray", "zarr", "matplotlib", "numba", "scipy"]
     code = (
         "import sys; from atlas.cli.main import main; main(['--help'], standalone_mode=False)\n"
         f"print([name for name in {heavy} if name in sys.modules])"

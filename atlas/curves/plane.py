@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
@@ -115,6 +114,8 @@ class Plane:
         """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
         orbit: regime, period, impacts, symmetry; 0 elsewhere.
         """
+        from scipy import ndimage  # not for every command: it takes longer to load than all else
+
         kinds = np.stack([self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric], axis=1)
         _, kind = np.unique(kinds, axis=0, return_inverse=True)
         kind, numbers, count = kind.ravel(), np.zeros(len(self.regime), dtype=np.int64), 0
