@@ -1,5 +1,6 @@
 """What several test files share: one in-process Dask client, a small plane, and its store."""
 
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,14 @@ from distributed import Client
 import atlas
 from tests.planes import plane_of
 
+LONGEST = ("test_docs_site.py", "test_commands.py")
+"""Files begun first, each by a worker of its own: begun last they would keep one worker busy alone."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, all others as they were found."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
+
 
 @pytest.fixture(scope="session")
 def client() -> Iterator[Client]:
@@ -18,6 +27,16 @@ def client() -> Iterator[Client]:
         processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0", set_as_default=False
     ) as made:
         yield made
+
+
+@pytest.fixture(scope="module")
+def one_processor() -> Iterator[None]:
+    """One for this process and those it starts: local clusters of one worker, since each takes seconds to start."""
+    allowed = sorted(os.sched_getaffinity(0))
+    number = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    os.sched_setaffinity(0, {allowed[number % len(allowed)]})
+    yield
+    os.sched_setaffinity(0, allowed)
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,11 @@ page itself shows.
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -95,6 +98,7 @@ FILES = {
 }
 STORES = {"other.zarr": 0.7, "R7.zarr": 0.7, "R8.zarr": 0.8, "R9.zarr": 0.9}
 """Stores of the same plane at another R, made for the pages that name them."""
+MOST = 10
 SKIPPED = r"<!-- not run by tests: [^>]+ -->\n\n?"
 
 
@@ -104,22 +108,35 @@ def runnable(page: Path) -> list[tuple[str, str]]:
     return re.findall(r"^```(sh|python)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the specs, a store, and the command ``atlas`` on the path."""
-    bin_folder = tmp_path / "bin"
-    bin_folder.mkdir()
+@pytest.fixture(scope="module")
+def command(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Iterator[None]:
+    """The command ``atlas`` on the path."""
+    bin_folder = tmp_path_factory.mktemp("bin")
     (bin_folder / "atlas").write_text(f'#!/bin/sh\nexec {shlex.join(ATLAS)} "$@"\n')
     (bin_folder / "atlas").chmod(0o755)
-    monkeypatch.setenv("PATH", f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    work = tmp_path / "work"
-    work.mkdir()
-    for name, text in FILES.items():
-        (work / name).write_text(text)
-    run(["atlas", "run", "plane.toml", "-o", "plane.zarr"], work)
-    return work
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
+        patch.setenv("PYTHONPATH", str(ROOT))
+        patch.setenv("MPLBACKEND", "agg")
+        yield
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory: pytest.TempPathFactory, command: None) -> Callable[[str], Path]:
+    """The store of a name that pages use, made when first asked for."""
+    work = tmp_path_factory.mktemp("stores")
+
+    @cache
+    def store(name: str) -> Path:
+        spec = FILES.get(f"{Path(name).stem}.toml", "")
+        if name in STORES:
+            spec = PLANE.replace("[axes.omega]", f"[parameters]\nR = {STORES[name]}\n[axes.omega]")
+        (work / "table.csv").write_text(FILES["table.csv"])
+        (work / "spec.toml").write_text(spec)
+        run(["atlas", "run", "spec.toml", "-o", name], work)
+        return work / name
+
+    return store
 
 
 def run(command: list[str], work: Path) -> None:
@@ -127,17 +144,21 @@ def run(command: list[str], work: Path) -> None:
     assert ended.returncode == 0, f"{shlex.join(command)}\n{ended.stdout}{ended.stderr}"
 
 
+def coarse(spec: str) -> str:
+    """A page's spec with at most MOST values along each axis."""
+    return re.sub(r"^num = (\d+)", lambda found: f"num = {min(int(found[1]), MOST)}", spec, flags=re.MULTILINE)
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if runnable(page)], ids=lambda page: page.name)
-def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, folder: Path) -> None:
-    for name, R in STORES.items():
-        if name in page.read_text():
-            (folder / "another.toml").write_text(PLANE.replace("[axes.omega]", f"[parameters]\nR = {R}\n[axes.omega]"))
-            run(["atlas", "run", "another.toml", "-o", name], folder)
-    for name in ("stack", "points"):
-        if f"{name}.zarr" in page.read_text():
-            run(["atlas", "run", f"{name}.toml", "-o", f"{name}.zarr"], folder)
-    for name, text in files(page).items():
+def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, tmp_path: Path, stores: Callable[[str], Path]) -> None:
+    folder, shown = tmp_path, page.read_text()
+    for name in ("plane.zarr", "stack.zarr", "points.zarr", *STORES):
+        if name in shown:
+            shutil.copytree(stores(name), folder / name)
+    for name, text in FILES.items():
         (folder / name).write_text(text)
+    for name, text in files(page).items():
+        (folder / name).write_text(coarse(text) if name.endswith(".toml") else text)
     for number, (language, text) in enumerate(runnable(page)):
         if language == "sh":
             run(["sh", "-eu", "-c", text], folder)

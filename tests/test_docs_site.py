@@ -38,7 +38,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Path:
     """The site, built without any address that a program could reach the network by."""
     out = tmp_path_factory.mktemp("site")
     nowhere = {
