@@ -86,7 +86,7 @@ def main() -> None:
             if spent - told >= 30.0 or told == 0.0:
                 told = max(spent, 1e-3)
                 done = f"{moves:4d} moves  {pictures:5d} pictures  {sum(counts.values()):6d} tiles solved"
-                memory = f"{resident():5.0f} MiB, of it tiles {explorer.tiles.bytes / 2**20:4.0f} MiB"
+                memory = f"{resident():5.0f} MiB, of it tiles {explorer.known.tiles.bytes / 2**20:4.0f} MiB"
                 print(f"{spent:5.0f} s  {done}  server and scheduler {memory}", flush=True)
     finally:
         painter.close()

@@ -140,7 +140,7 @@ def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
     tab.until(lambda: "another plane than the atlas's" in tab.text())
     tab.until(lambda: painter_of(running).sight is not None and not painter_of(running).busy, 120.0)
     plane = from_address(running.explorer.subject, arguments(tab)).plane
-    levels = {key.level_x for key, _ in running.explorer.tiles.of(plane)}
+    levels = {key.level_x for key, _ in running.explorer.known.tiles.of(plane)}
     assert len(levels) == STAGES + 1
 
 
@@ -202,7 +202,7 @@ def test_a_million_times_deeper_cells_are_those_of_the_point_command_to_the_bit(
     tab.until(lambda: tab.page.locator("img.portrait").count() == 1)
     explorer, sight = running.explorer, painter_of(running).sight
     assert sight is not None
-    cell = explorer.cell(explorer.subject.plane, sight, *centre)
+    cell = explorer.known.cell(explorer.subject.plane, sight, *centre)
     assert cell is not None and abs(cell.parameters["omega"] - centre[0]) < half / 100
     alone = atlas.point(cell.parameters, settings=explorer.subject.settings)
     assert all(alone[name] == value for name, value in cell.results.items() if name in ("largest", "error", "regime"))

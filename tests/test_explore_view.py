@@ -7,7 +7,7 @@ import atlas
 from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, to_address
 from atlas.explore.compose import composed
-from atlas.explore.explorer import below
+from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane, Subject, exploring, subject_of
 from atlas.explore.tiles import Tiles

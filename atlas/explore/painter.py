@@ -56,7 +56,7 @@ def warm(explorer: Explorer) -> None:
     """Draw something once, so that the first page need not wait for all that drawing loads."""
     chosen = beginning(explorer.subject)
     sight = Sight.of(View(chosen.x, chosen.y, *WHOLE), explorer.subject.x, explorer.subject.y)
-    _drawn(explorer.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
+    _drawn(explorer.known.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
 
 
 class Painter:
@@ -137,7 +137,7 @@ class Painter:
         explorer, subject = self._explorer, self._explorer.subject
         self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), subject.x, subject.y)
         explorer.patches.want(self, ())
-        explorer.look(chosen.plane, sight, chosen.names)
+        explorer.known.look(chosen.plane, sight, chosen.names)
         stages = range(STAGES, -1 if rests else STAGES - 1, -1)
         explorer.want(self, chosen.plane, sight, stages)
         self._looking = False
@@ -148,7 +148,7 @@ class Painter:
         if asked is None or sight is None:
             return
         (chosen, size, _), begin = asked, time.monotonic()
-        ds = self._explorer.seen(chosen.plane, sight, chosen.names)
+        ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
         x, y = _edges(self._explorer.subject.x, sight, "x"), _edges(self._explorer.subject.y, sight, "y")
         pixels = (
             _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
@@ -179,7 +179,7 @@ class Painter:
             return {}
         windows = [lattice.edges(0, 0, len(lattice.axis) - 1) for lattice in (subject.x, subject.y)]
         sight = Sight.of(View(windows[0], windows[1], *WHOLE), subject.x, subject.y)
-        ds = self._explorer.seen(subject.plane, sight, chosen.names)
+        ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
         if float(np.mean(ds[REGIME.name].values == PENDING)) > 0.5:
             return {}
         made = _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None)

@@ -14,6 +14,8 @@ td { padding: 0 4px 0 0; vertical-align: top; font-variant-numeric: tabular-nums
 td:first-child { color: #5a6675; white-space: nowrap; } td + td { word-break: break-all; }
 pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding: 6px; margin: 4px 0; }
 pre { font-size: 11.5px; }
+table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; word-break: normal; }
+th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
 
