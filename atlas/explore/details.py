@@ -18,7 +18,7 @@ from atlas.explore.known import Cell
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Plane
 from atlas.explore.view import Sight
-from atlas.explore.words import attractors_table, cell_table, point_line
+from atlas.explore.words import attractors_table, cell_line, cell_table, point_line
 
 POINTED = "<h4>cell under the pointer</h4>"
 CLICKED = "<h4>cell clicked</h4>"
@@ -38,9 +38,8 @@ class Details:
         self._clicks = 0
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
         self._pointed = Div(text=POINTED, **style)
-        self._clicked = Div(text="<h4>click: a cell in detail</h4>", **style)
-        self._portrait = Div(**style)
-        self._attractors = Div(**style)
+        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
+        self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
         self._copy = Button(label="copy", visible=False, width=70, align="end")
         copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
@@ -50,7 +49,7 @@ class Details:
     def panels(self) -> list[Any]:
         """What it consists of, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
-        return [self._pointed, self._clicked, line, self._attractors, self._portrait]
+        return [self._pointed, self._clicked, line, self._attractors, self._portrait, self._numbers]
 
     def close(self) -> None:
         """Want nothing more."""
@@ -117,13 +116,14 @@ class Details:
     def _show_nothing(self, click: int) -> None:
         if click == self._clicks:
             self._clicked.text = f"{CLICKED}not known yet"
-            self._portrait.text = self._attractors.text = ""
+            self._attractors.text = self._portrait.text = self._numbers.text = ""
             self._point.visible = self._copy.visible = False
 
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
         if click != self._clicks:
             return
-        self._clicked.text = CLICKED + cell_table(cell, self._subject)
+        self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
+        self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)
         self._copy.visible = True
         self._portrait.text = drawn

@@ -100,7 +100,7 @@ class Page:
         self._title = Div(text=title(self._subject, self._chosen.plane), **line)
         self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
         self._line = Div(**line)
-        self._made = Div(sizing_mode="stretch_width", **style)
+        self._made = Div(sizing_mode="stretch_width", visible=False, **style)
         self._address = Div(visible=False)
         self._download = ColumnDataSource({"name": [], "href": []})
 
@@ -143,13 +143,15 @@ class Page:
             self._controls,
             {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"},
         )
+        states = controls.sliders_of(states=True)
         left = column(
             controls.kind, controls.variable, controls.log,
             row(controls.vmin, controls.vmax, sizing_mode="stretch_width"), controls.rescale,
             controls.heading("lines over it"), controls.overlays,
-            controls.heading("parameters"), *controls.sliders.values(), controls.keep,
+            controls.heading("parameters"), *controls.sliders_of(states=False), controls.keep,
             controls.heading("save the picture"), row(*controls.files.values(), sizing_mode="stretch_width"),
             controls.heading("a new atlas of the view, or of a box"), controls.cells, controls.make,
+            *([controls.heading("initial state"), *states] if states else []),
             width=LEFT, **panel,
         )  # fmt: skip
         middle = column(
@@ -260,7 +262,7 @@ class Page:
     def _make(self) -> None:
         chosen, cells = self._chosen, int(self._controls.cells.value or 2)
         x, y = self._box or (chosen.x, chosen.y)
-        self._made.text = "<h4>new atlas</h4>solving a few cells for its cost"
+        self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
 
         def work() -> Callable[[], None]:
             made = new_atlas(self._subject, chosen, x, y, cells, self._folder)

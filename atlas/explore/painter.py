@@ -68,7 +68,7 @@ class Painter:
         self._asked: tuple[Chosen, tuple[int, int], bool] | None = None
         self._changed, self._fresh, self._stale = 0.0, False, False
         self._held: dict[tuple[str, str, bool], Range] = {}
-        self._rescaling = self._looking = False
+        self._rescaling = self._working = False
         self.generation = self.looked = 0
         self.sight: Sight | None = None
         self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
@@ -85,8 +85,8 @@ class Painter:
 
     @property
     def busy(self) -> bool:
-        """Whether something that was asked for is not looked up yet, or not solved."""
-        return self._fresh or self._stale or self._looking or self._explorer.patches.left(self) > 0
+        """Whether something that was asked for is not looked up, solved and drawn yet."""
+        return self._fresh or self._stale or self._working or self._explorer.patches.left(self) > 0
 
     def rescale(self) -> None:
         """Choose the ends of the scale anew, by what is in view."""
@@ -114,11 +114,12 @@ class Painter:
             if self._asked is None or self._closed:
                 continue
             try:
+                self._working = True
                 if self._fresh and time.monotonic() - self._changed >= REST:
-                    self._looking, self._fresh = True, False
+                    self._fresh = False
                     self._look(*self._asked)
                 elif not self._fresh and not self._asked[2] and time.monotonic() - self._changed >= STAY:
-                    self._looking, self._asked = True, (*self._asked[:2], True)
+                    self._asked = (*self._asked[:2], True)
                     self._look(*self._asked)
                 elif self._stale and not self._fresh:
                     self._stale = False
@@ -128,7 +129,7 @@ class Painter:
             except OSError as error:
                 self._refuse(f"the store cannot be read: {error.strerror or error}")
             finally:
-                self._looking = False
+                self._working = False
         self._explorer.listen(self, None)
 
     def _look(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
@@ -140,7 +141,6 @@ class Painter:
         explorer.known.look(chosen.plane, sight, chosen.names)
         stages = range(STAGES, -1 if rests else STAGES - 1, -1)
         explorer.want(self, chosen.plane, sight, stages)
-        self._looking = False
         self._paint()
 
     def _paint(self) -> None:
@@ -155,7 +155,8 @@ class Painter:
             _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
         )
         low, high = self._ends(chosen)
-        made = _drawn(ds, chosen, pixels, low, high)
+        shown = replace(chosen, overlays=chosen.drawn(self._explorer.subject))
+        made = _drawn(ds, shown, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED:
             self._held.setdefault(chosen.scale, made.ends)

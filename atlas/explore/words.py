@@ -95,6 +95,15 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
     return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale} [{unit}]")
 
 
+def cell_line(cell: Cell, subject: Subject) -> str:
+    """Where a cell lies and its regime, as HTML."""
+    places = [
+        f"<i>{html.escape(symbol_of(subject.system, axis.name))}</i> = {number(cell.parameters[axis.name])}"
+        for axis in subject.spec.axes
+    ]
+    return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
+
+
 def cell_table(cell: Cell, subject: Subject) -> str:
     """All that is known of a cell, as an HTML table."""
     units = {variable.name: variable.units for variable in result_variables(subject.spec.settings)}
