@@ -1,11 +1,16 @@
 """What an explorer looks at: levels of an axis, tiles of a view, the cells in view as a dataset; nothing is solved."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import atlas
+from atlas.curves.asking import curves_of
+from atlas.curves.table import write_curves
 from atlas.errors import InputError
-from atlas.explore.chosen import beginning, from_address, kinds, to_address
+from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
 from atlas.explore.compose import composed
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
@@ -15,6 +20,8 @@ from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
 from atlas.explore.words import plain, ticks
 from atlas.spec.axis import Axis
 from atlas.spec.toml_text import spec_toml
+from atlas.store.store import read_header
+from tests.pictures import curves
 from workers.results import PENDING, REGIME, empty_results, result_variables
 
 LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
@@ -146,6 +153,20 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
     assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
 
 
+def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
+    write_curves(read_header(finished), curves())
+    stored = subject_of(str(finished))
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 30, 20), stored.x, stored.y)
+    assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"])).curves) == len(curves().curves)
+    chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
+    assert chosen.drawn(stored) == ("grazing", "curves")
+    assert replace(chosen, plane=stored.plane.moved("R", 0.7)).drawn(stored) == ("grazing",)
+
+
+def test_curves_are_not_offered_where_there_is_no_store(subject: Subject) -> None:
+    assert overlays(subject) == ["grazing", "boundaries", "isolines"]
+
+
 def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     from urllib.parse import parse_qs
 
@@ -232,8 +253,6 @@ def test_the_text_of_a_spec_is_read_as_that_spec() -> None:
 
 
 def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None:
-    from dataclasses import replace
-
     from atlas.spec.spec import Spec
     from workers.model.toml_text import parse_toml
 
