@@ -201,7 +201,7 @@ def test_pages_that_are_closed_free_their_work(running: Exploration, browser: An
         tab.until(tab.image)
         assert running.explorer.listeners
     with opened(browser, "about:blank") as tab:
-        assert tab.until(lambda: not running.explorer.listeners, 20.0)
+        assert tab.until(lambda: not running.explorer.listeners)
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])

@@ -87,7 +87,7 @@ def _slider(subject: Subject, name: str, value: float) -> Slider:
     step = (high - low) / STEPS
     decimals = max(0, 2 - math.floor(math.log10(step * STEPS)))
     return Slider(
-        title=f"{parameter.meaning.split(':')[0]}  {symbol_of(subject.system, name)}",
+        title=f"{parameter.meaning.split(':')[0]}, {symbol_of(subject.system, name)}",
         start=low,
         end=high,
         value=value,
