@@ -64,9 +64,8 @@ def processes(workers: int) -> Iterator[tuple[str, int, list[int]]]:
     try:
         yield address, started[0].pid, [each.pid for each in started[1:]]
     finally:
-        for each in reversed(started):
-            each.terminate()
         for each in started:
+            each.kill()
             each.wait()
 
 

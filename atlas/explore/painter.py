@@ -3,6 +3,7 @@
 A generation counts what was chosen: of an older one nothing is delivered any more.
 """
 
+import logging
 import math
 import threading
 import time
@@ -128,6 +129,9 @@ class Painter:
                 self._refuse(str(error))
             except OSError as error:
                 self._refuse(f"the store cannot be read: {error.strerror or error}")
+            except Exception as error:  # a mistake of ours must not leave the page without a word for good
+                logging.getLogger(__name__).exception("a picture could not be made")
+                self._refuse(f"this picture could not be made: {type(error).__name__}: {error}")
             finally:
                 self._working = False
         self._explorer.listen(self, None)
