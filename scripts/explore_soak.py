@@ -10,7 +10,6 @@ where verifying finds a fault. Memory is printed to be judged: after the caches 
 import argparse
 import os
 import random
-import shutil
 import socket
 import subprocess
 import sys
@@ -19,12 +18,10 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-from playwright.sync_api import sync_playwright
 
 import atlas
 from atlas.explore.session import Exploration, explore
+from tests.browser import Tab, opened, started
 
 STAY = 0.5, 6.0
 """Seconds between two moves, at least and at most."""
@@ -72,12 +69,9 @@ def processes(workers: int) -> Iterator[tuple[str, int, list[int]]]:
 class Visitor:
     """Somebody at the page, who does something at random with each ``move``."""
 
-    def __init__(self, page: Any, url: str, draw: random.Random) -> None:
-        self._page, self._url, self._draw, self._depth = page, url, draw, 0
-        self.complaints: list[str] = []
-        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
-        page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self._begin()
+    def __init__(self, tab: Tab, url: str, draw: random.Random) -> None:
+        self._tab, self._page, self._url, self._draw, self._depth = tab, tab.page, url, draw, 0
+        tab.until(tab.image)
 
     def move(self) -> None:
         """Mostly zoom in at a random point; now and then out, aside, to a cell, a kind, a slider, or to the start."""
@@ -103,19 +97,14 @@ class Visitor:
             for _ in range(STEPS_IN if inward else 2 * STEPS_IN):
                 self._page.mouse.wheel(0.0, -120.0 if inward else 120.0)
 
-    def stay(self, seconds: float) -> None:
-        """Do nothing, and hear what the browser says meanwhile."""
-        self._page.wait_for_timeout(1e3 * seconds)
-
     def _begin(self) -> None:
         self._depth = 0
         self._page.goto(self._url)
-        self._page.locator(".bk-events").wait_for()
+        self._tab.until(self._tab.image)
 
     def _point(self) -> tuple[float, float]:
-        box = self._page.locator(".bk-events").bounding_box()
-        across, up = self._draw.uniform(0.25, 0.9), self._draw.uniform(0.15, 0.85)
-        return box["x"] + across * box["width"], box["y"] + up * box["height"]
+        left, top, width, height = self._tab.plot()
+        return left + self._draw.uniform(0.1, 0.9) * width, top + self._draw.uniform(0.1, 0.9) * height
 
 
 class Report:
@@ -178,25 +167,23 @@ def main() -> None:
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
     draw = random.Random(given.seed)
-    with processes(given.workers) as (address, scheduler, workers), sync_playwright() as playwright:
+    with processes(given.workers) as (address, scheduler, workers), started() as browser:
         running = explore(given.store, scheduler=address)
         try:
-            report = Report(running, scheduler, workers)
-            browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-            visitor = Visitor(browser.new_page(viewport={"width": width, "height": height}), running.url, draw)
-            said = 0.0
-            while report.seconds < 60.0 * given.minutes:
-                visitor.move()
-                report.moves += 1
-                visitor.stay(draw.uniform(*STAY))
-                if report.seconds - said >= REPORT:
-                    said = report.seconds
-                    report.line()
+            report, said = Report(running, scheduler, workers), 0.0
+            with opened(browser, running.url, width, height) as tab:
+                visitor = Visitor(tab, running.url, draw)
+                while report.seconds < 60.0 * given.minutes:
+                    visitor.move()
+                    report.moves += 1
+                    tab.page.wait_for_timeout(1e3 * draw.uniform(*STAY))
+                    if report.seconds - said >= REPORT:
+                        said = report.seconds
+                        report.line()
             report.line()
-            browser.close()
         finally:
             running.stop()
-    sys.exit(0 if report.summary(given.store, visitor.complaints) else 1)
+    sys.exit(0 if report.summary(given.store, tab.complaints) else 1)
 
 
 if __name__ == "__main__":

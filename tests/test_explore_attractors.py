@@ -1,5 +1,6 @@
 """All attractors of a cell that is clicked: found on the cluster, or those that the store has."""
 
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -8,7 +9,7 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.explore.attractors import Attractors, stored_attractors
+from atlas.explore.attractors import Attractors, known_attractors
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.subject import Subject, subject_of
@@ -19,6 +20,7 @@ from atlas.store.store import read_header
 from atlas.store.zoom import sheet_place, sheets
 from tests.test_coexistence import spec_of
 from tests.test_explore_solving import exploring, solved
+from workers import Settings
 from workers.attractors import solve_attractors
 from workers.results import PENDING, REGIME
 
@@ -65,16 +67,16 @@ def test_a_cell_clicked_later_is_answered_and_the_one_before_is_not(finished: Pa
         assert told.get(timeout=120.0)[0] == "second" and told.empty()
 
 
-def test_the_stored_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
+def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
     subject = subject_of(str(coexistence))
     assert subject.every is not None
     point = {"omega": 4.0, "R": 0.7}
     found = at(subject.every, point)
     cell = Cell(dict(subject.plane.parameters) | point, at(subject.ds, point), of_atlas=True)  # type: ignore[arg-type]
-    shown = stored_attractors(subject, cell)
+    shown = known_attractors(subject, cell)
     assert shown is not None and shown.stored
     assert str(list(shown.each)) == str(found["coexisting"])  # NaN is not equal to itself
-    assert stored_attractors(subject, Cell(cell.parameters, cell.results, of_atlas=False)) is None
+    assert known_attractors(subject, Cell(cell.parameters, cell.results, of_atlas=False)) is None
 
 
 def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_state(coexistence: Path) -> None:
@@ -101,6 +103,17 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
     header = read_header(coexistence)
     assert all(read_header(sheet_place(header, *each)).spec.attractors is None for each in sheets(header))
     assert atlas.verify(coexistence, sample=1).fine
+
+
+def test_by_the_papers_schedule_attractors_are_not_sought(finished: Path) -> None:
+    subject = subject_of(str(finished))
+    fixed = replace(subject, settings=Settings(method="fixed"))
+    found = known_attractors(fixed, Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+    assert found is not None and "adaptive" in attractors_table(found, fixed)
+
+
+def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:
+    assert "none of 0 initial states is decided" in attractors_table(Attractors(), subject_of(str(finished)))
 
 
 def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finished: Path) -> None:

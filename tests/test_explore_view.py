@@ -18,6 +18,8 @@ from atlas.explore.subject import Plane, Subject, exploring, subject_of
 from atlas.explore.tiles import Tiles
 from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
 from atlas.explore.words import plain, ticks
+from atlas.render import SCALAR
+from atlas.render.screen import screen
 from atlas.spec.axis import Axis
 from atlas.spec.toml_text import spec_toml
 from atlas.store.store import read_header
@@ -163,8 +165,21 @@ def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> N
     assert replace(chosen, plane=stored.plane.moved("R", 0.7)).drawn(stored) == ("grazing",)
 
 
+def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
+    write_curves(read_header(finished), curves())
+    stored = subject_of(str(finished))
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 60, 40), stored.x, stored.y)
+    tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
+    for kind in kinds(stored):
+        chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
+        ds = composed(stored, stored.plane, sight, tiles, chosen.names)
+        scalar = chosen.variable if kind == SCALAR else None
+        made = screen(ds, kind, (60, 40), 40, overlays=chosen.overlays, variable=scalar)
+        assert made.cells.shape == (40, 60, 4), kind
+
+
 def test_curves_are_not_offered_where_there_is_no_store(subject: Subject) -> None:
-    assert overlays(subject) == ["grazing", "boundaries", "isolines"]
+    assert overlays(subject) == ["grazing", "boundaries", "isolines"] and "regions" not in kinds(subject)
 
 
 def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:

@@ -48,8 +48,10 @@ class Attractors:
     trouble: str = ""
 
 
-def stored_attractors(subject: Subject, cell: Cell) -> Attractors | None:
-    """The attractors of a cell of the atlas, where the atlas has all of them."""
+def known_attractors(subject: Subject, cell: Cell) -> Attractors | None:
+    """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
+    if subject.settings.method == "fixed":
+        return Attractors(trouble='all attractors are found by the method "adaptive" only')
     if subject.every is None or not cell.of_atlas:
         return None
     found = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})

@@ -9,16 +9,19 @@ from bokeh.document import Document
 
 from atlas.errors import InputError, RunError
 
+THREADS = 2
+"""So many things at once: beside a portrait the cell under the pointer is still looked up."""
+
 Show = Callable[[], None]
 
 
 class Background:
-    """A thread of a page's own. ``refuse`` is told, in the document's thread, what the user can mend."""
+    """Threads of a page's own. ``refuse`` is told, in the document's thread, what the user can mend."""
 
     def __init__(self, document: Document, refuse: Callable[[str], None]) -> None:
         self._document, self._refuse = document, refuse
         self._lock, self.closed = threading.Lock(), False
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="atlas-page")
+        self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
     def show(self, act: Show) -> None:
         """Have something done in the thread of the document, for as long as there is one."""
@@ -27,7 +30,7 @@ class Background:
                 self._document.add_next_tick_callback(act)
 
     def run(self, work: Callable[[], Show]) -> None:
-        """Have something done in the page's own thread, then what it returns in that of the document."""
+        """Have something done in a thread of the page, then what it returns in that of the document."""
 
         def whole() -> None:
             try:
@@ -38,10 +41,10 @@ class Background:
 
         with self._lock:
             if not self.closed:
-                self._thread.submit(whole)
+                self._threads.submit(whole)
 
     def close(self) -> None:
         """Show nothing more, and begin nothing more."""
         with self._lock:
             self.closed = True
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._threads.shutdown(wait=False, cancel_futures=True)

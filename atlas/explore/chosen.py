@@ -11,8 +11,8 @@ from workers.results import LARGEST, REGIME, result_variables
 
 Range = tuple[float, float]
 
-CURVES = "curves"
-"""The overlay that a store keeps."""
+CURVES, CHART = "curves", "regions"
+"""The overlay and the kind of map that draw what a store keeps."""
 
 _OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax")
 
@@ -50,7 +50,8 @@ class Chosen:
 def kinds(subject: Subject) -> list[str]:
     """The kinds of maps whose variables the subject has."""
     held = {variable.name for variable in result_variables(subject.settings)}
-    return [kind for kind in MAPS if held >= set(needs(kind))] + [SCALAR]
+    known = [kind for kind in MAPS if held >= set(needs(kind))]
+    return [kind for kind in known if kind != CHART or subject.stored is not None] + [SCALAR]
 
 
 def overlays(subject: Subject) -> list[str]:

@@ -11,7 +11,7 @@ from bokeh.models import Button, CustomJS, Div, TextInput
 
 from atlas.errors import InputError
 from atlas.explore.actions import portrait_image
-from atlas.explore.attractors import Attractors, stored_attractors
+from atlas.explore.attractors import Attractors, known_attractors
 from atlas.explore.background import Background, Show
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
@@ -100,10 +100,12 @@ class Details:
         return show
 
     def _detail(self, point: tuple[float, float], click: int) -> Show:
+        if click != self._clicks:  # there was another one meanwhile
+            return lambda: None
         cell = self._cell(point)
         if cell is None:
             return partial(self._show_nothing, click)
-        found = stored_attractors(self._subject, cell)
+        found = known_attractors(self._subject, cell)
         self._background.show(partial(self._answer, found, click))
         if found is None and not self._background.closed:
             self._explorer.ask(self, cell, lambda found: self._background.show(partial(self._answer, found, click)))

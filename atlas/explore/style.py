@@ -21,7 +21,7 @@ th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a
 """
 
 PLOT = """
-.bk-events:hover:focus, .bk-events:hover:focus-visible { outline: none; }
+.bk-Canvas:hover { --outline-width: 0px; }
 """
 
 PANEL = """

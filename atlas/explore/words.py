@@ -128,6 +128,8 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
     """The attractors of a cell as an HTML table, and how sure it is that these are all."""
     if found.trouble:
         return f'<span class="trouble">{html.escape(found.trouble)}</span>'
+    if not found.each:
+        return f"none of {plural(found.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
     heads = ["", "regime", "n-p-q", *([LARGEST.name] if exponents else []), "share, 95 %"]
     rows = [_cells("td", _attractor(each, k == found.own, exponents)) for k, each in enumerate(found.each)]
