@@ -53,7 +53,7 @@ class Details:
 
     def close(self) -> None:
         """Want nothing more."""
-        self._explorer.ask(self, None, lambda _: None)
+        self._explorer.forget(self)
 
     def refused(self) -> None:
         """Go on after something could not be done."""

@@ -90,13 +90,14 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
-    def ask(self, who: Hashable, cell: Cell | None, told: Callable[[Attractors], None]) -> None:
-        """Have all attractors of a cell found, and somebody told of them in another thread; None for none any more."""
-        if cell is None:
-            self._asked.forget(who)
-            self.patches.want(who, ())
-        else:
-            self.patches.want(who, [self._asked.ask(who, cell, told)])
+    def ask(self, who: Hashable, cell: Cell, told: Callable[[Attractors], None]) -> None:
+        """Have all attractors of a cell found, and somebody told of them in another thread, and of no other cell's."""
+        self.patches.want(who, [self._asked.ask(who, cell, told)])
+
+    def forget(self, who: Hashable) -> None:
+        """Find nothing more for somebody who asked for attractors."""
+        self._asked.forget(who)
+        self.patches.want(who, ())
 
     def _make(self, item: Hashable) -> Patch | None:
         """The patch of a tile, less the cells that the tile above has; None where it is known meanwhile."""

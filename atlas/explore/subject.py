@@ -188,4 +188,4 @@ def _subject(
     if starts is None:
         return Subject(spec, settings, header, ds, layer)
     alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
-    return Subject(alone, settings, header, ds and own(ds), layer, starts, ds)
+    return Subject(alone, settings, header, None if ds is None else own(ds), layer, starts, ds)

@@ -38,12 +38,10 @@ def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
 
 
 def own(ds: "xr.Dataset") -> "xr.Dataset":
-    """The attractor that each cell's own initial state reaches, in every cell; what it is of, is read at once.
+    """Of a dataset of all attractors the one that each cell's own initial state reaches; which one is read at once.
 
-    A cell where that is none of those kept has the regime of a cell without a result. InputError as of ``one``.
+    A cell where that is none of those kept has the regime of a cell without a result.
     """
-    if not of_all(ds):
-        return one(ds, 0)
     place = ds["own"].load()
     made = ds.drop_vars("own").isel({ATTRACTOR: place.clip(0)})
     made[REGIME.name] = made[REGIME.name].where(place >= 0, PENDING).astype(REGIME.dtype)
