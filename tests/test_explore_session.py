@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
+from bokeh.client import pull_session
 from distributed import Client
 
 import atlas
@@ -45,6 +47,20 @@ def test_a_dataset_is_explored_in_a_frame_that_shows_its_window_and_stop_ends_it
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(shown.url, timeout=5.0)
     assert client.status == "running"  # it is the caller's
+
+
+def test_stop_ends_the_threads_of_every_page(finished: Path, client: Client) -> None:
+    before = set(threading.enumerate())
+    shown = atlas.open(finished).atlas.explore(client=client, keep=False)
+    try:
+        session = pull_session(url=shown.url.partition("?")[0])
+        names = {thread.name for thread in set(threading.enumerate()) - before}
+        assert {"atlas-page", "atlas-painter", "atlas-patches", "atlas-keeper"} <= names
+        session.close()
+    finally:
+        shown.stop()
+    left = {thread.name for thread in set(threading.enumerate()) - before}
+    assert not {name for name in left if name.startswith("atlas-")}
 
 
 @pytest.mark.slow

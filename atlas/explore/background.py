@@ -48,3 +48,7 @@ class Background:
         with self._lock:
             self.closed = True
         self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def wait(self) -> None:
+        """Wait until what is under way has ended."""
+        self._threads.shutdown(wait=True)

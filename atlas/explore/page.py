@@ -44,8 +44,8 @@ LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
 
-def fill(document: Document, explorer: Explorer, folder: Path) -> None:
-    """Make a page of a document; specs of new atlases are written into the folder."""
+def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]") -> None:
+    """Make a page of a document, one of ``pages`` while it lasts; specs of new atlases are written into the folder."""
     context = document.session_context
     arguments = context.request.arguments if context is not None and context.request is not None else {}
     trouble = ""
@@ -59,7 +59,13 @@ def fill(document: Document, explorer: Explorer, folder: Path) -> None:
         logging.getLogger(__name__).exception("a page could not be made")
         raise
     page.trouble = trouble
-    document.on_session_destroyed(lambda _: page.close())
+    pages.add(page)
+
+    def end(_: Any) -> None:
+        pages.discard(page)
+        page.close()
+
+    document.on_session_destroyed(end)
 
 
 class Page:
@@ -92,6 +98,11 @@ class Page:
         self._background.close()
         self._details.close()
         self._painter.close()
+
+    def wait(self) -> None:
+        """Wait until nothing of a page that is closed is at work any more."""
+        self._painter.wait()
+        self._background.wait()
 
     def _make_panels(self) -> None:
         style: dict[str, Any] = {"stylesheets": [TEXT]}

@@ -103,6 +103,10 @@ class Painter:
         self._wake.set()
         self._explorer.listen(self, None)
 
+    def wait(self) -> None:
+        """Wait until a painter that is closed has ended."""
+        self._thread.join()
+
     def _told(self, plane: Plane, key: TileKey) -> None:
         if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
             self._stale = True
