@@ -1,53 +1,159 @@
-"""Random zooming in an atlas for some minutes: is memory bounded, is no tile solved twice, is the store fine?
+"""Random zooming in a browser for some minutes: is memory bounded, is no tile solved twice, is the store fine?
 
-Usage: python -m scripts.explore_soak STORE [--minutes 20] [--seed 1] [--pixels 500x400]
+Usage: python -m scripts.explore_soak STORE [--minutes 20] [--seed 1] [--size 1280x800] [--workers 2]
 
-Looks as a page does, picture by picture, without a browser; the store is explored in place.
+Needs chromium, Playwright and Linux. Scheduler and workers are processes of their own; the store is explored in place.
+Ends with exit code 1 where a tile of the atlas's plane was solved twice or failed, where the browser complained, or
+where verifying finds a fault. Memory is printed to be judged: after the caches are full it should stay.
 """
 
 import argparse
+import os
 import random
-import resource
+import socket
+import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
-from distributed import Client
-
 import atlas
-from atlas.explore.chosen import Chosen, beginning
-from atlas.explore.explorer import Explorer
-from atlas.explore.painter import Painter
-from atlas.explore.subject import subject_of
-from atlas.service.cluster import local_cluster
+from atlas.explore.session import Exploration, explore
+from tests.browser import Tab, opened, started
 
-STAY = (0.5, 6.0)
+STAY = 0.5, 6.0
 """Seconds between two moves, at least and at most."""
+REPORT = 30.0
+"""Seconds between two lines."""
+STEPS_IN, DEEPEST = 6, 10
+"""Turns of the wheel in one move; after so many in a row it begins anew, about 10^6 deep."""
+KINDS = "exponent", "period", "impacts", "combined"
 
 
-def moved(chosen: Chosen, start: Chosen, draw: random.Random) -> Chosen:
-    """The next window: mostly a zoom in at a random point, now and then out, back, aside or to another kind."""
-    what = draw.random()
-    if what < 0.1:
-        return replace(start, kind=chosen.kind)
-    if what < 0.2:
-        return replace(chosen, kind=draw.choice(["exponent", "period", "impacts", "combined"]))
-    factor = 0.35 if what < 0.75 else 2.5 if what < 0.9 else 1.0
-    sides = []
-    for low, high in (chosen.x, chosen.y):
-        centre, half = draw.uniform(low, high), 0.5 * (high - low) * factor
-        sides.append((centre - half, centre + half))
-    deep = (start.x[1] - start.x[0]) / (sides[0][1] - sides[0][0]) > 1e6
-    return start if deep else replace(chosen, x=sides[0], y=sides[1])
+def resident(*processes: int) -> float:
+    """MiB of memory that processes have now; those that are gone have none."""
+    total = 0
+    for process in processes:
+        try:
+            lines = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace").splitlines()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        total += sum(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
+    return total / 2**10
 
 
-def resident() -> float:
-    """MiB of memory that this process has now, the local cluster's scheduler in it (Linux)."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * resource.getpagesize() / 2**20
+@contextmanager
+def processes(workers: int) -> Iterator[tuple[str, int, list[int]]]:
+    """A scheduler and its workers: its address, its process, and theirs."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port = found.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    lines = [["dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]]
+    lines += [["dask_worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard"]] * workers
+    quiet = subprocess.DEVNULL
+    started = [
+        subprocess.Popen([sys.executable, "-m", f"distributed.cli.{name}", *words], stdout=quiet, stderr=quiet)
+        for name, *words in lines
+    ]
+    try:
+        yield address, started[0].pid, [each.pid for each in started[1:]]
+    finally:
+        for each in started:
+            each.kill()
+            each.wait()
+
+
+class Visitor:
+    """Somebody at the page, who does something at random with each ``move``."""
+
+    def __init__(self, tab: Tab, url: str, draw: random.Random) -> None:
+        self._tab, self._page, self._url, self._draw, self._depth = tab, tab.page, url, draw, 0
+        tab.until(tab.image)
+
+    def move(self) -> None:
+        """Mostly zoom in at a random point; now and then out, aside, to a cell, a kind, a slider, or to the start."""
+        draw, what = self._draw, self._draw.random()
+        x, y = self._point()
+        self._page.mouse.move(x, y)
+        if self._depth >= DEEPEST or what < 0.05:
+            self._begin()
+        elif what < 0.1:
+            self._page.locator("select").first.select_option(draw.choice(KINDS))
+        elif what < 0.15:
+            self._page.mouse.click(x, y)
+        elif what < 0.17:
+            self._page.locator(".noUi-handle").first.focus()
+            self._page.keyboard.press(draw.choice(["ArrowLeft", "ArrowRight"]))
+        elif what < 0.3:
+            self._page.mouse.down()
+            self._page.mouse.move(*self._point(), steps=5)
+            self._page.mouse.up()
+        else:
+            inward = what < 0.85
+            self._depth = max(0, self._depth + (1 if inward else -2))
+            for _ in range(STEPS_IN if inward else 2 * STEPS_IN):
+                self._page.mouse.wheel(0.0, -120.0 if inward else 120.0)
+
+    def _begin(self) -> None:
+        self._depth = 0
+        self._page.goto(self._url)
+        self._tab.until(self._tab.image)
+
+    def _point(self) -> tuple[float, float]:
+        left, top, width, height = self._tab.plot()
+        return left + self._draw.uniform(0.1, 0.9) * width, top + self._draw.uniform(0.1, 0.9) * height
+
+
+class Report:
+    """What was solved and how much memory everything takes, line by line, and a summary."""
+
+    def __init__(self, running: Exploration, scheduler: int, workers: list[int]) -> None:
+        self._running, self._scheduler, self._workers = running, scheduler, workers
+        self._begin = time.monotonic()
+        self.counts: Counter[object] = Counter()
+        self.moves = 0
+        self._memory: list[tuple[float, float, float]] = []
+        plane = running.explorer.subject.plane
+        running.explorer.listen("soak", lambda of, key: self.counts.update([key] if of == plane else []))
+
+    @property
+    def seconds(self) -> float:
+        """How long it has lasted."""
+        return time.monotonic() - self._begin
+
+    def line(self) -> None:
+        """Say how it stands."""
+        explorer = self._running.explorer
+        memory = resident(os.getpid()), resident(self._scheduler), max(resident(each) for each in self._workers)
+        self._memory.append(memory)
+        server, scheduler, worker = memory
+        known, sheets = explorer.known.tiles, explorer.keeper.sheets
+        cached = f"tiles {known.bytes / 2**20:.0f} MiB, {explorer.keeper.waiting} to keep"
+        cached += "".join(f", {count} sheets {what}" for what, count in (sheets.counts if sheets else {}).items())
+        print(
+            f"{self.seconds:5.0f} s  {self.moves:4d} moves  {sum(self.counts.values()):6d} tiles  "
+            f"server {server:4.0f}, scheduler {scheduler:4.0f}, largest worker {worker:4.0f} MiB  ({cached})",
+            flush=True,
+        )
+
+    def summary(self, store: str, complaints: list[str]) -> bool:
+        """Print how it went, and return whether nothing was wrong."""
+        half = len(self._memory) // 2
+        for what, column in zip(
+            ("server", "scheduler", "largest worker"), zip(*self._memory, strict=True), strict=True
+        ):
+            first, last = max(column[: half + 1]), max(column[half:])
+            print(f"memory of the {what}: at most {first:.0f} MiB in the first half, {last:.0f} MiB in the second")
+        twice = sum(1 for count in self.counts.values() if count > 1)
+        failed = len(self._running.explorer.failures)
+        print(f"tiles of the atlas's plane solved twice: {twice} of {len(self.counts)}; failed: {failed}")
+        print(f"complaints of the browser: {len(complaints)}", *sorted(set(complaints)), sep="\n  ")
+        verified = atlas.verify(store)
+        print(verified)
+        return verified.fine and not (twice or failed or complaints)
 
 
 def main() -> None:
@@ -56,44 +162,28 @@ def main() -> None:
     parser.add_argument("store")
     parser.add_argument("--minutes", type=float, default=20.0)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--pixels", default="500x400")
+    parser.add_argument("--size", default="1280x800", help="of the browser's window, in pixels")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    size = tuple(map(int, given.pixels.split("x")))
-    draw, counts, pictures = random.Random(given.seed), Counter[object](), 0
-    clients: list[Client] = []
-
-    @contextmanager
-    def connect() -> Iterator[Client]:
-        with local_cluster(given.workers) as client:
-            clients.append(client)
-            yield client
-
-    def painted(_: object) -> None:
-        nonlocal pictures
-        pictures += 1
-
-    explorer = Explorer(subject_of(given.store), connect)
-    explorer.listen("soak", lambda plane, key: counts.update([(plane, key)]))
-    painter = Painter(explorer, painted, print)
-    start = beginning(explorer.subject)
-    chosen, begin, told, moves = start, time.monotonic(), 0.0, 0
-    try:
-        while (spent := time.monotonic() - begin) < 60.0 * given.minutes:
-            painter.show(chosen, (size[0], size[1]))
-            time.sleep(draw.uniform(*STAY))
-            chosen, moves = moved(chosen, start, draw), moves + 1
-            if spent - told >= 30.0 or told == 0.0:
-                told = max(spent, 1e-3)
-                done = f"{moves:4d} moves  {pictures:5d} pictures  {sum(counts.values()):6d} tiles solved"
-                memory = f"{resident():5.0f} MiB, of it tiles {explorer.tiles.bytes / 2**20:4.0f} MiB"
-                print(f"{spent:5.0f} s  {done}  server and scheduler {memory}", flush=True)
-    finally:
-        painter.close()
-        explorer.stop()
-    twice = sum(1 for count in counts.values() if count > 1)
-    print(f"tiles solved twice: {twice} of {len(counts)}; failed: {len(explorer.failures)}")
-    print(atlas.verify(given.store))
+    width, height = map(int, given.size.split("x"))
+    draw = random.Random(given.seed)
+    with processes(given.workers) as (address, scheduler, workers), started() as browser:
+        running = explore(given.store, scheduler=address)
+        try:
+            report, said = Report(running, scheduler, workers), 0.0
+            with opened(browser, running.url, width, height) as tab:
+                visitor = Visitor(tab, running.url, draw)
+                while report.seconds < 60.0 * given.minutes:
+                    visitor.move()
+                    report.moves += 1
+                    tab.page.wait_for_timeout(1e3 * draw.uniform(*STAY))
+                    if report.seconds - said >= REPORT:
+                        said = report.seconds
+                        report.line()
+            report.line()
+        finally:
+            running.stop()
+    sys.exit(0 if report.summary(given.store, tab.complaints) else 1)
 
 
 if __name__ == "__main__":

@@ -2,23 +2,21 @@
 
 Usage: python -m scripts.explorer_picture STORE PICTURE.png [--seconds 60]
 
-Needs chromium and Playwright. The store is explored in place; what is solved is kept there.
+STORE is of the plane of the example omega-b, at any density, with its curves. Needs chromium and Playwright. The store
+is explored in place; what is solved is kept there.
 """
 
 import argparse
-import shutil
 import time
-
-from playwright.sync_api import sync_playwright
 
 from atlas.explore.painter import Painter
 from atlas.explore.session import explore
+from tests.browser import opened, started
 
-WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=grazing"
-SIZE = 1440, 820
-CELL = 640, 470
-PAINTED = """() => window.Bokeh && Bokeh.documents.length && [...Bokeh.documents[0]._all_models.values()].some(
-    (model) => model.type === "ColumnDataSource" && model.data.image && model.data.image.length)"""
+WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=curves"
+SIZE = 1440, 900
+CELL = 0.249, 0.35
+"""The cell that is clicked, as shares of the plane's width and height: chaos beside an orbit."""
 
 
 def main() -> None:
@@ -30,21 +28,20 @@ def main() -> None:
     given = parser.parse_args()
     running = explore(given.store)
     try:
-        with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
-            page.goto(f"{running.url}?{WINDOW}")
+        with started() as browser, opened(browser, f"{running.url}?{WINDOW}", *SIZE) as tab:
             end = time.monotonic() + given.seconds
-            page.wait_for_function(PAINTED, timeout=120_000)
+            tab.until(tab.image, 120.0)
             painters = [who for who in running.explorer.listeners if isinstance(who, Painter)]
             while time.monotonic() < end and any(painter.busy for painter in painters):
-                time.sleep(1.0)
-            page.mouse.click(*CELL)
-            page.locator("img.portrait").wait_for(timeout=60_000)
-            page.mouse.move(CELL[0] + 40, CELL[1] - 30)
-            time.sleep(2.0)
-            page.screenshot(path=given.picture)
-            browser.close()
+                tab.page.wait_for_timeout(1e3)
+            left, top, width, height = tab.plot()
+            x, y = left + CELL[0] * width, top + CELL[1] * height
+            tab.page.mouse.click(x, y)
+            tab.page.locator("img.portrait").wait_for(timeout=120_000)
+            tab.until(lambda: "n-p-q" in tab.text(), 120.0)
+            tab.page.mouse.move(x + 40, y - 30)
+            tab.page.wait_for_timeout(2e3)
+            tab.page.screenshot(path=given.picture)
     finally:
         running.stop()
 

@@ -99,21 +99,31 @@ class Tab:
             found = condition()
             if found:
                 return found
-            time.sleep(0.1)
+            self.page.wait_for_timeout(50)  # what happens in the browser is heard meanwhile
         raise AssertionError(f"not within {seconds:g} s; the page says: {self.text()[-600:]}")
 
 
 @contextmanager
-def opened(url: str, width: int = 1000, height: int = 440) -> Iterator[Tab]:
-    """A tab that shows an address."""
+def started() -> Iterator[Any]:
+    """A browser."""
     needs_browser()
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         try:
-            tab = Tab(browser.new_context(viewport={"width": width, "height": height}).new_page())
-            tab.page.goto(url)
-            yield tab
+            yield browser
         finally:
             browser.close()
+
+
+@contextmanager
+def opened(browser: Any, url: str, width: int = 1000, height: int = 440) -> Iterator[Tab]:
+    """A tab that shows an address."""
+    context = browser.new_context(viewport={"width": width, "height": height})
+    try:
+        tab = Tab(context.new_page())
+        tab.page.goto(url)
+        yield tab
+    finally:
+        context.close()

@@ -13,7 +13,8 @@ from distributed import Client
 
 import atlas
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import Keeper, SheetKey
+from atlas.explore.kept import Keeper
+from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
 from atlas.explore.view import TILE, Sight, TileKey, View
 from atlas.service.lease import claimed
@@ -61,7 +62,7 @@ def solved(explorer: Explorer, sight: Sight, plane: Plane | None = None) -> list
     came: list[TileKey] = []
     plane = plane or explorer.subject.plane
     explorer.listen("test", lambda _, key: came.append(key))
-    explorer.look(plane, sight, ["largest"])
+    explorer.known.look(plane, sight, ["largest"])
     explorer.want("test", plane, sight, range(3, -1, -1))
     assert waited(lambda: explorer.patches.left("test") == 0)
     explorer.listen("test", None)
@@ -74,9 +75,9 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     with exploring(finished, client) as explorer:
         subject, sight = explorer.subject, view_of(explorer.subject)
         solved(explorer, sight)
-        ds = explorer.seen(subject.plane, sight, ["largest"])
+        ds = explorer.known.seen(subject.plane, sight, ["largest"])
         assert not np.any(ds[REGIME.name].values == PENDING)
-        cell = explorer.cell(subject.plane, sight, 2.4012345, 0.21)
+        cell = explorer.known.cell(subject.plane, sight, 2.4012345, 0.21)
     assert cell is not None
     alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)
     same = {name: value for name, value in cell.results.items() if name in alone and name not in subject.spec.dims}
@@ -99,11 +100,11 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         solved(explorer, sight)
-        first = explorer.seen(explorer.subject.plane, sight, ["largest", "period"])
+        first = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
     with exploring(finished, client) as explorer:
         assert solved(explorer, sight) == []
-        explorer.look(explorer.subject.plane, sight, ["largest", "period"])
-        second = explorer.seen(explorer.subject.plane, sight, ["largest", "period"])
+        explorer.known.look(explorer.subject.plane, sight, ["largest", "period"])
+        second = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
     assert first.identical(second)
 
 
@@ -130,7 +131,8 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
     assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
     with exploring(finished, client) as explorer:
         assert len(solved(explorer, sight)) > 0
-        assert not np.any(explorer.seen(explorer.subject.plane, sight, ["largest"])[REGIME.name].values == PENDING)
+        seen = explorer.known.seen(explorer.subject.plane, sight, ["largest"])
+        assert not np.any(seen[REGIME.name].values == PENDING)
 
 
 @pytest.mark.slow
@@ -237,6 +239,6 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
         subject = explorer.subject
         sight = Sight.of(View((2.0, 3.0), (-0.1, 0.1), 30, 30), subject.x, subject.y)
         solved(explorer, sight)
-        ds = explorer.seen(subject.plane, sight, [])
+        ds = explorer.known.seen(subject.plane, sight, [])
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
     assert atlas.verify(finished).fine

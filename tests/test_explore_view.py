@@ -1,20 +1,29 @@
 """What an explorer looks at: levels of an axis, tiles of a view, the cells in view as a dataset; nothing is solved."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import atlas
+from atlas.curves.asking import curves_of
+from atlas.curves.table import write_curves
 from atlas.errors import InputError
-from atlas.explore.chosen import beginning, from_address, kinds, to_address
+from atlas.explore.chosen import beginning, from_address, kinds, overlays, to_address
 from atlas.explore.compose import composed
-from atlas.explore.explorer import below
+from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane, Subject, exploring, subject_of
 from atlas.explore.tiles import Tiles
 from atlas.explore.view import STAGES, TILE, Sight, TileKey, View
 from atlas.explore.words import plain, ticks
+from atlas.render import SCALAR
+from atlas.render.screen import screen
 from atlas.spec.axis import Axis
 from atlas.spec.toml_text import spec_toml
+from atlas.store.store import read_header
+from tests.pictures import curves
 from workers.results import PENDING, REGIME, empty_results, result_variables
 
 LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
@@ -146,6 +155,33 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
     assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
 
 
+def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
+    write_curves(read_header(finished), curves())
+    stored = subject_of(str(finished))
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 30, 20), stored.x, stored.y)
+    assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"])).curves) == len(curves().curves)
+    chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
+    assert chosen.drawn(stored) == ("grazing", "curves")
+    assert replace(chosen, plane=stored.plane.moved("R", 0.7)).drawn(stored) == ("grazing",)
+
+
+def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
+    write_curves(read_header(finished), curves())
+    stored = subject_of(str(finished))
+    sight = Sight.of(View((2.3, 2.9), (0.2, 0.3), 60, 40), stored.x, stored.y)
+    tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
+    for kind in kinds(stored):
+        chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
+        ds = composed(stored, stored.plane, sight, tiles, chosen.names)
+        scalar = chosen.variable if kind == SCALAR else None
+        made = screen(ds, kind, (60, 40), 40, overlays=chosen.overlays, variable=scalar)
+        assert made.cells.shape == (40, 60, 4), kind
+
+
+def test_curves_are_not_offered_where_there_is_no_store(subject: Subject) -> None:
+    assert overlays(subject) == ["grazing", "boundaries", "isolines"] and "regions" not in kinds(subject)
+
+
 def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     from urllib.parse import parse_qs
 
@@ -232,8 +268,6 @@ def test_the_text_of_a_spec_is_read_as_that_spec() -> None:
 
 
 def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None:
-    from dataclasses import replace
-
     from atlas.spec.spec import Spec
     from workers.model.toml_text import parse_toml
 

@@ -100,6 +100,15 @@ def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Pa
     np.testing.assert_allclose(seen.periods_used.where(seen.regime != FAILED), expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("pixels", [(1, 1), (2, 1), (1, 3), (3, 2)])
+def test_a_plane_that_takes_fewer_pixels_than_the_last_level_has_cells_is_coarsened_on(
+    ds: xr.Dataset, pixels: tuple[int, int]
+) -> None:
+    seen = view(ds, ["largest"], pixels=pixels)
+    assert seen.sizes["omega"] <= 2 * pixels[0] and seen.sizes["b"] <= 2 * pixels[1]
+    assert np.allclose([cell_edges(seen, "omega")[[0, -1]]], cell_edges(ds, "omega")[[0, -1]])
+
+
 def test_a_coarse_view_ends_where_its_window_ends(ds: xr.Dataset) -> None:
     part = ds.isel(omega=slice(5, 62), b=slice(3, 50))
     seen = view(part, ["largest"], pixels=(10, 10))

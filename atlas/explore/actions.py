@@ -6,41 +6,48 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from atlas.cell.orbit import cell_orbit
 from atlas.explore.chosen import Chosen, Range
-from atlas.explore.explorer import Cell, Explorer
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
-from atlas.render import SCALAR, has_scale, portrait, render
+from atlas.render import SCALAR, has_scale, orbit_figure, render
+from atlas.render.screen import drawing
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
 from atlas.spec.spec import Spec
 from atlas.spec.toml_text import spec_toml
 
+PORTRAIT: Any = {"width": "90mm", "dpi": 220}
+"""The size of a portrait: that of the panel, whose pixels may be finer than those of CSS."""
 MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
 def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, ends: Any) -> tuple[str, str]:
     """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
     subject = explorer.subject
-    ds = explorer.seen(chosen.plane, sight, chosen.names)
-    options: dict[str, Any] = {"overlays": chosen.overlays}
+    ds = explorer.known.seen(chosen.plane, sight, chosen.names)
+    options: dict[str, Any] = {"overlays": chosen.drawn(subject)}
     if chosen.kind == SCALAR:
         options |= {"variable": chosen.variable, "log": chosen.log}
     if chosen.kind == SCALAR or has_scale(chosen.kind):
         options |= dict(zip(("vmin", "vmax"), ends, strict=True))
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:
-        path = render(ds, Path(folder) / name, chosen.kind, **options)
+        with drawing:
+            path = render(ds, Path(folder) / name, chosen.kind, **options)
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
 def portrait_image(subject: Subject, cell: Cell) -> str:
-    """The portrait of a cell as the address of an image."""
+    """The portrait of a cell as the address of an image; InputError for a cell without a motion to show."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
-    drawn = portrait(cell.parameters, system=subject.system, settings=settings, width=6.5, dpi=120)
+    orbit = cell_orbit(cell.parameters, subject.system, settings)
     data = BytesIO()
-    drawn.savefig(data, format="png", dpi=120)
+    with drawing:
+        orbit_figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
     return data_address("image/png", data.getvalue())
 
 

@@ -11,6 +11,9 @@ from workers.results import LARGEST, REGIME, result_variables
 
 Range = tuple[float, float]
 
+CURVES, CHART = "curves", "regions"
+"""The overlay and the kind of map that draw what a store keeps."""
+
 _OTHERS = ("kind", "variable", "log", "overlay", "vmin", "vmax")
 
 
@@ -34,6 +37,10 @@ class Chosen:
         own = [self.variable] if self.kind == SCALAR else needs(self.kind)
         return list(dict.fromkeys([*own, *([LARGEST.name] if "isolines" in self.overlays else []), REGIME.name]))
 
+    def drawn(self, subject: Subject) -> tuple[str, ...]:
+        """The overlays that its plane has: curves are those of the atlas's own."""
+        return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
+
     @property
     def scale(self) -> tuple[str, str, bool]:
         """What pictures must have in common to be on one scale."""
@@ -43,7 +50,15 @@ class Chosen:
 def kinds(subject: Subject) -> list[str]:
     """The kinds of maps whose variables the subject has."""
     held = {variable.name for variable in result_variables(subject.settings)}
-    return [kind for kind in MAPS if held >= set(needs(kind))] + [SCALAR]
+    known = [kind for kind in MAPS if held >= set(needs(kind))]
+    return [kind for kind in known if kind != CHART or subject.stored is not None] + [SCALAR]
+
+
+def overlays(subject: Subject) -> list[str]:
+    """The lines that may be drawn over its maps."""
+    held = {variable.name for variable in result_variables(subject.settings)}
+    without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in held}
+    return [name for name in MAP_OVERLAYS if not without.get(name, False)]
 
 
 def variables(subject: Subject) -> list[str]:
@@ -94,9 +109,10 @@ def _other(subject: Subject, chosen: Chosen, name: str, value: str) -> Chosen:
         return replace(chosen, kind=value) if name == "kind" else replace(chosen, variable=value)
     if name == "overlay":
         wanted = tuple(value.split(",")) if value else ()
-        unknown = [each for each in wanted if each not in MAP_OVERLAYS]
+        known = overlays(subject)
+        unknown = [each for each in wanted if each not in known]
         if unknown:
-            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(MAP_OVERLAYS)}")
+            raise InputError(f"overlay: found {unknown[0]!r}; possible: {', '.join(known)}")
         return replace(chosen, overlays=wanted)
     if name == "log":
         return replace(chosen, log=value == "1")

@@ -79,7 +79,10 @@ def dataset(
         "spec": json.dumps({**resolved, "axes": axes, "parameters": dict(plane.parameters), "solve": solve}),
         "digest": subject.digest(plane),
     }
-    return xarray.Dataset(arrays, coords, attrs)
+    made = xarray.Dataset(arrays, coords, attrs)
+    if subject.stored is not None and plane == subject.plane:
+        made.encoding["source"] = str(subject.stored.place)  # where its curves lie
+    return made
 
 
 def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Dataset | None":

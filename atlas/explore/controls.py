@@ -15,11 +15,11 @@ from bokeh.models import (
     Toggle,
 )
 
-from atlas.explore.chosen import Chosen, kinds, variables
+from atlas.explore.chosen import Chosen, kinds, overlays, variables
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Subject
 from atlas.explore.words import symbol_of
-from atlas.render import MAP_OVERLAYS, SCALAR
+from atlas.render import SCALAR
 from workers.model.parameter import Parameter
 
 STEPS = 200
@@ -48,8 +48,8 @@ class Controls:
             **wide,
         )
         self.log = CheckboxGroup(labels=["logarithmic"], active=[0] if chosen.log else [], visible=scalar, **wide)
-        drawn = [MAP_OVERLAYS.index(name) for name in chosen.overlays]
-        self.overlays = CheckboxGroup(labels=list(MAP_OVERLAYS), active=drawn, **wide)
+        lines = overlays(self.subject)
+        self.overlays = CheckboxGroup(labels=lines, active=[lines.index(name) for name in chosen.overlays], **wide)
         self.vmin = NumericInput(title="scale from", value=chosen.vmin, mode="float", placeholder="auto", **wide)
         self.vmax = NumericInput(title="to", value=chosen.vmax, mode="float", placeholder="auto", **wide)
         self.rescale = Button(label="fit the scale to the view", **wide)
@@ -57,9 +57,13 @@ class Controls:
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)
-        values, states = dict(chosen.plane.parameters), self.subject.system.states
-        ordered = sorted(values, key=lambda name: name in states)
-        self.sliders = {name: _slider(self.subject, name, values[name]) for name in ordered}
+        values = dict(chosen.plane.parameters)
+        self.sliders = {name: _slider(self.subject, name, value) for name, value in values.items()}
+
+    def sliders_of(self, states: bool) -> list[Slider]:
+        """The sliders of initial states, or of all other parameters."""
+        names = self.subject.system.states
+        return [slider for name, slider in self.sliders.items() if (name in names) == states]
 
     def heading(self, text: str) -> Div:
         """A heading above some of them."""
@@ -71,7 +75,7 @@ class Controls:
             "kind": self.kind.value,
             "variable": self.variable.value,
             "log": bool(self.log.active),
-            "overlays": tuple(MAP_OVERLAYS[i] for i in sorted(self.overlays.active)),
+            "overlays": tuple(self.overlays.labels[i] for i in sorted(self.overlays.active)),
             "vmin": self.vmin.value,
             "vmax": self.vmax.value,
         }
@@ -83,7 +87,7 @@ def _slider(subject: Subject, name: str, value: float) -> Slider:
     step = (high - low) / STEPS
     decimals = max(0, 2 - math.floor(math.log10(step * STEPS)))
     return Slider(
-        title=f"{symbol_of(subject.system, name)}  {parameter.meaning.split(':')[0]}",
+        title=f"{parameter.meaning.split(':')[0]}, {symbol_of(subject.system, name)}",
         start=low,
         end=high,
         value=value,

@@ -6,9 +6,7 @@ race with the user.
 
 import html
 import logging
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,24 +17,24 @@ from bokeh.document import Document
 from bokeh.events import MouseLeave, MouseMove, RangesUpdate, SelectionGeometry, Tap
 from bokeh.layouts import column, row
 from bokeh.models import (
-    Button,
     ColumnDataSource,
     CustomJS,
     Div,
     GlobalInlineStyleSheet,
     InlineStyleSheet,
-    TextInput,
 )
 
-from atlas.errors import InputError, RunError
-from atlas.explore.actions import new_atlas, picture_file, portrait_image
+from atlas.errors import InputError
+from atlas.explore.actions import new_atlas, picture_file
+from atlas.explore.background import Background
 from atlas.explore.chosen import Chosen, from_address, to_address
 from atlas.explore.controls import Controls
+from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
 from atlas.explore.plot import label_axes, make_plot
 from atlas.explore.style import KEY, LINE, PAGE, PANEL, TEXT
-from atlas.explore.words import cell_table, png_address, point_line, progress, title
+from atlas.explore.words import png_address, progress, title
 from atlas.render import SCALAR
 
 LEFT, RIGHT = 232, 320
@@ -46,8 +44,8 @@ LEAST = 16
 """Pixels of a plane that is worth drawing."""
 
 
-def fill(document: Document, explorer: Explorer, folder: Path) -> None:
-    """Make a page of a document; specs of new atlases are written into the folder."""
+def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]") -> None:
+    """Make a page of a document, one of ``pages`` while it lasts; specs of new atlases are written into the folder."""
     context = document.session_context
     arguments = context.request.arguments if context is not None and context.request is not None else {}
     trouble = ""
@@ -61,7 +59,13 @@ def fill(document: Document, explorer: Explorer, folder: Path) -> None:
         logging.getLogger(__name__).exception("a page could not be made")
         raise
     page.trouble = trouble
-    document.on_session_destroyed(lambda _: page.close())
+    pages.add(page)
+
+    def end(_: Any) -> None:
+        pages.discard(page)
+        page.close()
+
+    document.on_session_destroyed(end)
 
 
 class Page:
@@ -71,13 +75,11 @@ class Page:
         self._document, self._explorer, self._subject = document, explorer, explorer.subject
         self._chosen, self._folder = chosen, folder
         self._rests, self.trouble = True, ""
-        self._lock, self._closed = threading.Lock(), False
-        self._pointer: tuple[float, float] | None = None
         self._box: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._ends: tuple[float | None, float | None] = (None, None)
         self._controls = Controls(self._subject, chosen)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="atlas-page")
-        self._hovering = False
+        self._background = Background(document, self._refused)
+        self._details = Details(explorer, self._background, lambda: (self._chosen.plane, self._painter.sight))
         self._sizes: dict[str, int] = {}
         self._plot, self._image = make_plot(self._subject, chosen)
         self._make_panels()
@@ -87,22 +89,20 @@ class Page:
         document.add_periodic_callback(self._say_progress, 500)
         self._painter = Painter(
             explorer,
-            lambda painted: self._later(partial(self._show, painted)),
-            lambda why: self._later(partial(self._refused, why)),
+            lambda painted: self._background.show(partial(self._show, painted)),
+            lambda why: self._background.show(partial(self._refused, why)),
         )
 
     def close(self) -> None:
         """Free what the page holds."""
-        with self._lock:
-            self._closed = True
+        self._background.close()
+        self._details.close()
         self._painter.close()
-        self._thread.shutdown(wait=False, cancel_futures=True)
 
-    def _later(self, act: Callable[[], None]) -> None:
-        """Have something done in the thread of the page's document, for as long as there is one."""
-        with self._lock:
-            if not self._closed:
-                self._document.add_next_tick_callback(act)
+    def wait(self) -> None:
+        """Wait until nothing of a page that is closed is at work any more."""
+        self._painter.wait()
+        self._background.wait()
 
     def _make_panels(self) -> None:
         style: dict[str, Any] = {"stylesheets": [TEXT]}
@@ -111,12 +111,7 @@ class Page:
         self._title = Div(text=title(self._subject, self._chosen.plane), **line)
         self._key = Div(width=KEY_WIDTH, sizing_mode="stretch_height", margin=0, stylesheets=[TEXT, KEY])
         self._line = Div(**line)
-        self._hover = Div(text="<h4>cell under the pointer</h4>", sizing_mode="stretch_width", **style)
-        self._cell = Div(text="<h4>click: a cell in detail</h4>", sizing_mode="stretch_width", **style)
-        self._portrait = Div(sizing_mode="stretch_width", **style)
-        self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
-        self._copy = Button(label="copy", visible=False, width=70, align="end")
-        self._made = Div(sizing_mode="stretch_width", **style)
+        self._made = Div(sizing_mode="stretch_width", visible=False, **style)
         self._address = Div(visible=False)
         self._download = ColumnDataSource({"name": [], "href": []})
 
@@ -124,9 +119,9 @@ class Page:
         """Connect events with what they lead to."""
         plot, controls = self._plot, self._controls
         plot.on_event(RangesUpdate, self._moved)
-        plot.on_event(MouseMove, self._pointed)
-        plot.on_event(MouseLeave, lambda _: setattr(self, "_pointer", None))
-        plot.on_event(Tap, self._tapped)
+        plot.on_event(MouseMove, self._details.point)
+        plot.on_event(MouseLeave, lambda _: self._details.leave())
+        plot.on_event(Tap, self._details.click)
         plot.on_event(SelectionGeometry, self._boxed)
         plot.on_change("inner_width", self._resized)
         plot.on_change("inner_height", self._resized)
@@ -153,30 +148,27 @@ class Page:
             link.href = cb_obj.data["href"][0]; link.download = cb_obj.data["name"][0]; link.click()
         """
         self._download.js_on_change("data", CustomJS(code=script))
-        copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
-        self._copy.js_on_event("button_click", copying)
 
     def _layout(self) -> Any:
         controls, panel = (
             self._controls,
             {"stylesheets": [InlineStyleSheet(css=PANEL)], "sizing_mode": "stretch_height"},
         )
+        states = controls.sliders_of(states=True)
         left = column(
             controls.kind, controls.variable, controls.log,
             row(controls.vmin, controls.vmax, sizing_mode="stretch_width"), controls.rescale,
             controls.heading("lines over it"), controls.overlays,
-            controls.heading("parameters"), *controls.sliders.values(), controls.keep,
+            controls.heading("parameters"), *controls.sliders_of(states=False), controls.keep,
             controls.heading("save the picture"), row(*controls.files.values(), sizing_mode="stretch_width"),
             controls.heading("a new atlas of the view, or of a box"), controls.cells, controls.make,
+            *([controls.heading("initial state"), *states] if states else []),
             width=LEFT, **panel,
         )  # fmt: skip
         middle = column(
             self._title, row(self._plot, self._key, sizing_mode="stretch_both"), self._line, sizing_mode="stretch_both"
         )
-        right = column(
-            self._hover, row(self._point, self._copy, sizing_mode="stretch_width"), self._portrait, self._cell,
-            self._made, self._address, width=RIGHT, **panel,
-        )  # fmt: skip
+        right = column(self._made, *self._details.panels, self._address, width=RIGHT, **panel)
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download]
         whole = row(left, middle, right, sizing_mode="stretch_both")
@@ -233,7 +225,8 @@ class Page:
         self.trouble = ""
 
     def _refused(self, why: str) -> None:
-        self.trouble, self._hovering = why, False
+        self.trouble = why
+        self._details.refused()
 
     def _say_progress(self) -> None:
         explorer = self._explorer
@@ -260,54 +253,6 @@ class Page:
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
 
-    def _pointed(self, event: MouseMove) -> None:
-        if event.x is None or event.y is None:
-            return
-        self._pointer = (event.x, event.y)
-        if not self._hovering:
-            self._hovering = True
-            self._in_thread(self._look_up, self._pointer)
-
-    def _look_up(self, point: tuple[float, float]) -> Callable[[], None]:
-        """The text about the cell at a point, as a function that shows it."""
-        sight = self._painter.sight
-        cell = self._explorer.cell(self._chosen.plane, sight, *point) if sight is not None else None
-        text = "<h4>cell under the pointer</h4>" + (cell_table(cell, self._subject) if cell else "not known yet")
-
-        def show() -> None:
-            self._hovering = False
-            self._hover.text = text
-            if self._pointer is not None and self._pointer != point:
-                self._hovering = True
-                self._in_thread(self._look_up, self._pointer)
-
-        return show
-
-    def _tapped(self, event: Tap) -> None:
-        if event.x is None or event.y is None:
-            return
-        self._cell.text = "<h4>cell in detail</h4>solving it"
-        self._in_thread(self._detail, (event.x, event.y))
-
-    def _detail(self, point: tuple[float, float]) -> Callable[[], None]:
-        sight = self._painter.sight
-        cell = self._explorer.cell(self._chosen.plane, sight, *point) if sight is not None else None
-        if cell is None:
-            return lambda: self._cell.update(text="<h4>cell in detail</h4>not known yet")
-        table, line = cell_table(cell, self._subject), point_line(cell, self._subject)
-        try:
-            drawn = f'<img class="portrait" src="{portrait_image(self._subject, cell)}">'
-        except InputError as error:
-            drawn = html.escape(str(error))
-
-        def show() -> None:
-            self._cell.text = f"<h4>cell in detail</h4>{table}"
-            self._point.update(value=line, visible=True)
-            self._copy.visible = True
-            self._portrait.text = drawn
-
-        return show
-
     def _boxed(self, event: SelectionGeometry) -> None:
         box: Any = event.geometry or {}
         if event.final and box.get("type") == "rect":
@@ -319,39 +264,25 @@ class Page:
             return
         chosen, ends = self._chosen, self._ends
 
-        def work(_: Any) -> Callable[[], None]:
+        def work() -> Callable[[], None]:
             name, href = picture_file(self._explorer, chosen, sight, suffix, ends)
             return lambda: self._download.update(data={"name": [name], "href": [href]})
 
-        self._in_thread(work, None)
+        self._background.run(work)
 
     def _make(self) -> None:
         chosen, cells = self._chosen, int(self._controls.cells.value or 2)
         x, y = self._box or (chosen.x, chosen.y)
-        self._made.text = "<h4>new atlas</h4>solving a few cells for its cost"
+        self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
 
-        def work(_: Any) -> Callable[[], None]:
+        def work() -> Callable[[], None]:
             made = new_atlas(self._subject, chosen, x, y, cells, self._folder)
             parts = (str(made.file), made.text, made.line, made.cost)
             file, text, line, cost = map(html.escape, parts)
             shown = f"<h4>new atlas: {file}</h4><pre>{text}</pre><pre>{line}</pre><pre>{cost}</pre>"
             return lambda: self._made.update(text=shown)
 
-        self._in_thread(work, None)
-
-    def _in_thread(self, work: Callable[[Any], Callable[[], None]], given: Any) -> None:
-        """Do something that takes a while, then show what it returns; what the user can mend is said."""
-
-        def run() -> None:
-            try:
-                show = work(given)
-            except (InputError, RunError, OSError) as error:
-                show = partial(self._refused, str(error))
-            self._later(show)
-
-        with self._lock:
-            if not self._closed:
-                self._thread.submit(run)
+        self._background.run(work)
 
 
 def _heard(act: Callable[[], None]) -> Callable[[str, Any, Any], None]:

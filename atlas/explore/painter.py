@@ -3,6 +3,7 @@
 A generation counts what was chosen: of an older one nothing is delivered any more.
 """
 
+import logging
 import math
 import threading
 import time
@@ -56,7 +57,7 @@ def warm(explorer: Explorer) -> None:
     """Draw something once, so that the first page need not wait for all that drawing loads."""
     chosen = beginning(explorer.subject)
     sight = Sight.of(View(chosen.x, chosen.y, *WHOLE), explorer.subject.x, explorer.subject.y)
-    _drawn(explorer.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
+    _drawn(explorer.known.seen(chosen.plane, sight, chosen.names), chosen, WHOLE, None, None)
 
 
 class Painter:
@@ -68,7 +69,7 @@ class Painter:
         self._asked: tuple[Chosen, tuple[int, int], bool] | None = None
         self._changed, self._fresh, self._stale = 0.0, False, False
         self._held: dict[tuple[str, str, bool], Range] = {}
-        self._rescaling = self._looking = False
+        self._rescaling = self._working = False
         self.generation = self.looked = 0
         self.sight: Sight | None = None
         self._thread = threading.Thread(target=self._run, name="atlas-painter", daemon=True)
@@ -85,8 +86,8 @@ class Painter:
 
     @property
     def busy(self) -> bool:
-        """Whether something that was asked for is not looked up yet, or not solved."""
-        return self._fresh or self._stale or self._looking or self._explorer.patches.left(self) > 0
+        """Whether something that was asked for is not looked up, solved and drawn yet."""
+        return self._fresh or self._stale or self._working or self._explorer.patches.left(self) > 0
 
     def rescale(self) -> None:
         """Choose the ends of the scale anew, by what is in view."""
@@ -102,6 +103,10 @@ class Painter:
         self._wake.set()
         self._explorer.listen(self, None)
 
+    def wait(self) -> None:
+        """Wait until a painter that is closed has ended."""
+        self._thread.join()
+
     def _told(self, plane: Plane, key: TileKey) -> None:
         if self._asked and plane == self._asked[0].plane and self.sight is not None and _concerns(self.sight, key):
             self._stale = True
@@ -114,11 +119,12 @@ class Painter:
             if self._asked is None or self._closed:
                 continue
             try:
+                self._working = True
                 if self._fresh and time.monotonic() - self._changed >= REST:
-                    self._looking, self._fresh = True, False
+                    self._fresh = False
                     self._look(*self._asked)
                 elif not self._fresh and not self._asked[2] and time.monotonic() - self._changed >= STAY:
-                    self._looking, self._asked = True, (*self._asked[:2], True)
+                    self._asked = (*self._asked[:2], True)
                     self._look(*self._asked)
                 elif self._stale and not self._fresh:
                     self._stale = False
@@ -127,8 +133,11 @@ class Painter:
                 self._refuse(str(error))
             except OSError as error:
                 self._refuse(f"the store cannot be read: {error.strerror or error}")
+            except Exception as error:  # a mistake of ours must not leave the page without a word for good
+                logging.getLogger(__name__).exception("a picture could not be made")
+                self._refuse(f"this picture could not be made: {type(error).__name__}: {error}")
             finally:
-                self._looking = False
+                self._working = False
         self._explorer.listen(self, None)
 
     def _look(self, chosen: Chosen, size: tuple[int, int], rests: bool) -> None:
@@ -137,10 +146,9 @@ class Painter:
         explorer, subject = self._explorer, self._explorer.subject
         self.sight = sight = Sight.of(View(chosen.x, chosen.y, *size), subject.x, subject.y)
         explorer.patches.want(self, ())
-        explorer.look(chosen.plane, sight, chosen.names)
+        explorer.known.look(chosen.plane, sight, chosen.names)
         stages = range(STAGES, -1 if rests else STAGES - 1, -1)
         explorer.want(self, chosen.plane, sight, stages)
-        self._looking = False
         self._paint()
 
     def _paint(self) -> None:
@@ -148,14 +156,15 @@ class Painter:
         if asked is None or sight is None:
             return
         (chosen, size, _), begin = asked, time.monotonic()
-        ds = self._explorer.seen(chosen.plane, sight, chosen.names)
+        ds = self._explorer.known.seen(chosen.plane, sight, chosen.names)
         x, y = _edges(self._explorer.subject.x, sight, "x"), _edges(self._explorer.subject.y, sight, "y")
         pixels = (
             _pixels(size[0], x, chosen.x, self._explorer.subject.x.log),
             _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
         )
         low, high = self._ends(chosen)
-        made = _drawn(ds, chosen, pixels, low, high)
+        shown = replace(chosen, overlays=chosen.drawn(self._explorer.subject))
+        made = _drawn(ds, shown, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED:
             self._held.setdefault(chosen.scale, made.ends)
@@ -179,7 +188,7 @@ class Painter:
             return {}
         windows = [lattice.edges(0, 0, len(lattice.axis) - 1) for lattice in (subject.x, subject.y)]
         sight = Sight.of(View(windows[0], windows[1], *WHOLE), subject.x, subject.y)
-        ds = self._explorer.seen(subject.plane, sight, chosen.names)
+        ds = self._explorer.known.seen(subject.plane, sight, chosen.names)
         if float(np.mean(ds[REGIME.name].values == PENDING)) > 0.5:
             return {}
         made = _drawn(ds, replace(chosen, overlays=()), WHOLE, None, None)

@@ -6,6 +6,7 @@ from bokeh.models import BoxSelectTool, ColumnDataSource, CustomJSTickFormatter,
 from bokeh.plotting import figure
 
 from atlas.explore.chosen import Chosen
+from atlas.explore.style import PLOT
 from atlas.explore.subject import Subject
 from atlas.explore.words import ticks
 
@@ -33,6 +34,7 @@ def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSourc
         min_border_right=12,
         min_border_bottom=52,
         lod_threshold=None,
+        stylesheets=[PLOT],
     )
     wheel = WheelZoomTool()
     plot.add_tools(wheel, BoxSelectTool(description="choose a window for an atlas"))

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
+    from atlas.explore.page import Page
+
 
 class Exploration:
     """Pages on a subject, served until ``stop``. A notebook shows the first of them."""
@@ -31,8 +33,9 @@ class Exploration:
         from atlas.explore.server import PageServer
 
         self.explorer, self._query = explorer, query
+        self._pages: set[Page] = set()
         warm(explorer)
-        self._server = PageServer(partial(fill, explorer=explorer, folder=folder), port)
+        self._server = PageServer(partial(fill, explorer=explorer, folder=folder, pages=self._pages), port)
 
     @property
     def url(self) -> str:
@@ -42,7 +45,11 @@ class Exploration:
     def stop(self) -> None:
         """Close the pages, end the work, keep what is solved."""
         self._server.stop()
+        for page in self._pages:
+            page.close()
         self.explorer.stop()
+        for page in self._pages:
+            page.wait()
 
     def _repr_html_(self) -> str:
         return f'<iframe src="{self.url}" width="100%" height="720" style="border: 0"></iframe>'

@@ -7,6 +7,7 @@ body > div { height: 100%; }
 
 TEXT = """
 :host { font: 12.5px/1.45 system-ui, sans-serif; color: #1a2433; }
+table { font-size: 12px; line-height: 1.3; }
 b { font-size: 14px; } i { font-family: Georgia, "Times New Roman", serif; font-size: 14px; }
 h4 { margin: 8px 0 2px; font-size: 12.5px; color: #5a6675; font-weight: 600; }
 table { border-collapse: collapse; width: 100%; } caption { text-align: left; color: #5a6675; padding-bottom: 2px; }
@@ -14,7 +15,13 @@ td { padding: 0 4px 0 0; vertical-align: top; font-variant-numeric: tabular-nums
 td:first-child { color: #5a6675; white-space: nowrap; } td + td { word-break: break-all; }
 pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding: 6px; margin: 4px 0; }
 pre { font-size: 11.5px; }
+table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; word-break: normal; }
+th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
+"""
+
+PLOT = """
+.bk-Canvas:hover { --outline-width: 0px; }
 """
 
 PANEL = """

@@ -11,6 +11,7 @@ import numpy as np
 from atlas.errors import InputError
 from atlas.explore.lattice import Lattice
 from atlas.explore.view import TileKey
+from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
 from atlas.spec.axis import admitted
@@ -20,6 +21,7 @@ from atlas.store.store import Header, read_header
 from atlas.task.patch import Patch, packed
 from workers import SOLVER_VERSION, Settings
 from workers.model.system import System, identity
+from workers.starts import Starts
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,6 +30,8 @@ TOLERANCE = 0.05
 """Standard error of the largest exponent that exploring asks for: finer than a map can show."""
 SURVIVAL = 2000
 """Forcing periods for which exploring watches chaos."""
+STARTS = Starts(keep=16)
+"""From which initial states the attractors of a cell are sought, unless the spec says."""
 
 
 def exploring(settings: Settings, tolerance: float = TOLERANCE, survival: int = SURVIVAL) -> Settings:
@@ -63,6 +67,9 @@ class Subject:
     stored     the header of the store; None where a spec is explored that has none
     ds         the plane of the store as a dataset
     layer      the number of that plane in a stack
+    starts     from which initial states all attractors of a cell are sought
+    every      that plane with all attractors of its cells, where the store has them; ``ds`` has the motion from each
+               cell's own initial state
     """
 
     spec: Spec
@@ -70,6 +77,8 @@ class Subject:
     stored: Header | None = None
     ds: "xr.Dataset | None" = None
     layer: int = 0
+    starts: Starts = STARTS
+    every: "xr.Dataset | None" = None
 
     @property
     def header(self) -> Header | None:
@@ -105,7 +114,7 @@ class Subject:
     def same_settings(self) -> bool:
         """Whether cells of the atlas itself are what exploring would make of them."""
         asked = replace(self.spec.settings, section_samples=0)
-        return self.header is not None and asked == self.settings
+        return self.header is not None and self.every is None and asked == self.settings
 
     def digest(self, plane: Plane) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
@@ -161,9 +170,9 @@ def _subject(
         raise InputError(f"explore shows a plane, found {what}")
     if spec.continuation is not None:
         raise InputError("a continued sweep cannot be explored: each cell of it depends on those before it")
-    if spec.attractors is not None:
-        raise InputError("explore shows one motion a cell, found all attractors; take [attractors] out of the spec")
-    layer, settings = 0, exploring(spec.settings, tolerance)
+    if spec.basins:
+        raise InputError("explore shows one motion a cell, found basins; take [attractors] out of the spec")
+    layer, settings, starts = 0, exploring(spec.settings, tolerance), spec.attractors
     if len(spec.axes) == MOST_AXES:
         third = spec.axes[-1]
         value = chosen.get(third.name, third.values[0])
@@ -176,4 +185,7 @@ def _subject(
         spec = Spec(spec.record, axes, spec.parameters | {third.name: value}, spec.settings)
     elif chosen:
         raise InputError(f"--select picks a plane of a stack, found a plane of {', '.join(spec.dims)}")
-    return Subject(spec, settings, header, ds, layer)
+    if starts is None:
+        return Subject(spec, settings, header, ds, layer)
+    alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
+    return Subject(alone, settings, header, None if ds is None else own(ds), layer, starts, ds)

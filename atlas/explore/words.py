@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from io import BytesIO
 from typing import Any, NamedTuple
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from atlas.explore.explorer import Cell
+from atlas.explore.attractors import Attractors
+from atlas.explore.known import Cell
 from atlas.explore.subject import Plane, Subject
 from atlas.service.patches import State
 from atlas.text import plural
@@ -94,6 +95,15 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
     return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale} [{unit}]")
 
 
+def cell_line(cell: Cell, subject: Subject) -> str:
+    """Where a cell lies and its regime, as HTML."""
+    places = [
+        f"<i>{html.escape(symbol_of(subject.system, axis.name))}</i> = {number(cell.parameters[axis.name])}"
+        for axis in subject.spec.axes
+    ]
+    return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
+
+
 def cell_table(cell: Cell, subject: Subject) -> str:
     """All that is known of a cell, as an HTML table."""
     units = {variable.name: variable.units for variable in result_variables(subject.spec.settings)}
@@ -112,6 +122,41 @@ def cell_table(cell: Cell, subject: Subject) -> str:
     of = "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}"
     body = "".join(f"<tr><td>{html.escape(left)}</td><td>{html.escape(right)}</td></tr>" for left, right in rows)
     return f"<table><caption>{of}</caption>{body}</table>"
+
+
+def attractors_table(found: Attractors, subject: Subject) -> str:
+    """The attractors of a cell as an HTML table, and how sure it is that these are all."""
+    if found.trouble:
+        return f'<span class="trouble">{html.escape(found.trouble)}</span>'
+    if not found.each:
+        return f"none of {plural(found.starts, 'initial state')} is decided"
+    exponents = subject.settings.exponents != "none"
+    heads = ["", "regime", "n-p-q", *([LARGEST.name] if exponents else []), "share, 95 %"]
+    rows = [_cells("td", _attractor(each, k == found.own, exponents)) for k, each in enumerate(found.each)]
+    notes = [
+        f"of {plural(found.starts, 'initial state')}",
+        "► reached from the cell's own" if found.own >= 0 else "",
+        f"{found.found - len(found.each)} more, of smaller shares" if len(found.each) < found.found else "",
+        f"{found.undecided} undecided" if found.undecided else "",
+        f"what has a share above {100 * found.unseen:.0f} % is missed in one cell of twenty at most",
+        "stored" if found.stored else f"found now, tolerance {subject.settings.tolerance:g}",
+    ]
+    table = f'<table class="list">{_cells("th", heads)}{"".join(rows)}</table>'
+    return f'{table}<span class="waiting">{html.escape("; ".join(filter(None, notes)))}</span>'
+
+
+def _attractor(each: Mapping[str, Any], own: bool, exponents: bool) -> list[str]:
+    """The row of an attractor: its class, its orbit, its exponent, its share and the ends of the share's interval."""
+    impacts = "sticks" if each["impacts_upper"] < 0 else f"{each['impacts_upper']}-{each['impacts_lower']}"
+    orbit = f"{each['period']}-{impacts}" if each["period"] else ""
+    largest = [f"{each[LARGEST.name]:.3g}".replace("-", "−")] if exponents else []
+    share, low, high = (100 * each[name] for name in ("share", "share_low", "share_high"))
+    regime = each[REGIME.name].replace("_", " ")
+    return ["►" if own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]
+
+
+def _cells(tag: str, texts: Iterable[str]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{html.escape(text)}</{tag}>' for text in texts)}</tr>"
 
 
 def _value(value: Any, units: str) -> str:

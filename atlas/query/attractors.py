@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
-from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES
+from workers.results import ATTRACTOR, NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,6 +35,18 @@ def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     made = ds.isel({ATTRACTOR: int(place)})
     made.encoding = dict(ds.encoding)
     return made.assign_attrs({ATTRACTOR: int(place)})
+
+
+def own(ds: "xr.Dataset") -> "xr.Dataset":
+    """Of a dataset of all attractors the one that each cell's own initial state reaches; which one is read at once.
+
+    A cell where that is none of those kept has the regime of a cell without a result.
+    """
+    place = ds["own"].load()
+    made = ds.drop_vars("own").isel({ATTRACTOR: place.clip(0)})
+    made[REGIME.name] = made[REGIME.name].where(place >= 0, PENDING).astype(REGIME.dtype)
+    made.encoding = dict(ds.encoding)
+    return made
 
 
 def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:

@@ -127,10 +127,10 @@ def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[
     """Variables of a part, each dimension halved so many times, and the cells of the atlas where theirs begin and end.
 
     What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
-    one dimension, some rows at a time.
+    one dimension, some rows at a time; so is one that takes fewer pixels than the last level has cells.
     """
     kept = part.pyramid.levels.kept
-    level = min(steps[kept:])
+    level = min(*steps[kept:], part.pyramid.levels.count)
     more = [*steps[:kept], *(count - level for count in steps[kept:])]
     whole = part.pyramid.levels.shape_of(level)
     ends = zip(part.cells, steps, more, whole, strict=True)

@@ -36,7 +36,7 @@ _KINDS = {
     "period": _Kind(axes=2, variable="period", scale=False),
     "impacts": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
     "symmetry": _Kind(axes=2, variable="symmetric", scale=False, others=("impacts_upper", "impacts_lower")),
-    "regions": _Kind(axes=2, variable="impacts_upper", scale=False),
+    "regions": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
     "combined": _Kind(axes=2, variable=LARGEST.name, others=("period",)),
     "error": _Kind(axes=2, variable=ERROR.name),
     "cost": _Kind(axes=2, variable="periods_used"),

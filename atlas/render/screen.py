@@ -23,8 +23,8 @@ GAP = 16
 """Pixels between the plot area and what is beside it."""
 BAR_ASPECT = 28.0
 """Height of a colour bar over its width, as all pictures have it."""
-_drawing = threading.Lock()
-"""Matplotlib's settings belong to the whole process."""
+drawing = threading.Lock()
+"""Held while something is drawn in one of several threads: Matplotlib's settings belong to the whole process."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def screen(
 
     width, height = size
     whole, settings = width + key_width, house(SCALE)
-    with _drawing, mpl.rc_context(settings):  # type: ignore[arg-type]
+    with drawing, mpl.rc_context(settings):  # type: ignore[arg-type]
         drawn = Figure(figsize=(whole / DPI, height / DPI), dpi=DPI, facecolor="white")
         canvas = FigureCanvasAgg(drawn)
         area = (0.0, 0.0, width / whole, 1.0)

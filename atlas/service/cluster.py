@@ -5,7 +5,6 @@ import logging
 import multiprocessing
 import os
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -78,7 +77,7 @@ def local_cluster(count: int) -> Iterator["Client"]:
 
     with _quiet(), ExitStack() as stack:
         try:
-            with _interrupts_ignored():
+            with _interrupts_blocked():
                 cluster = LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
@@ -136,16 +135,18 @@ def leave_if_bootstrapping() -> None:
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ctrl-C reaches every process of a terminal; those started within ignore it, and their parent ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_blocked() -> Iterator[None]:
+    """Ctrl-C reaches every process of a terminal; those started within do not hear it, and their parent ends them.
+
+    Blocked is what threads and processes inherit, from whichever thread this is; ignoring is for the main thread alone.
+    """
+    # Multiprocessing starts its resource tracker with the first lock, and unblocks these signals then: so not within.
+    multiprocessing.get_context("spawn").Lock()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -54,11 +54,13 @@ class Events:
     make      the patch of a key, just before it is sent; None where it is known meanwhile
     solved    the cells of a patch
     failed    a patch that was tried ATTEMPTS times, and what it raised
+    dropped   a patch that was sent and comes to nothing: ``make`` is asked for it again where it is wanted still
     """
 
     make: Callable[[Hashable], Patch | None]
     solved: Callable[[Hashable, Patch, Arrays], None]
     failed: Callable[[Hashable, str], None]
+    dropped: Callable[[Hashable], None]
 
 
 class Patches:
@@ -124,8 +126,11 @@ class Patches:
                 self._say(f"{error}; trying again")
             finally:
                 with self._lock:
+                    lost = [key for key, _ in self._running.values()]
                     self._running.clear()
                     self._under_way.clear()
+                for key in lost:
+                    self._events.dropped(key)
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
@@ -174,7 +179,7 @@ class Patches:
             idle = [future for future in stale if future.key not in begun and not future.done()]
             client.cancel(idle)
             for future in idle:
-                self._forget(future)
+                self._events.dropped(self._forget(future))
 
     def _next(self) -> Hashable | None:
         """The next patch to send: of all who want some in turn, the first that is not under way."""
@@ -221,12 +226,16 @@ class Patches:
             self._tries.pop(key)
             self._done_with(key)
             self._events.failed(key, " ".join(f"{type(error).__name__}: {error}".split()))
+        else:
+            self._events.dropped(key)
 
-    def _forget(self, future: "Future[Arrays]") -> None:
+    def _forget(self, future: "Future[Arrays]") -> Hashable:
+        """Count a patch as no longer sent, and return its key."""
         with self._lock:
             key, _ = self._running.pop(future)
             self._under_way.discard(key)
         future.release()
+        return key
 
     def _done_with(self, key: Hashable) -> None:
         """Nobody has to wait for a patch any more."""

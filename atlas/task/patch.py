@@ -11,6 +11,7 @@ from atlas.task.compile import compile_once
 from atlas.task.task import check_solver
 from workers import SOLVER_VERSION, Settings
 from workers.model.system import System
+from workers.starts import Starts
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class Patch:
 
     x, y    the name of an axis and the values of the grid along it
     wanted  which cells (y, x) are to be solved, as numpy.packbits packs them; empty for all
+    starts  from which initial states all attractors of each cell are sought; None for the motion from its own alone
     """
 
     system: System
@@ -27,6 +29,7 @@ class Patch:
     x: tuple[str, tuple[float, ...]]
     y: tuple[str, tuple[float, ...]]
     wanted: bytes = b""
+    starts: Starts | None = None
     solver_version: int = SOLVER_VERSION
 
     @property
@@ -46,11 +49,15 @@ def packed(mask: NDArray[np.bool_]) -> bytes:
 
 def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
     """Results of the wanted cells, row by row in arrays (N, ...); RefusedError where this worker has another solver."""
-    from workers.tile import solve_tile
-
     check_solver(patch.solver_version)
     compile_once(patch.settings)
     rows, columns = np.nonzero(patch.mask)
     (x, across), (y, up) = patch.x, patch.y
     cells: dict[str, Any] = {**patch.parameters, x: np.array(across)[columns], y: np.array(up)[rows]}
+    if patch.starts is not None:
+        from workers.attractors import solve_attractors
+
+        return solve_attractors(patch.system, cells, patch.settings, patch.starts).arrays
+    from workers.tile import solve_tile
+
     return solve_tile(patch.system, cells, patch.settings)

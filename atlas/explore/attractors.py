@@ -1,0 +1,111 @@
+"""All attractors of a cell that was clicked: those that the store has, else found on the cluster from many starts."""
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from atlas.explore.known import Cell
+from atlas.explore.subject import Plane, Subject
+from atlas.explore.tiles import Arrays
+from atlas.query.attractors import in_words
+from atlas.query.queries import at
+from atlas.task.patch import Patch
+from workers.results import ATTRACTOR, result_variables
+
+Told = Callable[["Attractors"], None]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A cell whose attractors somebody asks for."""
+
+    plane: Plane
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class Attractors:
+    """The attractors of a cell that are kept, the largest share first, each by its numbers in words.
+
+    found       how many there are, also beyond those kept
+    starts      initial states solved; undecided: those of them whose attractor is not known
+    unseen      an attractor of that share is missed in one cell of twenty
+    own         place of the one that the cell's own initial state reaches; -1 for none of them
+    stored      whether the atlas has them; else they were found now
+    trouble     why there are none
+    """
+
+    each: tuple[dict[str, Any], ...] = ()
+    found: int = 0
+    starts: int = 0
+    undecided: int = 0
+    unseen: float = 1.0
+    own: int = -1
+    stored: bool = False
+    trouble: str = ""
+
+
+def known_attractors(subject: Subject, cell: Cell) -> Attractors | None:
+    """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
+    if subject.settings.method == "fixed":
+        return Attractors(trouble='all attractors are found by the method "adaptive" only')
+    if subject.every is None or not cell.of_atlas:
+        return None
+    found = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
+    return _answer(found["coexisting"], found, stored=True)
+
+
+class Asked:
+    """Questions that wait for the cluster: one at most for each who asks."""
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        self._waiting: dict[Hashable, tuple[Question, Told]] = {}
+
+    def ask(self, who: Hashable, cell: Cell, told: Told) -> Question:
+        """Note that somebody wants the attractors of a cell, and nothing else any more."""
+        x, y = (cell.parameters[axis.name] for axis in self._subject.spec.axes)
+        names = dict(self._subject.plane.parameters)
+        question = Question(Plane.of({name: cell.parameters[name] for name in names}), x, y)
+        self._waiting[who] = question, told
+        return question
+
+    def forget(self, who: Hashable) -> None:
+        """Note that somebody wants nothing any more."""
+        self._waiting.pop(who, None)
+
+    def patch(self, question: Question) -> Patch:
+        """What it takes to answer."""
+        subject = self._subject
+        (x, y) = (axis.name for axis in subject.spec.axes)
+        sides = (x, (question.x,)), (y, (question.y,))
+        return Patch(subject.system, dict(question.plane.parameters), subject.settings, *sides, starts=subject.starts)
+
+    def answer(self, question: Question, arrays: Arrays) -> None:
+        """Tell those who wait for it."""
+        variables = result_variables(self._subject.settings, attractors=True)
+        cell = {variable.name: arrays[variable.name][0] for variable in variables}
+        many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
+        kept = min(int(cell["attractors"]), self._subject.starts.keep)
+        listed = [in_words({name: np.asarray(cell[name][k]).tolist() for name in many}) for k in range(kept)]
+        self._tell(question, _answer(listed, {name: cell[name] for name in cell.keys() - set(many)}, stored=False))
+
+    def fail(self, question: Question, why: str) -> None:
+        """Tell those who wait for it that there is no answer."""
+        self._tell(question, Attractors(trouble=why))
+
+    def _tell(self, question: Question, found: Attractors) -> None:
+        for who, (asked, told) in list(self._waiting.items()):
+            if asked == question:
+                self._waiting.pop(who, None)
+                told(found)
+
+
+def _answer(each: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> Attractors:
+    return Attractors(
+        tuple(each), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
+        float(numbers["unseen_share"]), int(numbers["own"]), stored,
+    )  # fmt: skip

@@ -1,0 +1,54 @@
+"""Work that takes a while, away from the thread of a page's document; what it finds is shown in that thread."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+from bokeh.document import Document
+
+from atlas.errors import InputError, RunError
+
+THREADS = 2
+"""So many things at once: beside a portrait the cell under the pointer is still looked up."""
+
+Show = Callable[[], None]
+
+
+class Background:
+    """Threads of a page's own. ``refuse`` is told, in the document's thread, what the user can mend."""
+
+    def __init__(self, document: Document, refuse: Callable[[str], None]) -> None:
+        self._document, self._refuse = document, refuse
+        self._lock, self.closed = threading.Lock(), False
+        self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
+
+    def show(self, act: Show) -> None:
+        """Have something done in the thread of the document, for as long as there is one."""
+        with self._lock:
+            if not self.closed:
+                self._document.add_next_tick_callback(act)
+
+    def run(self, work: Callable[[], Show]) -> None:
+        """Have something done in a thread of the page, then what it returns in that of the document."""
+
+        def whole() -> None:
+            try:
+                act = work()
+            except (InputError, RunError, OSError) as error:
+                act = partial(self._refuse, str(error))
+            self.show(act)
+
+        with self._lock:
+            if not self.closed:
+                self._threads.submit(whole)
+
+    def close(self) -> None:
+        """Show nothing more, and begin nothing more."""
+        with self._lock:
+            self.closed = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def wait(self) -> None:
+        """Wait until what is under way has ended."""
+        self._threads.shutdown(wait=True)

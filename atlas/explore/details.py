@@ -1,0 +1,141 @@
+"""The column on cells: the one under the pointer, and the one clicked, with its portrait and all its attractors."""
+
+import html
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from bokeh.events import MouseMove, Tap
+from bokeh.layouts import row
+from bokeh.models import Button, CustomJS, Div, TextInput
+
+from atlas.errors import InputError
+from atlas.explore.actions import portrait_image
+from atlas.explore.attractors import Attractors, known_attractors
+from atlas.explore.background import Background, Show
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
+from atlas.explore.style import TEXT
+from atlas.explore.subject import Plane
+from atlas.explore.view import Sight
+from atlas.explore.words import attractors_table, cell_line, cell_table, point_line
+
+POINTED = "<h4>cell under the pointer</h4>"
+CLICKED = "<h4>cell clicked</h4>"
+ALL = "<h4>all attractors of this cell</h4>"
+
+
+class Details:
+    """The panels, and what fills them. ``looked_at`` gives the plane and the view that the page shows."""
+
+    def __init__(
+        self, explorer: Explorer, background: Background, looked_at: Callable[[], tuple[Plane, Sight | None]]
+    ) -> None:
+        self._explorer, self._subject = explorer, explorer.subject
+        self._background, self._looked_at = background, looked_at
+        self._pointer: tuple[float, float] | None = None
+        self._looking = False
+        self._clicks = 0
+        style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
+        self._pointed = Div(text=POINTED, **style)
+        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **style)
+        self._attractors, self._portrait, self._numbers = Div(**style), Div(**style), Div(**style)
+        self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
+        self._copy = Button(label="copy", visible=False, width=70, align="end")
+        copying = CustomJS(args={"line": self._point}, code="navigator.clipboard.writeText(line.value)")
+        self._copy.js_on_event("button_click", copying)
+
+    @property
+    def panels(self) -> list[Any]:
+        """What it consists of, from the top."""
+        line = row(self._point, self._copy, sizing_mode="stretch_width")
+        return [self._pointed, self._clicked, line, self._attractors, self._portrait, self._numbers]
+
+    def close(self) -> None:
+        """Want nothing more."""
+        self._explorer.forget(self)
+
+    def refused(self) -> None:
+        """Go on after something could not be done."""
+        self._looking = False
+
+    def point(self, event: MouseMove) -> None:
+        """Say what is known of the cell under the pointer."""
+        if event.x is None or event.y is None:
+            return
+        self._pointer = (event.x, event.y)
+        self._look_up()
+
+    def leave(self) -> None:
+        """Forget the pointer, which left the plane."""
+        self._pointer = None
+
+    def click(self, event: Tap) -> None:
+        """Show a cell in detail."""
+        if event.x is None or event.y is None:
+            return
+        self._clicks += 1
+        self._clicked.text = f"{CLICKED}solving it"
+        self._background.run(partial(self._detail, (event.x, event.y), self._clicks))
+
+    def _look_up(self) -> None:
+        if self._pointer is not None and not self._looking:
+            self._looking = True
+            self._background.run(partial(self._looked_up, self._pointer))
+
+    def _cell(self, point: tuple[float, float]) -> Cell | None:
+        plane, sight = self._looked_at()
+        return None if sight is None else self._explorer.known.cell(plane, sight, *point)
+
+    def _looked_up(self, point: tuple[float, float]) -> Show:
+        cell = self._cell(point)
+        text = POINTED + (cell_table(cell, self._subject) if cell else "not known yet")
+
+        def show() -> None:
+            self._looking = False
+            self._pointed.text = text
+            if self._pointer != point:
+                self._look_up()
+
+        return show
+
+    def _detail(self, point: tuple[float, float], click: int) -> Show:
+        if click != self._clicks:  # there was another one meanwhile
+            return lambda: None
+        cell = self._cell(point)
+        if cell is None:
+            return partial(self._show_nothing, click)
+        found = known_attractors(self._subject, cell)
+        self._background.show(partial(self._answer, found, click))
+        if found is None and not self._background.closed:
+            self._explorer.ask(self, cell, lambda found: self._background.show(partial(self._answer, found, click)))
+        try:
+            drawn = f'<img class="portrait" src="{portrait_image(self._subject, cell)}">'
+        except InputError as error:
+            drawn = html.escape(str(error))
+        return partial(self._show, cell, drawn, click)
+
+    def _show_nothing(self, click: int) -> None:
+        if click == self._clicks:
+            self._clicked.text = f"{CLICKED}not known yet"
+            self._attractors.text = self._portrait.text = self._numbers.text = ""
+            self._point.visible = self._copy.visible = False
+
+    def _show(self, cell: Cell, drawn: str, click: int) -> None:
+        if click != self._clicks:
+            return
+        self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
+        self._numbers.text = cell_table(cell, self._subject)
+        self._point.update(value=point_line(cell, self._subject), visible=True)
+        self._copy.visible = True
+        self._portrait.text = drawn
+
+    def _answer(self, found: Attractors | None, click: int) -> None:
+        """Show attractors, or that they are sought."""
+        if click != self._clicks:
+            return
+        if found is None:
+            count = self._subject.starts.count
+            self._attractors.text = f'{ALL}<span class="waiting">being sought from {count} initial states</span>'
+        else:
+            self._attractors.text = ALL + attractors_table(found, self._subject)

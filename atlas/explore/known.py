@@ -1,0 +1,172 @@
+"""What is known of a subject: cells of the atlas itself, tiles in memory, tiles kept. Nothing is solved here."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, RunError
+from atlas.explore.compose import atlas_covers, composed, seen_atlas
+from atlas.explore.kept import Keeper
+from atlas.explore.subject import Plane, Subject
+from atlas.explore.tiles import Arrays, Tiles
+from atlas.explore.view import STAGES, TILE, Sight, TileKey
+from atlas.query.queries import at
+from atlas.store.store import done_tiles
+from workers.results import NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES, result_variables
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LOOK = 5.0
+"""Seconds after which it is looked for tiles that a run has added to the atlas itself."""
+DEPTH = 12
+"""So many coarser levels are looked through for what was kept."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell that was asked for: its parameters, its results as ``at`` has them, and whether it is the atlas's own."""
+
+    parameters: dict[str, float]
+    results: dict[str, Any]
+    of_atlas: bool
+
+
+class Known:
+    """Finds what is known. ``tiles`` are those in memory; ``keeper`` has those of the store."""
+
+    def __init__(self, subject: Subject, keeper: Keeper) -> None:
+        self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
+        self._variables = result_variables(subject.settings)
+        self.names = [variable.name for variable in self._variables]
+        self._done: NDArray[np.bool_] | None = None
+        self._looked = float("-inf")
+
+    def look(self, plane: Plane, sight: Sight, names: Iterable[str]) -> None:
+        """Read what is kept of the cells in view: finest first, and coarser ones only where these leave gaps."""
+        wanted = {*names, REGIME.name}
+        hidden: set[TileKey] = set()
+        for stage in range(max(STAGES, min(DEPTH, max(sight.level_x, sight.level_y))) + 1):
+            tiles = sight.tiles(stage)
+            missing = [key for key in tiles if key not in hidden and not self.tiles.has(plane, key, wanted)]
+            for key, arrays in self.keeper.load(plane, missing, wanted).items():
+                self.tiles.put(plane, key, arrays)
+            shown = {key for key in tiles if key in hidden or self.tiles.has(plane, key, wanted)}
+            hidden = {above for above in {key.above for key in tiles} if all(b in shown for b in below(above))}
+
+    def has(self, plane: Plane, key: TileKey) -> bool:
+        """Whether a tile need not be solved."""
+        known = self.tiles.has(plane, key, {REGIME.name}) or self.keeper.has(plane, key)
+        return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
+
+    def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
+        """All variables of a tile, from memory or from the store; None where it is not known."""
+        arrays = self.tiles.get(plane, key)
+        if arrays is not None and arrays.keys() >= set(self.names):
+            return arrays
+        kept = self.keeper.load(plane, [key], self.names).get(key)
+        if kept is not None and kept.keys() >= set(self.names):
+            self.tiles.put(plane, key, kept)
+            return kept
+        return None
+
+    def parent(self, plane: Plane, key: TileKey) -> Arrays | None:
+        """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
+        above = key.above
+        whole = self.whole(plane, above)
+        if whole is not None:
+            return {name: array[key.quarter] for name, array in whole.items()}
+        subject, axes = self.subject, [axis.name for axis in self.subject.spec.axes]
+        if subject.ds is None or not subject.same_settings or max(above.level_x, above.level_y) > 0:
+            return None
+        if not atlas_covers(subject, self.atlas_done(), plane, above):
+            return None
+        rows = (above.index_y() << -above.level_y)[key.quarter[0]]
+        columns = (above.index_x() << -above.level_x)[key.quarter[1]]
+        part = subject.ds[[name for name in self.names if name in subject.ds]].isel({axes[1]: rows, axes[0]: columns})
+        if len(part.data_vars) < len(self.names):
+            return None  # an older atlas lacks some of its variables
+        try:
+            return {name: part[name].transpose(axes[1], axes[0], ...).values for name in self.names}
+        except (OSError, RunError):
+            return None
+
+    def seen(self, plane: Plane, sight: Sight, names: Iterable[str]) -> "xr.Dataset":
+        """The cells in view as far as they are known."""
+        wanted = list(names)
+        base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None
+        return composed(self.subject, plane, sight, self.tiles.shown(plane, sight), wanted, base)
+
+    def cell(self, plane: Plane, sight: Sight, x: float, y: float) -> Cell | None:
+        """The finest cell that is known at a point in view; None where none is."""
+        for stage in range(max(STAGES, sight.level_x, sight.level_y) + 1):
+            level_x, level_y = sight.level_x - stage, sight.level_y - stage
+            if min(level_x, level_y) < 0:
+                found = self._atlas_cell(plane, x, y)
+                if found is not None:
+                    return found
+            j, i = self.subject.x.nearest(level_x, x), self.subject.y.nearest(level_y, y)
+            key = TileKey(level_x, level_y, j // TILE, i // TILE)
+            arrays = self.whole(plane, key)
+            if arrays is not None:
+                return self._cell_of(plane, key, arrays, (i % TILE, j % TILE), (x, y))
+        return self._atlas_cell(plane, x, y)
+
+    def atlas_done(self) -> NDArray[np.bool_] | None:
+        """Which cells (y, x) of the atlas itself are solved; None without an atlas.
+
+        Of an atlas of all attractors those that keep the one that the cell's own initial state reaches.
+        """
+        ds, subject = self.subject.ds, self.subject
+        if ds is None or subject.stored is None:
+            return None
+        if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
+            self._looked = time.monotonic()
+            done = np.zeros(subject.stored.tiling.grid, dtype=bool)
+            for index in done_tiles(subject.stored):
+                done[index] = True
+            for dim, size in enumerate(subject.stored.tile):
+                done = np.repeat(done, size, axis=dim)
+            done = done[tuple(slice(n) for n in subject.stored.tiling.shape)]
+            done = done[subject.layer] if done.ndim > 2 else done
+            self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
+        return self._done
+
+    def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:
+        ds, names = self.subject.ds, [axis.name for axis in self.subject.spec.axes]
+        if ds is None or plane != self.subject.plane:
+            return None
+        try:
+            found = at(ds, dict(zip(names, (x, y), strict=True)))
+        except (InputError, RunError):  # outside the atlas, or a damaged chunk
+            return None
+        if found[REGIME.name] == REGIMES[0].name:
+            return None
+        return Cell(dict(plane.parameters) | {name: found[name] for name in names}, found, of_atlas=True)
+
+    def _cell_of(
+        self, plane: Plane, key: TileKey, arrays: Arrays, place: tuple[int, int], point: tuple[float, float]
+    ) -> Cell:
+        subject = self.subject
+        x = float(subject.x.values(key.level_x, key.index_x()[place[1] : place[1] + 1])[0])
+        y = float(subject.y.values(key.level_y, key.index_y()[place[0] : place[0] + 1])[0])
+        names = [axis.name for axis in subject.spec.axes]
+        found: dict[str, Any] = dict(zip(names, (x, y), strict=True))
+        found["distance"] = dict(zip(names, (abs(x - point[0]), abs(y - point[1])), strict=True))
+        regime, reason = int(arrays[REGIME.name][place]), int(arrays[REASON.name][place])
+        found[REGIME.name] = next(each.name for each in REGIMES if each.code == regime)
+        if reason != NO_REASON:
+            found[REASON.name] = REASONS[reason].text
+        scalars = [v.name for v in self._variables if not v.extra and v.name not in (REGIME.name, REASON.name)]
+        found |= {name: arrays[name][place].item() for name in scalars}
+        return Cell(dict(plane.parameters) | dict(zip(names, (x, y), strict=True)), found, of_atlas=False)
+
+
+def below(key: TileKey) -> list[TileKey]:
+    """The four tiles of the next finer level that have the cells of a tile, and those between."""
+    x, y = 2 * key.x, 2 * key.y
+    return [TileKey(key.level_x + 1, key.level_y + 1, x + i, y + j) for j in (0, 1) for i in (0, 1)]

@@ -1,0 +1,203 @@
+"""The sheets of a store's zoom levels that tiles lie in: which sheet has which tile, and reading them.
+
+A sheet is a store of its own within the store, a block of a level of a plane.
+"""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.explore.lattice import Lattice
+from atlas.explore.subject import Plane, Subject
+from atlas.explore.tiles import Arrays
+from atlas.explore.view import TILE, TileKey
+from atlas.service.lease import remove_half_made
+from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
+from atlas.store.zoom import make_plane, sheet_place
+from workers.model.parameter import Parameter
+
+SHEET = 16
+"""Tiles of a sheet along each axis."""
+MOST_OPEN = 64
+"""Sheets that are held open."""
+MOST_ABSENT = 4096
+"""Sheets of which it is remembered that there are none."""
+MOST_PLANES = 256
+"""Planes whose digests are remembered."""
+LOOK = 5.0
+"""Seconds after which it is looked for what other explorers have written."""
+
+Span = tuple[tuple[int, int], tuple[int, int]]
+
+
+class SheetKey(NamedTuple):
+    """A sheet of a plane: its levels and its number along x and along y."""
+
+    level_x: int
+    level_y: int
+    x: int
+    y: int
+
+    @classmethod
+    def of(cls, key: TileKey) -> "SheetKey":
+        """The sheet that a tile lies in."""
+        return cls(key.level_x, key.level_y, key.x // SHEET, key.y // SHEET)
+
+    @property
+    def name(self) -> str:
+        """The name of its folder."""
+        return f"x{self.level_x}_y{self.level_y}_{self.x}_{self.y}"
+
+
+@dataclass
+class Sheet:
+    """A sheet that is open: where its first tile lies, and which of its tiles are done; bad ones cannot be read."""
+
+    header: Header
+    first: tuple[int, int]
+    arrays: dict[str, Any]
+    done: set[tuple[int, ...]]
+    bad: set[tuple[int, ...]] = field(default_factory=set)
+    looked: float = 0.0
+
+    def index(self, key: TileKey) -> tuple[int, int]:
+        """The tile's index in the sheet."""
+        return key.y - self.first[0], key.x - self.first[1]
+
+
+class Sheets:
+    """The sheets of a subject in its store."""
+
+    def __init__(self, subject: Subject, header: Header) -> None:
+        self._subject, self._header, self._lock = subject, header, threading.RLock()
+        self._open: OrderedDict[tuple[Plane, SheetKey], Sheet] = OrderedDict()
+        self._absent: OrderedDict[tuple[Plane, SheetKey], float] = OrderedDict()
+        self.digest = lru_cache(MOST_PLANES)(lambda plane: subject.digest(plane)[:16])
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many sheets are open, and of how many it is known that there are none."""
+        with self._lock:
+            return {"open": len(self._open), "absent": len(self._absent)}
+
+    def find(self, plane: Plane, key: SheetKey) -> Sheet | None:
+        """A sheet, open; None where there is none yet. Tiles that others write are looked for now and then."""
+        at, now = (plane, key), time.monotonic()
+        with self._lock:
+            if at in self._open:
+                self._open.move_to_end(at)
+                sheet = self._open[at]
+                if now - sheet.looked > LOOK:
+                    sheet.looked = now
+                    with suppress(OSError):
+                        sheet.done = done_tiles(sheet.header) - sheet.bad
+                return sheet
+            if now - self._absent.get(at, -LOOK) < LOOK:
+                return None
+            span = self.span(key)
+            if span is not None:
+                with suppress(InputError, OSError):
+                    header = read_header(sheet_place(self._header, self.digest(plane), key.name))
+                    return self._opened(at, header, span[0])
+            self._absent[at] = now
+            self._absent.move_to_end(at)
+            while len(self._absent) > MOST_ABSENT:
+                self._absent.popitem(last=False)
+            return None
+
+    def made(self, plane: Plane, key: SheetKey, span: Span) -> Sheet:
+        """A sheet that there was not, made and open. For the claim's holder only."""
+        subject, digest = self._subject, self.digest(plane)
+        (low_y, low_x), (high_y, high_x) = span
+        x = subject.x.values(key.level_x, np.arange(low_x * TILE, (high_x + 1) * TILE))
+        y = subject.y.values(key.level_y, np.arange(low_y * TILE, (high_y + 1) * TILE))
+        described = {
+            "long_name": "a plane as it was looked at",
+            "parameters": dict(plane.parameters),
+            "solve": dict(vars(subject.settings)),
+            "digest": subject.digest(plane),
+        }
+        make_plane(self._header, digest, described)
+        place = sheet_place(self._header, digest, key.name)
+        if place.local is not None:
+            remove_half_made(place.local)
+        header = create(place, subject.spec_of(plane, x, y), (TILE, TILE))
+        with self._lock:
+            return self._opened((plane, key), header, (low_y, low_x))
+
+    def close(self, digest: str, name: str) -> None:
+        """Forget a sheet that is dropped, by the name of its plane and its own."""
+        with self._lock:
+            for plane, key in [at for at in self._open if (self.digest(at[0]), at[1].name) == (digest, name)]:
+                del self._open[plane, key]
+
+    def has(self, plane: Plane, key: TileKey) -> bool:
+        """Whether a tile is kept."""
+        with self._lock:
+            sheet = self.find(plane, SheetKey.of(key))
+            return sheet is not None and sheet.index(key) in sheet.done
+
+    def note(self, sheet: Sheet, index: tuple[int, int]) -> None:
+        """Note that a tile is written."""
+        with self._lock:
+            sheet.bad.discard(index)
+            sheet.done.add(index)
+
+    def read(self, sheet: Sheet, tiles: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
+        """These variables of tiles of a sheet; nothing of those that cannot be read."""
+        places = np.array([sheet.index(key) for key in tiles]) * TILE
+        low, high = places.min(axis=0), places.max(axis=0) + TILE
+        box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        try:
+            blocks = {name: np.asarray(sheet.arrays[name][box]) for name in names if name in sheet.arrays}
+        except Exception:  # a codec that meets bytes it never wrote may raise anything: these are solved again
+            with self._lock:
+                bad = {sheet.index(key) for key in tiles}
+                sheet.bad |= bad
+                sheet.done -= bad
+            return {}
+        found = {}
+        for key, place in zip(tiles, places - low, strict=True):
+            part = tuple(slice(int(a), int(a) + TILE) for a in place)
+            found[key] = {name: block[part].copy() for name, block in blocks.items()}
+        return found
+
+    def span(self, key: SheetKey) -> Span | None:
+        """The first and the last tile (y, x) of a sheet whose cells all lie in the valid ranges; None without any."""
+        subject, ends = self._subject, []
+        for lattice, level, number in ((subject.y, key.level_y, key.y), (subject.x, key.level_x, key.x)):
+            parameter = subject.system.parameter(lattice.axis.name)
+            ends.append(_admitted_tiles(lattice, parameter, level, number))
+        (low_y, high_y), (low_x, high_x) = ends
+        return ((low_y, low_x), (high_y, high_x)) if low_y <= high_y and low_x <= high_x else None
+
+    def _opened(self, at: tuple[Plane, SheetKey], header: Header, first: tuple[int, int]) -> Sheet:
+        """Keep a sheet open; those not used for longest are closed."""
+        self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())
+        self._absent.pop(at, None)
+        while len(self._open) > MOST_OPEN:
+            self._open.popitem(last=False)
+        return sheet
+
+
+def depth(name: str) -> int:
+    """How deep a sheet of this name lies, by both its levels."""
+    x, y, *_ = name.split("_")
+    return int(x[1:]) + int(y[1:])
+
+
+def _admitted_tiles(lattice: Lattice, parameter: Parameter, level: int, number: int) -> tuple[int, int]:
+    """The first and the last tile of a sheet, along one axis, whose points all lie in the valid range."""
+    first = number * SHEET
+    index = np.arange(first * TILE, (first + SHEET) * TILE, dtype=np.int64)
+    whole = lattice.admitted(parameter, level, index).reshape(SHEET, TILE).all(axis=1)
+    good = np.flatnonzero(whole)
+    return (first + int(good[0]), first + int(good[-1])) if good.size else (0, -1)

@@ -1,0 +1,128 @@
+"""All attractors of a cell that is clicked: found on the cluster, or those that the store has."""
+
+from dataclasses import replace
+from pathlib import Path
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+from distributed import Client
+
+import atlas
+from atlas.explore.attractors import Attractors, known_attractors
+from atlas.explore.explorer import Explorer
+from atlas.explore.known import Cell
+from atlas.explore.subject import Subject, subject_of
+from atlas.explore.view import Sight, View
+from atlas.explore.words import attractors_table
+from atlas.query.queries import at
+from atlas.store.store import read_header
+from atlas.store.zoom import sheet_place, sheets
+from tests.test_coexistence import spec_of
+from tests.test_explore_solving import exploring, solved
+from workers import Settings
+from workers.attractors import solve_attractors
+from workers.results import PENDING, REGIME
+
+CELL = {"omega": 4.1234567, "b": 0.1}
+"""Between the cells of the plane: an orbit of period 1 there, with others beside it."""
+
+
+def asked(explorer: Explorer, cell: Cell) -> Attractors:
+    """The attractors that the explorer finds of a cell."""
+    answers: SimpleQueue[Attractors] = SimpleQueue()
+    explorer.ask("test", cell, answers.put)
+    return answers.get(timeout=120.0)
+
+
+@pytest.fixture(scope="module")
+def coexistence(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    """An atlas of all attractors of a few cells."""
+    path = tmp_path_factory.mktemp("coexistence") / "out.zarr"
+    atlas.run(spec_of(), path, client=client)
+    return path
+
+
+def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of_exploring(
+    finished: Path, client: Client
+) -> None:
+    with exploring(finished, client, keep=False) as explorer:
+        subject = explorer.subject
+        parameters = dict(subject.plane.parameters) | CELL
+        found = asked(explorer, Cell(parameters, CELL, of_atlas=False))
+    alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts).arrays
+    assert found.found == int(alone["attractors"]) > 1
+    assert [each["share"] for each in found.each] == alone["share"][: found.found].tolist()
+    assert [each["largest"] for each in found.each] == alone["largest"][: found.found].tolist()
+    assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
+
+
+def test_a_cell_clicked_later_is_answered_and_the_one_before_is_not(finished: Path, client: Client) -> None:
+    told: SimpleQueue[tuple[str, Attractors]] = SimpleQueue()
+    with exploring(finished, client, keep=False) as explorer:
+        parameters = dict(explorer.subject.plane.parameters) | CELL
+        for name, omega in (("first", 2.5), ("second", 4.5)):
+            cell = Cell(parameters | {"omega": omega}, {}, of_atlas=False)
+            explorer.ask("page", cell, lambda found, name=name: told.put((name, found)))  # type: ignore[misc]
+        assert told.get(timeout=120.0)[0] == "second" and told.empty()
+
+
+def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
+    subject = subject_of(str(coexistence))
+    assert subject.every is not None
+    point = {"omega": 4.0, "R": 0.7}
+    found = at(subject.every, point)
+    cell = Cell(dict(subject.plane.parameters) | point, at(subject.ds, point), of_atlas=True)  # type: ignore[arg-type]
+    shown = known_attractors(subject, cell)
+    assert shown is not None and shown.stored
+    assert str(list(shown.each)) == str(found["coexisting"])  # NaN is not equal to itself
+    assert known_attractors(subject, Cell(cell.parameters, cell.results, of_atlas=False)) is None
+
+
+def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_state(coexistence: Path) -> None:
+    subject = subject_of(str(coexistence))
+    every, ds = subject.every, subject.ds
+    assert every is not None and ds is not None
+    for place, own in np.ndenumerate(every["own"].values):
+        if own < 0:
+            assert ds[REGIME.name].values[place] == PENDING
+        else:
+            for name in ("largest", REGIME.name, "period"):
+                assert np.array_equal(ds[name].values[place], every[name].values[*place, own], equal_nan=True)
+
+
+def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motion_a_cell(
+    coexistence: Path, client: Client
+) -> None:
+    with exploring(coexistence, client) as explorer:
+        subject = explorer.subject
+        sight = Sight.of(View((3.9, 4.1), (0.75, 0.8), 16, 16), subject.x, subject.y)
+        solved(explorer, sight)
+        shown = explorer.known.seen(subject.plane, sight, ["largest"])
+    assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
+    header = read_header(coexistence)
+    assert all(read_header(sheet_place(header, *each)).spec.attractors is None for each in sheets(header))
+    assert atlas.verify(coexistence, sample=1).fine
+
+
+def test_by_the_papers_schedule_attractors_are_not_sought(finished: Path) -> None:
+    subject = subject_of(str(finished))
+    fixed = replace(subject, settings=Settings(method="fixed"))
+    found = known_attractors(fixed, Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+    assert found is not None and "adaptive" in attractors_table(found, fixed)
+
+
+def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:
+    assert "none of 0 initial states is decided" in attractors_table(Attractors(), subject_of(str(finished)))
+
+
+def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finished: Path) -> None:
+    subject: Subject = subject_of(str(finished))
+    orbit = {"regime": "periodic", "period": 3, "impacts_upper": 2, "impacts_lower": 1, "largest": -0.25}
+    chaos = {"regime": "chaotic", "period": 0, "impacts_upper": 0, "impacts_lower": 0, "largest": 0.5}
+    shares = {"share": 0.75, "share_low": 0.58, "share_high": 0.87}, {"share": 0.2, "share_low": 0.1, "share_high": 0.4}
+    text = attractors_table(Attractors((orbit | shares[0], chaos | shares[1]), 3, 32, 1, 0.09, 1), subject)
+    rows = text.split("<tr>")
+    assert "<td></td><td>periodic</td><td>3-2-1</td><td>−0.25</td><td>75 % (58–87)</td>" in rows[2]
+    assert "<td>►</td><td>chaotic</td><td></td><td>0.5</td><td>20 % (10–40)</td>" in rows[3]
+    assert all(words in text for words in ("of 32 initial states", "1 more, of smaller shares", "1 undecided", "9 %"))
