@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from workers.results import ERROR, LARGEST, REGIME, SPECTRUM
+from workers.results import ERROR, LABEL, LARGEST, REGIME, SETTLED, SPECTRUM
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,7 +43,8 @@ _KINDS = {
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
     "attractors": _Kind(axes=2, variable="attractors", scale=False),
     "share": _Kind(axes=2, variable="share"),
-    BASINS: _Kind(axes=2, variable="label", scale=False),
+    "labels": _Kind(axes=2, variable="share", scale=False, others=(LABEL.name,)),
+    BASINS: _Kind(axes=2, variable=SETTLED.name, scale=False, others=(LABEL.name,)),
     "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),

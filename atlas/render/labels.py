@@ -1,0 +1,67 @@
+"""The map of labels: which branch the attractor of each cell is on, in colours that persist from cell to cell."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.query.attractors import branches
+from atlas.render import maps, overlays, style
+from atlas.render.basins import colors_of
+from workers.results import LABEL, NO_IMPACT
+
+REST = "#c9c4bc"
+"""The colour of branches that the palette has none for."""
+
+
+def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
+    """The map as a figure, of the attractor with the largest share unless another one was selected.
+
+    A mirror image has a paler tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
+    InputError where the attractors of the atlas are not labelled.
+    """
+    if LABEL.name not in ds or "share" not in ds:
+        raise InputError("kind 'labels' draws labels, and this atlas has none; label its attractors by atlas label")
+    known = branches(ds)
+    plane = overlays.read(ds, [LABEL.name], "labels", options)
+    with options.page.context():
+        drawn, ax = maps.frame(ds, options.page)
+        rgba, legend = paint(plane.regime, np.rint(plane[LABEL.name]).astype(np.int64), known)
+        maps.draw(ax, plane, rgba, options)
+        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
+        options.page.legend(drawn, entries, beside="")
+    return drawn
+
+
+def paint(
+    regime: NDArray[np.int8], label: NDArray[np.int64], known: xr.Dataset
+) -> tuple[NDArray[np.uint8], list[Patch]]:
+    """The colour of every cell, (y, x, 4) in bytes, and legend entries for what is present."""
+    rgba = np.zeros((*regime.shape, 4), dtype=np.uint8)
+    table = np.array([style.rgb(color) for color in colors(known)], dtype=np.uint8).reshape(-1, 4)
+    there = label >= 0
+    rgba[there] = table[label[there]]
+    return rgba, entries(known, label) + maps.paint_regimes(rgba, regime, ~there)
+
+
+def colors(known: xr.Dataset) -> list[str]:
+    """The colour of every branch, by its label; small ones share one."""
+    return colors_of(known, REST)
+
+
+def entries(known: xr.Dataset, label: NDArray[np.int64]) -> list[Patch]:
+    """Legend entries of the branches among these labels."""
+    there, own = np.unique(label[label >= 0]), colors(known)
+    named = [k for k in there.tolist() if own[k] != REST]
+    made = [style.swatch(own[k], f"{k}: {name_of(known.isel(branch=k))}") for k in named]
+    return made + ([style.swatch(REST, f"{len(there) - len(named)} more")] if len(there) > len(named) else [])
+
+
+def name_of(one: xr.Dataset) -> str:
+    """The motion on a branch by name: n-p-q, periods, impacts at the upper and the lower stop."""
+    if int(one["regime"]) == NO_IMPACT:
+        return style.name_of(NO_IMPACT)
+    return "-".join(str(int(one[name])) for name in ("period", "impacts_upper", "impacts_lower"))
