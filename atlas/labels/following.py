@@ -38,20 +38,20 @@ class Links(NamedTuple):
 
 
 def followed(attractors: Attractors) -> Links:
-    """All pairs of orbits in neighbouring cells that are one orbit; all motion without impact is one."""
+    """All pairs of orbits in neighbouring cells that are one; motion without impact is one in all cells."""
     pairs, still = attractors.beside(), attractors.regime == NO_IMPACT
-    free = still[pairs[:, 0]]
+    free = np.flatnonzero(still)
     follower = _Follower(attractors)
     known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
-    rest = pairs[~free & known[pairs].all(axis=1)]
+    rest = pairs[~still[pairs[:, 0]] & known[pairs].all(axis=1)]
     there, change = follower.reach(rest)
     back, change_back = follower.reach(rest[:, ::-1])
     refuted = _elsewhere(rest, there, attractors) | _elsewhere(rest[:, ::-1], back, attractors)
     found = (there | back) & ~refuted
     size = np.where(there, change, change_back)
     return Links(
-        np.concatenate([pairs[free], rest[found]]),
-        np.concatenate([np.zeros(int(free.sum())), size[found]]),
+        np.concatenate([np.stack([free[:-1], free[1:]], axis=1), rest[found]]),
+        np.concatenate([np.zeros(max(0, len(free) - 1)), size[found]]),
         known,
         int(np.sum((there | back) & refuted)),
     )

@@ -1,6 +1,7 @@
 """Basins of attraction: which attractor each initial state of a plane reaches, and how long it takes."""
 
 import colorsys
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -54,10 +55,10 @@ def picture(ds: xr.Dataset, known: xr.Dataset, options: maps.Options = maps.PLAI
     return drawn
 
 
-def colors_of(known: xr.Dataset, rest: str | None = None) -> list[str]:
+def colors_of(known: xr.Dataset, palette: Sequence[str] = COLORS, rest: str | None = None) -> list[str]:
     """The colour of every attractor: that of a mirror image is a paler tone of its twin's.
 
-    Where all colours are taken they begin anew, or ``rest`` is that of all others.
+    Where the palette is used up it begins anew, or ``rest`` is the colour of all others.
     """
     found: list[str] = []
     used = 0
@@ -66,10 +67,10 @@ def colors_of(known: xr.Dataset, rest: str | None = None) -> list[str]:
             found.append(NO_IMPACT_COLOR)
         elif 0 <= mirror < k:
             found.append(found[mirror] if found[mirror] == rest else _paler(found[mirror]))
-        elif rest is not None and used >= len(COLORS):
+        elif rest is not None and used >= len(palette):
             found.append(rest)
         else:
-            found.append(COLORS[used % len(COLORS)])
+            found.append(palette[used % len(palette)])
             used += 1
     return found
 

@@ -13,8 +13,10 @@ from atlas.render import maps, overlays, style
 from atlas.render.basins import colors_of
 from workers.results import LABEL, NO_IMPACT
 
-REST = "#c9c4bc"
-"""The colour of branches that the palette has none for."""
+PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3aa6a6", "#8c7a2e")
+"""Colours of the branches of largest share; each also in a paler tone, of its mirror image."""
+REST = "#7d7d7d"
+"""The colour of all other branches."""
 
 
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
@@ -49,19 +51,21 @@ def paint(
 
 def colors(known: xr.Dataset) -> list[str]:
     """The colour of every branch, by its label; small ones share one."""
-    return colors_of(known, REST)
+    return colors_of(known, PALETTE, REST)
 
 
 def entries(known: xr.Dataset, label: NDArray[np.int64]) -> list[Patch]:
     """Legend entries of the branches among these labels."""
     there, own = np.unique(label[label >= 0]), colors(known)
     named = [k for k in there.tolist() if own[k] != REST]
-    made = [style.swatch(own[k], f"{k}: {name_of(known.isel(branch=k))}") for k in named]
-    return made + ([style.swatch(REST, f"{len(there) - len(named)} more")] if len(there) > len(named) else [])
+    made = [style.swatch(own[k], f"{k}: {name_of(known, k)}") for k in named]
+    return made + ([style.swatch(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
 
 
-def name_of(one: xr.Dataset) -> str:
-    """The motion on a branch by name: n-p-q, periods, impacts at the upper and the lower stop."""
+def name_of(known: xr.Dataset, label: int) -> str:
+    """A branch in a few words: n-p-q, periods, impacts at either stop; and whose mirror image it is."""
+    one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
         return style.name_of(NO_IMPACT)
-    return "-".join(str(int(one[name])) for name in ("period", "impacts_upper", "impacts_lower"))
+    name = "-".join(str(int(one[each])) for each in ("period", "impacts_upper", "impacts_lower"))
+    return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
