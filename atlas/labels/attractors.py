@@ -101,7 +101,7 @@ def attractors_of(header: Header) -> tuple[Attractors, int]:
         return values.reshape(cells, *values.shape[len(spec.shape) :])
 
     regime, upper, period, mirror = read(REGIME.name), read("impacts_upper"), read("period"), read("mirror")
-    known = np.isin(regime, (NO_IMPACT, PERIODIC)) & (upper >= 0) & (period > 0)
+    known = np.isin(regime, (NO_IMPACT, PERIODIC)) & (period > 0)
     cell, place = np.nonzero(known)
     row = np.full(known.shape, -1)
     row[cell, place] = np.arange(len(cell))

@@ -39,7 +39,7 @@ class Links(NamedTuple):
 
 def followed(attractors: Attractors) -> Links:
     """All pairs of orbits in neighbouring cells that are one; motion without impact is one in all cells."""
-    pairs, still = attractors.beside(), attractors.regime == NO_IMPACT
+    pairs, still = attractors.beside(), (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
     free = np.flatnonzero(still)
     follower = _Follower(attractors)
     known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)

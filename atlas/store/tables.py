@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from atlas.store.build import codecs
+from atlas.store.build import codecs, consolidate
 from atlas.store.schema import coordinates
 from atlas.store.store import ROOT, Header, open_group
 
@@ -54,6 +54,7 @@ def write_table(header: Header, table: str, columns: Mapping[str, Column], attri
         # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
         warnings.filterwarnings("ignore", message="Consolidated metadata")
         zarr.consolidate_metadata(root.store, path=table)
+    consolidate(root)  # by the root's copy xarray finds the group
 
 
 def table_attributes(header: Header, table: str) -> dict[str, Any] | None:
