@@ -27,7 +27,11 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """
     if LABEL.name not in ds or "share" not in ds:
         raise InputError("kind 'labels' draws labels, and this atlas has none; label its attractors by atlas label")
-    known = branches(ds)
+    return picture(ds, branches(ds), options)
+
+
+def picture(ds: xr.Dataset, known: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
+    """As ``figure``, with the table of the branches given."""
     plane = overlays.read(ds, [LABEL.name], "labels", options)
     with options.page.context():
         drawn, ax = maps.frame(ds, options.page)
