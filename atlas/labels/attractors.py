@@ -66,13 +66,13 @@ class Attractors:
         _, found = np.unique(np.stack(parts, axis=1), axis=0, return_inverse=True)
         return found.ravel()
 
-    def beside(self) -> Rows:
-        """Pairs (N, 2) of orbits of one kind in cells next to each other along a dimension, in order."""
+    def beside(self, away: int = 1) -> Rows:
+        """Pairs (N, 2) of orbits of one kind in cells so many places away from each other along a dimension."""
         number = np.arange(len(self.values)).reshape(self.shape)
         found = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):
             along = np.moveaxis(number, dim, 0)
-            before, after = self.row[along[:-1].ravel()], self.row[along[1:].ravel()]
+            before, after = self.row[along[:-away].ravel()], self.row[along[away:].ravel()]
             pairs = np.stack(np.broadcast_arrays(before[:, :, None], after[:, None, :]), axis=-1).reshape(-1, 2)
             pairs = pairs[(pairs >= 0).all(axis=1)]
             found.append(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])

@@ -1,13 +1,16 @@
 """Which attractors of neighbouring cells are one: the orbit of the one cell is followed to the parameters of the other.
 
 There Newton's method on the times and speeds of its impacts finds it, from one cell to the next in a few steps. Where
-one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not.
+one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
+counts where both ways agree: close to a bifurcation Newton's method may come to another orbit.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from atlas.labels.attractors import Array, Attractors, Rows
 from atlas.labels.orbits import alike, orbits_of
@@ -19,6 +22,9 @@ from workers.results import NO_IMPACT
 STEPS = (2, 8)
 """Steps from one cell to the next: the first number of them, the other one where that fails."""
 
+FARTHEST = 4
+"""Cells over which an orbit is followed to another one that no chain of neighbours connects with it."""
+
 SAME = 1e-6
 """Distance of section states of one orbit, relative to the largest component of any."""
 
@@ -27,40 +33,45 @@ class Links(NamedTuple):
     """Pairs of orbits (L, 2), by their rows, that are one; ``change`` (L,): how much it changes between their cells.
 
     That is the largest change of a time of impact, in radians of the force, or of a speed, relative to the fastest.
-    known (A,)     which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
-    contradicted   pairs left out: followed from one of the cells, the orbit becomes another one of the other
+    known (A,)  which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
+    one_way     pairs left out: followed from one cell an orbit becomes that of the other cell, but not back
     """
 
     pairs: Rows
     change: Array
     known: NDArray[np.bool_]
-    contradicted: int
+    one_way: int
 
 
 def followed(attractors: Attractors) -> Links:
-    """All pairs of orbits in neighbouring cells that are one; motion without impact is one in all cells."""
-    pairs, still = attractors.beside(), (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
-    free = np.flatnonzero(still)
-    follower = _Follower(attractors)
+    """All pairs of orbits in neighbouring cells that are one, followed either way; motion without impact is one in all.
+
+    Orbits that are not connected by these are followed over up to FARTHEST cells, whose initial states may have missed
+    them.
+    """
+    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
+    free, follower = np.flatnonzero(still), _Follower(attractors)
     known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
-    rest = pairs[~still[pairs[:, 0]] & known[pairs].all(axis=1)]
-    there, change = follower.reach(rest)
-    back, change_back = follower.reach(rest[:, ::-1])
-    refuted = _elsewhere(rest, there, attractors) | _elsewhere(rest[:, ::-1], back, attractors)
-    found = (there | back) & ~refuted
-    size = np.where(there, change, change_back)
-    return Links(
-        np.concatenate([np.stack([free[:-1], free[1:]], axis=1), rest[found]]),
-        np.concatenate([np.zeros(max(0, len(free) - 1)), size[found]]),
-        known,
-        int(np.sum((there | back) & refuted)),
-    )
+    pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
+    one_way = 0
+    for away in range(1, FARTHEST + 1):
+        wanted = attractors.beside(away)
+        wanted = wanted[~still[wanted[:, 0]] & known[wanted].all(axis=1)]
+        if away > 1:
+            wanted = wanted[_apart(wanted, pairs, len(attractors))]
+        there, size = follower.reach(wanted, away)
+        back, _ = follower.reach(wanted[:, ::-1], away)
+        found = there & back
+        pairs, change = np.concatenate([pairs, wanted[found]]), np.concatenate([change, size[found]])
+        one_way += int(np.sum(there != back))
+    return Links(pairs, change, known, one_way)
 
 
-def _elsewhere(pairs: Rows, reached: NDArray[np.bool_], attractors: Attractors) -> NDArray[np.bool_]:
-    """Of which pairs (N, 2) the first orbit reaches another one of the second's cell."""
-    keys = pairs[:, 0] * len(attractors.values) + attractors.cell[pairs[:, 1]]
-    return np.isin(keys, keys[reached]) & ~reached
+def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
+    """Of which pairs (N, 2) no chain of others (L, 2) connects the two."""
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part[wanted[:, 0]] != part[wanted[:, 1]])
 
 
 class _Follower:
@@ -71,24 +82,27 @@ class _Follower:
         self.family: Family = family_of(attractors.system, attractors.fixed, attractors.axes)
         self.orbits = orbits_of(attractors, self.family)
 
-    def reach(self, pairs: Rows) -> tuple[NDArray[np.bool_], Array]:
-        """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change."""
+    def reach(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
+        """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change.
+
+        away   cells from the one to the other
+        """
         reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
         orbits = [self.orbits[row] for row in pairs[:, 0].tolist()]
         for rows in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
-            reached[rows], change[rows] = self._reach_alike(pairs[rows], [o for r in rows if (o := orbits[r])])
+            reached[rows], change[rows] = self._reach_alike(pairs[rows], [o for r in rows if (o := orbits[r])], away)
         return reached, change
 
-    def _reach_alike(self, pairs: Rows, orbits: list[Orbit]) -> tuple[NDArray[np.bool_], Array]:
+    def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
         """``reach`` of orbits of one itinerary."""
         own = self.attractors
         here, there = (own.values[own.cell[pairs[:, k]]] for k in (0, 1))
         start = many_of(orbits, here)
-        arrived = self._follow(start, there, STEPS[0])
+        arrived = self._follow(start, there, STEPS[0] * away)
         for steps in STEPS[1:]:
             again = np.flatnonzero(~arrived.found)
             if len(again):
-                more = self._follow(many_of([orbits[r] for r in again], here[again]), there[again], steps)
+                more = self._follow(many_of([orbits[r] for r in again], here[again]), there[again], steps * away)
                 for field, better in zip(arrived.impacts, more.impacts, strict=True):
                     field[again] = better
                 arrived.found[again] = more.found

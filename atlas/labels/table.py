@@ -34,7 +34,8 @@ class Count:
     orbits        those that are orbits; followed: those whose impacts alone make an orbit
     branches      labels given; alone: those of one cell
     links         pairs in neighbouring cells that are one orbit; cut: of these left out, since they would put two
-                  attractors of one cell on a branch; contradicted: pairs that are one only as seen from one side
+                  attractors of one cell on a branch; one_way: pairs that
+                  are one only as followed from one of them, and are not linked
     """
 
     attractors: int
@@ -44,7 +45,7 @@ class Count:
     alone: int
     links: int
     cut: int
-    contradicted: int
+    one_way: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ def labels_of(header: Header) -> Labels:
         alone=int(np.sum(cells == 1)),
         links=len(links.pairs),
         cut=cut,
-        contradicted=links.contradicted,
+        one_way=links.one_way,
     )
     return Labels(
         values=values.reshape(*every.shape, every.keep),
