@@ -10,7 +10,7 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
 
 
-@click.command(epilog=examples("atlas label plane.zarr", "atlas render plane.zarr -o labels.png --kind labels"))
+@click.command(epilog=examples("atlas label coexistence.zarr"))
 @store_argument
 @json_option
 @click.pass_context
