@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from atlas.labels.attractors import Array, Attractors, Rows
 from atlas.labels.orbits import alike, orbits_of
 from workers.orbit import Family, Orbit, family_of, section_states
+from workers.orbit.equations import Impacts
 from workers.orbit.linear import NoOscillatorError
 from workers.orbit.many import Many, many_of, moved
 from workers.results import NO_IMPACT
@@ -123,7 +124,8 @@ class _Follower:
             for k in range(1, steps + 1):
                 at = moved(self.family, at, here + (there - here) * (k / steps))
         except (NoOscillatorError, ValueError):
-            return start._replace(found=np.zeros(len(here), dtype=bool))
+            unmoved = Impacts(*(field.copy() for field in start.impacts))
+            return start._replace(impacts=unmoved, found=np.zeros(len(here), dtype=bool))
         return at
 
 
