@@ -23,7 +23,9 @@ class Tab:
     """A tab: what the browser complained of, which hosts it asked, and the state of the page's models."""
 
     def __init__(self, page: Any) -> None:
-        self.page, self.complaints, self.hosts = page, [], set()
+        self.page = page
+        self.complaints: list[str] = []
+        self.hosts: set[str] = set()
         page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))

@@ -170,6 +170,28 @@ def basin() -> tuple[xr.Dataset, xr.Dataset]:
     return ds, table
 
 
+def labelled() -> tuple[xr.Dataset, xr.Dataset]:
+    """A plane of 8 x 6 cells on twenty branches, some of them twins, and on none; and the table of these."""
+    column = np.tile(np.arange(8), (6, 1))
+    label = np.where(column == 7, -1, (column + 2 * np.arange(6)[:, None]) % 20)
+    regime = np.where(label < 0, CHAOTIC, np.where(label == 4, NO_IMPACT, PERIODIC)).astype(np.int8)
+    ds = atlas(
+        {"omega": np.linspace(2, 4, 8), "b": np.linspace(0.1, 0.6, 6)},
+        regime=regime,
+        label=label,
+        share=np.full(label.shape, 0.5),
+    )
+    number = np.arange(20)
+    table = {
+        "regime": np.where(number == 4, NO_IMPACT, PERIODIC).astype(np.int8),
+        "period": 1 + number % 3,
+        "impacts_upper": 1 + number % 5,
+        "impacts_lower": 1 + number % 2,
+        "mirror": np.where(number < 4, number ^ 1, number),
+    }
+    return ds, xr.Dataset({name: ("branch", values) for name, values in table.items()})
+
+
 def orbit() -> CellOrbit:
     """A made-up periodic orbit of one impact at the upper stop: no solver is behind it."""
     parameters = {p.name: p.default for p in TWO_MASS.parameters}

@@ -6,8 +6,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from atlas import render
-from atlas.render import basins
-from tests.pictures import basin, branches, curves, keeping, line, orbit, plane
+from atlas.render import basins, labels
+from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
 DPI = 50
@@ -34,6 +34,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),
     "coexistence": lambda: render.figure(branches()),
     "basins": lambda: basins.picture(*basin()),
+    "labels": lambda: labels.picture(*labelled()),
     "portrait": lambda: render.orbit_figure(orbit()),
 }
 

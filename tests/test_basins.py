@@ -94,6 +94,17 @@ def test_labels_and_the_table_have_the_same_bits_for_any_tiles(tmp_path: Path, c
 
 
 @pytest.mark.slow
+def test_several_worker_processes_give_the_bits_of_one(tmp_path: Path) -> None:
+    """With one initial state in the reference set each process meets, in tiles of its own, what the table has not."""
+    stores = [tmp_path / "one.zarr", tmp_path / "two.zarr"]
+    for path, workers, tile in zip(stores, (1, 2), ([9, 7], [2, 3]), strict=True):
+        atlas.run(spec_of(tile, starts=1), path, options=atlas.RunOptions(workers))
+    for group in (None, "attractors"):
+        one, two = (xr.open_zarr(path, group=group).load() for path in stores)
+        assert all(one[name].values.tobytes() == two[name].values.tobytes() for name in one.data_vars)
+
+
+@pytest.mark.slow
 def test_labels_given_last_are_those_of_a_larger_reference_set_by_period(tmp_path: Path, client: Client) -> None:
     periods = []
     for starts in (1, 16):

@@ -19,9 +19,9 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from atlas.render import basins, maps
+from atlas.render import basins, labels, maps
 from atlas.render.page import page as page_of
-from tests.pictures import basin, branches, curves, keeping, line, orbit, plane
+from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 from tests.synthetic import complete
 
 pytestmark = pytest.mark.slow
@@ -48,9 +48,11 @@ def draw(kind: str, **look: Any) -> Figure:
         return render.figure(line("forward", 5), against=line("backward", 3), **look)
     if kind == "coexistence":
         return render.figure(branches(), kind, **look)
-    if kind == render.BASINS:
+    if kind in (render.BASINS, "labels"):
         page = page_of(**look)
-        figure = basins.picture(*basin(), maps.Options(page=page))
+        options = maps.Options(page=page)
+        of_basins = kind == render.BASINS
+        figure = basins.picture(*basin(), options) if of_basins else labels.picture(*labelled(), options)
         page.fit(figure)
         return figure
     if kind in render.MAPS:

@@ -4,16 +4,23 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from atlas.task import compile as warm
-from workers import Settings, solve_tile
+from tests.test_attractors import CHAOTIC_TWINS, TWINS
+from workers import Settings, identity, solve_tile
+from workers.attractors import solve_attractors
+from workers.basins import solve_basins
+from workers.identity import batch_moments, orbits_reached, periods_to_settle, turn
 from workers.kernel import cells, jit
 from workers.kernel.batch import run
 from workers.orbit import newton
+from workers.starts import Starts
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
+OF_ATTRACTORS = [*KERNELS, *(value for value in vars(identity).values() if isinstance(value, jit.Kernel))]
 
 COMPILING, LOADING = "compiling the kernels (kept for the next run)", "loading the kernels"
 
@@ -23,9 +30,9 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What has been compiled, into a folder that holds nothing at first."""
     done: list[str] = []
 
-    def slowly(settings: Settings) -> bool:
+    def slowly(settings: Settings, attractors: bool) -> bool:
         time.sleep(0.2)
-        done.append(settings.exponents)
+        done.append(settings.exponents + (" and attractors" if attractors else ""))
         return True
 
     monkeypatch.setattr(jit, "CACHE", tmp_path)
@@ -60,7 +67,7 @@ def test_no_system_has_kernels_of_its_own(name: str) -> None:
 def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(settings: Settings) -> bool:
+    def stopped(settings: Settings, attractors: bool) -> bool:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
@@ -69,6 +76,25 @@ def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     assert warm.warming() == COMPILING
     warm.compile_once(Settings())
     assert compiled == ["largest"]
+
+
+def test_what_tells_attractors_is_compiled_where_a_spec_asks_for_them(compiled: list[str]) -> None:
+    for attractors in (False, True, True):
+        warm.compile_once(Settings(), attractors)
+    assert compiled == ["largest", "largest and attractors"]
+    assert warm.warming(attractors=True) == LOADING
+
+
+def test_no_attractor_has_kernels_of_its_own() -> None:
+    """Twins, chaos and its twin, basins: none compiles what was not compiled beforehand."""
+    warm.warm_up(Settings(), attractors=True)
+    before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
+    brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
+    for cell in (TWINS, CHAOTIC_TWINS):
+        solve_attractors("two-mass", cell, brief, Starts(8))
+    solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
+    assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
+    assert all(before[kernel] for kernel in (orbits_reached, periods_to_settle, turn, batch_moments))
 
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:

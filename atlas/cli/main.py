@@ -12,6 +12,7 @@ from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
 from atlas.cli.curves import curves
 from atlas.cli.explore import explore
+from atlas.cli.labels import label
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import query
@@ -98,6 +99,7 @@ for command in (
     query,
     compare,
     curves,
+    label,
     render,
     figures,
     point,

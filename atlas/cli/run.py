@@ -66,8 +66,8 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
     if place.local is not None:
         check_disk(made, place.local)
     if probe:
-        say(f"{warming()}, probing a few cells")
-        compile_once(read.settings)
+        say(f"{warming(read.attractors is not None)}, probing a few cells")
+        compile_once(read.settings, read.attractors is not None)
         made = replace(made, probe=measure(read, made.tiling.tile))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 

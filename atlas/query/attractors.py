@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
-from workers.results import ATTRACTOR, NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES
+from atlas.store.store import read_header
+from atlas.store.tables import LABELS
+from workers.results import ATTRACTOR, LABEL, NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -47,6 +49,23 @@ def own(ds: "xr.Dataset") -> "xr.Dataset":
     made[REGIME.name] = made[REGIME.name].where(place >= 0, PENDING).astype(REGIME.dtype)
     made.encoding = dict(ds.encoding)
     return made
+
+
+def branches(ds: "xr.Dataset") -> "xr.Dataset":
+    """The branches of an atlas whose attractors are labelled, by their labels, as a dataset, read.
+
+    InputError where they are not.
+    """
+    import xarray
+
+    from atlas.overview.guard import GuardedStore
+
+    source = ds.encoding.get("source")
+    if LABEL.name not in ds or not isinstance(source, str):
+        raise InputError("the attractors of this atlas are not labelled; label them by atlas label")
+    guarded: Any = GuardedStore(read_header(source))
+    table = xarray.open_dataset(guarded, engine="zarr", group=LABELS, chunks=None, consolidated=False)
+    return table.drop_vars(LABEL.name).load()
 
 
 def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:

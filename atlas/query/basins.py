@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query.attractors import in_words
 from atlas.query.window import Window, axis_names, within
-from atlas.store.basins import TABLE, has_table
 from atlas.store.store import read_header
-from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME
+from atlas.store.tables import ATTRACTORS, table_attributes
+from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
 from workers.starts import wilson
 
 if TYPE_CHECKING:
@@ -36,6 +36,11 @@ LEAST_DISTANCES = 3
 Labels = NDArray[np.int64]
 
 
+def of_basins(ds: "xr.Dataset") -> bool:
+    """Whether a dataset says which attractor each initial state of a plane reaches."""
+    return SETTLED.name in ds
+
+
 def table(ds: "xr.Dataset") -> "xr.Dataset":
     """The attractors of an atlas of basins by their labels, as a dataset, read.
 
@@ -46,13 +51,13 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
     from atlas.overview.guard import GuardedStore
 
     source = ds.encoding.get("source")
-    if LABEL.name not in ds or not isinstance(source, str):
+    if not of_basins(ds) or not isinstance(source, str):
         raise InputError("this is no atlas of basins: its axes must be initial states, and its spec have [attractors]")
     header = read_header(source)
-    if not has_table(header):
+    if table_attributes(header, ATTRACTORS) is None:
         raise InputError(f"{header.place}: has no table of attractors yet; run it to its end")
     guarded: Any = GuardedStore(header)
-    return xarray.open_dataset(guarded, engine="zarr", group=TABLE, chunks=None, consolidated=False).load()
+    return xarray.open_dataset(guarded, engine="zarr", group=ATTRACTORS, chunks=None, consolidated=False).load()
 
 
 def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Basins of attraction: which attractor each initial state of a plane reaches, and how long it takes."""
 
 import colorsys
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -13,7 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.basins import table
+from atlas.query.basins import of_basins, table
 from atlas.render import maps, overlays, style
 from workers.results import ATTRACTOR, LABEL, REGIME
 
@@ -34,7 +35,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     Their section points lie on top. A mirror image has a paler tone of its twin's hue. InputError where the atlas is
     not one of basins.
     """
-    if LABEL.name not in ds:
+    if not of_basins(ds):
         raise InputError("kind 'basins' draws labels: both axes must be initial states, and the spec have [attractors]")
     return picture(ds, table(ds), options)
 
@@ -54,17 +55,22 @@ def picture(ds: xr.Dataset, known: xr.Dataset, options: maps.Options = maps.PLAI
     return drawn
 
 
-def colors_of(known: xr.Dataset) -> list[str]:
-    """The colour of every attractor: that of a mirror image is a paler tone of its twin's."""
+def colors_of(known: xr.Dataset, palette: Sequence[str] = COLORS, rest: str | None = None) -> list[str]:
+    """The colour of every attractor: that of a mirror image is a paler tone of its twin's.
+
+    Where the palette is used up it begins anew, or ``rest`` is the colour of all others.
+    """
     found: list[str] = []
     used = 0
     for k, (regime, mirror) in enumerate(zip(known[REGIME.name].values, known["mirror"].values, strict=True)):
         if regime == 0:
             found.append(NO_IMPACT_COLOR)
         elif 0 <= mirror < k:
-            found.append(_paler(found[mirror]))
+            found.append(found[mirror] if found[mirror] == rest else _paler(found[mirror]))
+        elif rest is not None and used >= len(palette):
+            found.append(rest)
         else:
-            found.append(COLORS[used % len(COLORS)])
+            found.append(palette[used % len(palette)])
             used += 1
     return found
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from workers.results import ERROR, LARGEST, REGIME, SPECTRUM
+from workers.results import ERROR, LABEL, LARGEST, REGIME, SETTLED, SPECTRUM
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,8 +26,8 @@ class _Kind:
     others: tuple[str, ...] = ()
 
 
-BASINS = "basins"
-"""The kind that is drawn of planes of initial states."""
+BASINS, LABELS = "basins", "labels"
+"""The kinds that are drawn of planes of initial states, and of labelled attractors."""
 
 # The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
 # imported at first use: the command's help needs the names and neither matplotlib nor xarray.
@@ -43,7 +43,8 @@ _KINDS = {
     "sticking": _Kind(axes=2, variable="stuck_fraction"),
     "attractors": _Kind(axes=2, variable="attractors", scale=False),
     "share": _Kind(axes=2, variable="share"),
-    BASINS: _Kind(axes=2, variable="label", scale=False),
+    LABELS: _Kind(axes=2, variable="share", scale=False, others=(LABEL.name,)),
+    BASINS: _Kind(axes=2, variable=SETTLED.name, scale=False, others=(LABEL.name,)),
     "coexistence": _Kind(axes=1, variable="share"),
     "sweep": _Kind(axes=1, variable=REGIME.name),
     "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
@@ -58,8 +59,8 @@ MOST_PANELS = 12
 KINDS = tuple(_KINDS)
 """The kinds of picture: "exponent" to "basins" for two axes, the others for one; "hysteresis" takes two atlases."""
 
-MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2 and name != BASINS)
-"""Those of them that are drawn over two axes of a parameter plane, and take overlays."""
+MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2 and name not in (BASINS, LABELS))
+"""Those of them that are drawn over two axes of a parameter plane, of its cells alone."""
 
 SCALAR = "scalar"
 """The kind that maps a variable that is named, any number that an atlas holds."""

@@ -12,6 +12,7 @@ KIND_MEANINGS = {
     "sticking": "fraction of the time at rest on a stop",
     "attractors": "how many attractors a cell has",
     "share": "the share of initial states that reach the attractor shown, the one of most unless another is chosen",
+    "labels": "which branch the attractor shown is on, in colours that persist from cell to cell, by atlas label",
     "basins": "of a plane of initial states: which attractor each start goes to",
     "scalar": "any number of each cell, which --variable names",
     "coexistence": "of one axis: bifurcation diagram of all attractors above their shares",

@@ -255,8 +255,8 @@ def _retried(header: Header, plan: Plan, done: np.ndarray, retry: Retry) -> _Wor
 def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOptions) -> _Work:
     """The work after the kernels are compiled, where this machine needs them, and its cost probed, where asked for."""
     if client is None or options.probe:
-        options.report(Progress(warming()))
-        compile_once(spec.settings)
+        options.report(Progress(warming(spec.attractors is not None)))
+        compile_once(spec.settings, spec.attractors is not None)
     if not options.probe:
         return work
     options.report(Progress("probing a few cells"))

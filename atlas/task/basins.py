@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.store.basins import Column, has_table, write_table
 from atlas.store.schema import DIMENSIONS, variable_attributes
 from atlas.store.store import Header, done_tiles
+from atlas.store.tables import ATTRACTORS, Column, table_attributes, write_table
 from atlas.store.tiles import read_tile, write_tile
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL, result_variables
 from workers.starts import wilson
@@ -34,7 +34,7 @@ def complete_basins(header: Header) -> None:
     labels = np.full(spec.shape, UNKNOWN_LABEL, dtype=np.int64)
     for index in tiles:
         labels[header.tiling.at(index).slices] = read_tile(header, index, [LABEL.name])[LABEL.name]
-    if has_table(header) and not (labels == BEYOND_TABLE).any():
+    if table_attributes(header, ATTRACTORS) is not None and not (labels == BEYOND_TABLE).any():
         return
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
@@ -51,7 +51,8 @@ def complete_basins(header: Header) -> None:
                 arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
                 write_tile(header, index, arrays)
     solved = np.concatenate([_solved(header, index) for index in tiles])
-    write_table(header, _columns(header, table, labels, int(solved.sum())))
+    columns = _columns(header, table, labels, int(solved.sum()))
+    write_table(header, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
 
 def _states(header: Header, tiles: list[tuple[int, ...]], wanted: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -86,7 +86,7 @@ def solve_and_write(job: Job) -> Receipt:
     with file_errors(job.store):
         header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
         spec, tile = header.spec, header.tiling.at(job.index)
-        compile_once(spec.settings)
+        compile_once(spec.settings, spec.attractors is not None)
         stored = stored_tile(header, job.index) if job.retry is not None else {}
         begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:

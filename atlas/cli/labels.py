@@ -1,0 +1,26 @@
+"""The command that labels the attractors of an atlas."""
+
+import sys
+
+import click
+
+from atlas.cli.options import examples, interruptible, json_option, store_argument, timing_of
+from atlas.cli.output import to_json
+from atlas.service.options import RunOptions
+from atlas.service.progress import reporter
+
+
+@click.command(epilog=examples("atlas label coexistence.zarr"))
+@store_argument
+@json_option
+@click.pass_context
+def label(ctx: click.Context, store: str, as_json: bool) -> None:
+    """Label the attractors of STORE, a finished atlas of all attractors: one label a branch, from cell to cell.
+
+    Each orbit is followed to the neighbouring cells. Labels are kept in STORE; where it has them nothing is computed.
+    """
+    from atlas.service.labels import label_attractors  # with it Numba
+
+    with interruptible(), reporter(sys.stderr) as show:
+        summary = label_attractors(store, RunOptions(on_progress=show, timing=timing_of(ctx)))
+    click.echo(to_json(summary.as_dict()) if as_json else str(summary))

@@ -1,0 +1,129 @@
+"""The attractors of a finished atlas as rows of arrays, and which of them may be one in neighbouring cells."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.query.open import open_atlas
+from atlas.store.store import Header, done_tiles
+from atlas.text import plural
+from workers.model.system import System
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+ON_ATTRACTOR = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)
+
+
+@dataclass(frozen=True, eq=False)
+class Attractors:
+    """The orbits among the attractors of a finished atlas, A of them: those that can be followed to other parameters.
+
+    axes, fixed      names of the axes, those of the dimensions of ``shape``; all other parameters by name
+    shape, keep      cells along each dimension; places of a cell's attractors
+    values (C, axes) the parameters of every cell, in C order
+    cell, place (A,) of each orbit, in the order of cells and places
+    regime, period, impacts_upper, impacts_lower, symmetric (A,), state (A, 2n), share (A,)   as the atlas has them
+    twin (A,)        the orbit of its cell that is its mirror image, itself where it is symmetric; -1 where none is
+    """
+
+    system: System
+    axes: tuple[str, ...]
+    fixed: dict[str, float]
+    shape: tuple[int, ...]
+    keep: int
+    values: Array
+    cell: Rows
+    place: Rows
+    regime: Rows
+    period: Rows
+    impacts_upper: Rows
+    impacts_lower: Rows
+    symmetric: NDArray[np.bool_]
+    state: Array
+    share: Array
+    twin: Rows
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+    @cached_property
+    def row(self) -> Rows:
+        """The orbit (C, keep) of each cell and place, -1 where there is none."""
+        found = np.full((len(self.values), self.keep), -1)
+        found[self.cell, self.place] = np.arange(len(self))
+        return found
+
+    @cached_property
+    def kind(self) -> Rows:
+        """A number (A,) for each kind: regime, period, impacts at either stop, symmetry."""
+        parts = (self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric)
+        _, found = np.unique(np.stack(parts, axis=1), axis=0, return_inverse=True)
+        return found.ravel()
+
+    def beside(self, away: int = 1) -> Rows:
+        """Pairs (N, 2) of orbits of one kind in cells so many places away from each other along a dimension."""
+        number = np.arange(len(self.values)).reshape(self.shape)
+        found = [np.zeros((0, 2), dtype=np.int64)]
+        for dim in range(number.ndim):
+            along = np.moveaxis(number, dim, 0)
+            before, after = self.row[along[:-away].ravel()], self.row[along[away:].ravel()]
+            pairs = np.stack(np.broadcast_arrays(before[:, :, None], after[:, None, :]), axis=-1).reshape(-1, 2)
+            pairs = pairs[(pairs >= 0).all(axis=1)]
+            found.append(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])
+        return np.concatenate(found)
+
+
+def attractors_of(header: Header) -> tuple[Attractors, int]:
+    """The orbits of a store, and how many attractors of any kind it keeps.
+
+    InputError unless it is a finished atlas of all attractors over axes; ChunkError where a chunk is missing or
+    damaged.
+    """
+    spec = header.spec
+    if not spec.coexistence:
+        raise InputError(f"{header.place}: found one attractor a cell; labels take an atlas of all, see [attractors]")
+    if spec.points:
+        raise InputError(f"{header.place}: found a table of points; labels go from cell to cell along axes")
+    missing = header.tiling.count - len(done_tiles(header))
+    if missing:
+        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it by atlas run first")
+    ds = open_atlas(str(header.place))
+    cells = int(np.prod(spec.shape))
+
+    def read(name: str) -> NDArray[Any]:
+        values = ds[name].values
+        return values.reshape(cells, *values.shape[len(spec.shape) :])
+
+    regime, upper, period, mirror = read(REGIME.name), read("impacts_upper"), read("period"), read("mirror")
+    known = np.isin(regime, (NO_IMPACT, PERIODIC)) & (period > 0)
+    cell, place = np.nonzero(known)
+    row = np.full(known.shape, -1)
+    row[cell, place] = np.arange(len(cell))
+    image = mirror[cell, place]
+    points = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
+    axes = tuple(axis.name for axis in reversed(spec.axes))
+    found = Attractors(
+        system=spec.record,
+        axes=axes,
+        fixed={name: float(value) for name, value in spec.parameters.items()},
+        shape=spec.shape,
+        keep=known.shape[1],
+        values=np.stack([np.broadcast_to(points[name], spec.shape).ravel() for name in axes], axis=1),
+        cell=cell,
+        place=place,
+        regime=regime[known].astype(np.int64),
+        period=period[known].astype(np.int64),
+        impacts_upper=upper[known].astype(np.int64),
+        impacts_lower=read("impacts_lower")[known].astype(np.int64),
+        symmetric=read("symmetric")[known].astype(np.bool_),
+        state=read("state")[known],
+        share=read("share")[known],
+        twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
+    )
+    return found, int(np.sum(np.isin(regime, ON_ATTRACTOR)))

@@ -1,0 +1,135 @@
+"""Which attractors of neighbouring cells are one: the orbit of the one cell is followed to the parameters of the other.
+
+There Newton's method on the times and speeds of its impacts finds it, from one cell to the next in a few steps. Where
+one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
+counts where both ways agree: close to a bifurcation Newton's method may come to another orbit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from atlas.labels.attractors import Array, Attractors, Rows
+from atlas.labels.orbits import alike, orbits_of
+from workers.orbit import Family, Orbit, family_of, section_states
+from workers.orbit.equations import Impacts
+from workers.orbit.linear import NoOscillatorError
+from workers.orbit.many import Many, many_of, moved
+from workers.results import NO_IMPACT
+
+STEPS = (2, 8)
+"""Steps from one cell to the next: the first number of them, the other one where that fails."""
+
+FARTHEST = 4
+"""Cells over which an orbit is followed to another one that no chain of neighbours connects with it."""
+
+SAME = 1e-6
+"""Distance of section states of one orbit, relative to the largest component of any."""
+
+
+class Links(NamedTuple):
+    """Pairs of orbits (L, 2), by their rows, that are one; ``change`` (L,): how much it changes between their cells.
+
+    That is the largest change of a time of impact, in radians of the force, or of a speed, relative to the fastest.
+    known (A,)  which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
+    one_way     pairs left out: followed from one cell an orbit becomes that of the other cell, but not back
+    """
+
+    pairs: Rows
+    change: Array
+    known: NDArray[np.bool_]
+    one_way: int
+
+
+def followed(attractors: Attractors) -> Links:
+    """All pairs of orbits in neighbouring cells that are one, followed either way; motion without impact is one in all.
+
+    Orbits that are not connected by these are followed over up to FARTHEST cells, whose initial states may have missed
+    them.
+    """
+    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
+    free, follower = np.flatnonzero(still), _Follower(attractors)
+    known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
+    pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
+    one_way = 0
+    for away in range(1, FARTHEST + 1):
+        wanted = attractors.beside(away)
+        wanted = wanted[~still[wanted[:, 0]] & known[wanted].all(axis=1)]
+        if away > 1:
+            wanted = wanted[_apart(wanted, pairs, len(attractors))]
+        there, size = follower.reach(wanted, away)
+        back, _ = follower.reach(wanted[:, ::-1], away)
+        found = there & back
+        pairs, change = np.concatenate([pairs, wanted[found]]), np.concatenate([change, size[found]])
+        one_way += int(np.sum(there != back))
+    return Links(pairs, change, known, one_way)
+
+
+def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
+    """Of which pairs (N, 2) no chain of others (L, 2) connects the two."""
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part[wanted[:, 0]] != part[wanted[:, 1]])
+
+
+class _Follower:
+    """The orbits of an atlas, each to be followed to other cells."""
+
+    def __init__(self, attractors: Attractors) -> None:
+        self.attractors = attractors
+        self.family: Family = family_of(attractors.system, attractors.fixed, attractors.axes)
+        self.orbits = orbits_of(attractors, self.family)
+
+    def reach(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
+        """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change.
+
+        away   cells from the one to the other
+        """
+        reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
+        orbits = [self.orbits[row] for row in pairs[:, 0].tolist()]
+        for rows in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
+            reached[rows], change[rows] = self._reach_alike(pairs[rows], [o for r in rows if (o := orbits[r])], away)
+        return reached, change
+
+    def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
+        """``reach`` of orbits of one itinerary."""
+        own = self.attractors
+        here, there = (own.values[own.cell[pairs[:, k]]] for k in (0, 1))
+        start = many_of(orbits, here)
+        arrived = self._follow(start, there, STEPS[0] * away)
+        for steps in STEPS[1:]:
+            again = np.flatnonzero(~arrived.found)
+            if len(again):
+                more = self._follow(many_of([orbits[r] for r in again], here[again]), there[again], steps * away)
+                for field, better in zip(arrived.impacts, more.impacts, strict=True):
+                    field[again] = better
+                arrived.found[again] = more.found
+        reached = arrived.found.copy()
+        rows = np.flatnonzero(reached)
+        if len(rows):
+            values = dict(zip(own.axes, there[rows].T, strict=True))
+            fixed = {name: np.full(len(rows), value) for name, value in own.fixed.items()}
+            states = section_states(own.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
+            apart = np.abs(states - own.state[pairs[rows, 1]][:, None]).max(axis=2).min(axis=1)
+            reached[rows] = apart <= SAME * np.abs(states).max(axis=(1, 2))
+        return reached, _change(start, arrived, self.family.model(there)[0].omega)
+
+    def _follow(self, start: Many, there: Array, steps: int) -> Many:
+        """Orbits taken to other parameters in so many steps; none found where some have no oscillator on the way."""
+        here, at = start.values, start
+        try:
+            for k in range(1, steps + 1):
+                at = moved(self.family, at, here + (there - here) * (k / steps))
+        except (NoOscillatorError, ValueError):
+            unmoved = Impacts(*(field.copy() for field in start.impacts))
+            return start._replace(impacts=unmoved, found=np.zeros(len(here), dtype=bool))
+        return at
+
+
+def _change(before: Many, after: Many, omega: Array) -> Array:
+    times = np.abs(after.impacts.t - before.impacts.t).max(axis=1) * omega
+    speeds = np.abs(after.impacts.v - before.impacts.v).max(axis=1) / np.abs(after.impacts.v).max(axis=1)
+    return np.asarray(np.maximum(times, speeds))

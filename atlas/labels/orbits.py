@@ -1,0 +1,78 @@
+"""The orbits of attractors as equations of their impacts, all of an atlas together."""
+
+from collections.abc import Hashable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.labels.attractors import Array, Attractors
+from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
+from workers.kernel.stroboscopic import motion_from, propagate
+from workers.model.oscillator import Oscillator, one_of
+from workers.orbit import Family, Itinerary, Orbit, orbit_from_state
+from workers.orbit.many import many_of, moved
+from workers.orbit.seeds import RECORD
+
+
+def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
+    """The orbit of each attractor; None where its impacts alone make none: it rests on a stop, or R = 0.
+
+    Times and speeds as they are recorded in one turn from its state, then by Newton's method on all of one itinerary.
+    """
+    own, count = attractors, len(attractors)
+    points = own.values[own.cell]
+    given = {p.name: np.full(count, own.fixed.get(p.name, p.default)) for p in own.system.parameters}
+    given |= {name: np.ascontiguousarray(points[:, k]) for k, name in enumerate(own.axes)}
+    oscillators, _ = own.system.build_many(given)
+    found: list[Orbit | None] = [
+        _recorded(one_of(oscillators, k), own.state[k], int(own.period[k]), bool(own.symmetric[k]))
+        for k in range(count)
+    ]
+    for rows in alike(None if orbit is None else orbit.itinerary for orbit in found):
+        orbits = [orbit for k in rows if (orbit := found[k]) is not None]
+        try:
+            exact = moved(family, many_of(orbits, points[rows]), points[rows])
+        except ValueError:  # R = 0
+            exact = None
+        for place, k in enumerate(rows.tolist()):
+            if exact is not None and exact.found[place]:
+                found[k] = exact.orbit(place)
+            else:
+                found[k] = _alone(own, k)
+    return found
+
+
+def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
+    """The places of equal keys, in the order in which they are met; none of None."""
+    found: dict[Hashable, list[int]] = {}
+    for place, key in enumerate(keys):
+        if key is not None:
+            found.setdefault(key, []).append(place)
+    return [np.array(places, dtype=np.int64) for places in found.values()]
+
+
+def _recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit | None:
+    """An orbit of so many periods as its impacts are recorded; None where it rests on a stop."""
+    motion = motion_from(osc, state, record=RECORD)
+    parts = []
+    for k in range(periods):
+        propagate(osc, motion, osc.period)
+        count = int(motion.tally[RECORDED])
+        if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0 or count == RECORD:
+            return None
+        parts.append(motion.impacts[:count] + np.array([k * osc.period, 0.0, 0.0]))
+        motion.tally[RECORDED] = 0.0
+    impacts = np.concatenate(parts)
+    if symmetric:
+        impacts = impacts[impacts[:, 0] < 0.5 * periods * osc.period]
+    times, sides, speeds = impacts.T
+    return Orbit(Itinerary(tuple(int(side) for side in sides), periods, symmetric), times.copy(), sides * speeds)
+
+
+def _alone(own: Attractors, k: int) -> Orbit | None:
+    """The orbit of attractor k by Newton's method on it alone, which also finds the offset of a rigid mode."""
+    given = own.fixed | dict(zip(own.axes, own.values[own.cell[k]].tolist(), strict=True))
+    try:
+        return orbit_from_state(own.system, given, own.state[k], int(own.period[k]), bool(own.symmetric[k]))
+    except ValueError:
+        return None

@@ -1,0 +1,155 @@
+"""The labels of an atlas as a value, and in its store.
+
+A label is the number of a branch: of attractors of neighbouring cells that are one orbit, followed from cell to cell.
+Branches are numbered by the sum of their shares over all cells, the largest first, equal ones by their first cell.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.labels.attractors import Array, Attractors, Rows, attractors_of
+from atlas.labels.components import branches
+from atlas.labels.following import followed
+from atlas.store.store import Header
+from atlas.store.tables import LABELS, Column, table_attributes, write_table
+from workers import SOLVER_VERSION
+from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
+
+VERSION = 1
+"""Of the way in which labels are found: raised whenever any may change."""
+
+BRANCH = "branch"
+"""The dimension of the table, an entry a label."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """What became of the attractors of an atlas.
+
+    attractors    kept ones in all; labelled: those on a branch, the others are chaos, tori, or orbits not followed
+    orbits        those that are orbits; followed: those whose impacts alone make an orbit
+    branches      labels given; alone: those of one cell
+    links         pairs in neighbouring cells that are one orbit; cut: of these left out, since they would put two
+                  attractors of one cell on a branch; one_way: pairs that
+                  are one only as followed from one of them, and are not linked
+    """
+
+    attractors: int
+    orbits: int
+    followed: int
+    branches: int
+    alone: int
+    links: int
+    cut: int
+    one_way: int
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """The label of every attractor of every cell, -1 for none, (cells..., keep); the branches by their labels.
+
+    cells, total (B,)   cells of each branch, the sum of its shares; first (B,) the row of its first orbit
+    mirror (B,)         the label of its mirror image, its own where it is symmetric, -1 where there is none
+    """
+
+    values: Rows
+    cells: Rows
+    total: Array
+    mirror: Rows
+    kinds: Mapping[str, NDArray[Any]]
+    count: Count
+
+
+def labels_of(header: Header) -> Labels:
+    """The labels of a finished atlas of all attractors. Raises as ``attractors_of``."""
+    every, kept = attractors_of(header)
+    links = followed(every)
+    branch, cut = branches(len(every), links.pairs, links.change, every.cell)
+    branch[~links.known] = -1
+    number, total = _numbered(branch, every.share)
+    cells = np.bincount(number[number >= 0], minlength=len(total))
+    values = np.full((len(every.values), every.keep), UNKNOWN_LABEL, dtype=np.int64)
+    values[every.cell, every.place] = number
+    there = np.flatnonzero(number >= 0)
+    first = there[np.unique(number[there], return_index=True)[1]]
+    names = ("regime", "period", "impacts_upper", "impacts_lower", "symmetric")
+    count = Count(
+        attractors=kept,
+        orbits=len(every),
+        followed=int(links.known.sum()),
+        branches=len(total),
+        alone=int(np.sum(cells == 1)),
+        links=len(links.pairs),
+        cut=cut,
+        one_way=links.one_way,
+    )
+    return Labels(
+        values=values.reshape(*every.shape, every.keep),
+        cells=cells,
+        total=total,
+        mirror=_mirrors(number, every, len(total)),
+        kinds={name: getattr(every, name)[first] for name in names},
+        count=count,
+    )
+
+
+def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
+    """Branches (A,), -1 for none, numbered anew by the sum of their shares; that sum (B,)."""
+    known = branch >= 0
+    _, first, inverse = np.unique(branch[known], return_index=True, return_inverse=True)
+    total = np.bincount(inverse, weights=share[known], minlength=len(first))
+    order = np.lexsort((first, -total))
+    number = np.full(len(branch), UNKNOWN_LABEL, dtype=np.int64)
+    number[known] = np.argsort(order)[inverse]
+    return number, np.asarray(total[order], dtype=np.float64)
+
+
+def _mirrors(number: Rows, every: Attractors, count: int) -> Rows:
+    """The label of the mirror image of each branch: that of most of its orbits' mirror images."""
+    twin = np.where(every.twin >= 0, number[every.twin], -1)
+    seen = (number >= 0) & (twin >= 0)
+    pairs, times = np.unique(np.stack([number[seen], twin[seen]], axis=1), axis=0, return_counts=True)
+    found = np.full(count, -1)
+    for k in np.argsort(times, kind="stable"):  # the most frequent one comes last
+        found[pairs[k, 0]] = pairs[k, 1]
+    return found
+
+
+def write_labels(header: Header, found: Labels) -> None:
+    """Keep labels in the store, in the place of any before."""
+    dims = (*header.spec.dims, ATTRACTOR)
+    about = {name: Column((BRANCH,), values, {"long_name": _MEANINGS[name]}) for name, values in _rows(found).items()}
+    values = found.values.astype(LABEL.dtype)
+    label = Column(dims, values, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})
+    own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
+    write_table(header, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
+
+
+_MEANINGS = {
+    "cells": "cells that have an attractor on the branch",
+    "total_share": "sum of their shares",
+    "mirror": "label of the branch of mirror images; its own where it is symmetric; -1 if none",
+    "regime": "regime of motion, as in the atlas",
+    "period": "forcing periods per orbit",
+    "impacts_upper": "impacts at the upper stop per orbit period",
+    "impacts_lower": "impacts at the lower stop per orbit period",
+    "symmetric": "orbits are symmetric under (x, t) -> (-x, t + T/2)",
+}
+
+
+def _rows(found: Labels) -> dict[str, NDArray[Any]]:
+    made = {"cells": found.cells.astype("int32"), "total_share": found.total, "mirror": found.mirror.astype("int32")}
+    types = {"regime": "int8", "symmetric": "bool"}
+    return made | {name: values.astype(types.get(name, "int32")) for name, values in found.kinds.items()}
+
+
+def stored_count(header: Header) -> Count | None:
+    """What the stored labels say of themselves; None where there are none that would be found so again."""
+    known = table_attributes(header, LABELS)
+    if known is None or known.get("version") != VERSION or known.get("solver_version") != SOLVER_VERSION:
+        return None
+    return Count(**known["count"])

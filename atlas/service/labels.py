@@ -1,0 +1,66 @@
+"""Labelling the attractors of a finished atlas: labels are found here and now, and kept in its store."""
+
+import os
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from atlas.labels.table import Count, labels_of, stored_count, write_labels
+from atlas.service.notebook import reporting
+from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.progress import Progress
+from atlas.service.run import claimed_place
+from atlas.store.archive import refuse_packed
+from atlas.store.location import place_of, waiting
+from atlas.store.store import read_header
+from atlas.task.compile import compile_once, warming
+from atlas.text import duration, plural
+
+
+@dataclass(frozen=True)
+class LabelSummary:
+    """The labels of a store, counted, and the seconds that it took to find them now: 0 where the store had them."""
+
+    store: str
+    count: Count
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas label --json`` prints."""
+        return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
+
+    def __str__(self) -> str:
+        count = self.count
+        rest = count.attractors - count.followed
+        lines = [f"{self.store}: {plural(count.branches, 'label')}, {count.alone} of them of one cell alone"]
+        if rest:
+            stuck = count.orbits - count.followed
+            others = f"; {plural(stuck, 'orbit')} cannot be followed" if stuck else ""
+            lines.append(f"{plural(count.followed, 'attractor')} labelled; {rest} not, chaos and tori{others}")
+        if count.cut:
+            lines.append(f"{plural(count.cut, 'link')} cut, which would put two attractors of a cell on one branch")
+        if self.seconds:
+            lines.append(f"{plural(count.links, 'link')} between cells in {duration(self.seconds)}")
+        return "\n".join(lines)
+
+
+def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAULTS) -> LabelSummary:
+    """Label the attractors of a finished atlas so that a branch has one label from cell to cell; kept in its store.
+
+    At once where the store has them. Raises InputError where the store is no finished atlas of all attractors.
+    """
+    with reporting(options.on_progress) as report:
+        options = replace(options, on_progress=report)
+        header = read_header(waiting(place_of(store), options.patience))
+        stored = stored_count(header)
+        if stored is not None:
+            return LabelSummary(str(header.place), stored)
+        refuse_packed(header.place)
+        begin = time.monotonic()
+        with claimed_place(header.place, options):
+            options.report(Progress(warming()))
+            compile_once(header.spec.settings)
+            options.report(Progress("following orbits from cell to cell"))
+            found = labels_of(header)
+            write_labels(header, found)
+        return LabelSummary(str(header.place), found.count, time.monotonic() - begin)
