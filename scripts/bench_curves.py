@@ -3,15 +3,23 @@
 The curves go through bifurcation points of the two-mass system known to 40 digits, in the plane of omega and b. Timed
 in processor time on one core, best of several.
 
-Usage: .venv/bin/python -m scripts.bench_curves [--light] [--json]
+With --plane, instead, all curves of the packaged plane omega-b, with one N-th of its cells along either axis: how many
+there are, which share of the edges between regions they explain, and the processor time that finding them takes.
+
+Usage: .venv/bin/python -m scripts.bench_curves [--light] [--plane N] [--json]
 """
 
 import argparse
 import json
+import tomllib
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+import atlas
+from atlas.service.options import RunOptions
+from atlas.spec.spec import example_text
 from scripts.bench_kernel import one_core, processor_seconds
 from workers.model.system import DEFAULT, find_system
 from workers.orbit import Condition, Event, Itinerary, Orbit, Point, Way, curve, family_of
@@ -89,12 +97,35 @@ def measure(repeats: int, budget: int) -> list[dict[str, Any]]:
     return rows
 
 
+def of_plane(coarser: int) -> dict[str, Any]:
+    """The curves of the packaged plane with 1 / coarser of its cells along either axis, found by one worker."""
+    given = tomllib.loads(example_text("omega-b"))
+    for axis in given["axes"].values():
+        axis["num"] //= coarser
+    with TemporaryDirectory() as folder:
+        store = f"{folder}/plane.zarr"
+        atlas.run(atlas.Spec.from_mapping(given), store, options=RunOptions(workers=1))
+        found = atlas.find_curves(store, options=RunOptions(workers=1))
+    told = found.as_dict()
+    return {
+        "cells": " x ".join(str(axis["num"]) for axis in given["axes"].values()),
+        "edges": told["edges"]["regions"]["all"],
+        "explained": told["explained"]["regions"],
+        **{key: told[key] for key in ("curves", "points", "processor_seconds")},
+    }
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--light", action="store_true", help="ten points a way: seconds, rough numbers")
     parser.add_argument("--json", action="store_true", help="one JSON list on standard output, nothing else")
+    parser.add_argument("--plane", type=int, metavar="N", help="the curves of the packaged plane, N times coarser")
     options = parser.parse_args()
+    if options.plane:
+        row = of_plane(options.plane)
+        print(json.dumps([row]) if options.json else "\n".join(f"{key}: {value}" for key, value in row.items()))
+        return
     one_core()
     rows = measure(1, 10) if options.light else measure(3, 2000)
     if options.json:

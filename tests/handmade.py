@@ -77,7 +77,7 @@ def bouncing_ball(free: tuple[str, ...], **fixed: float) -> Family:
     def model(rows: Array) -> tuple[Linear, None]:
         N = len(rows)
         given = {name: np.full(N, value) for name, value in fixed.items()}
-        given |= {name: rows[:, i] for i, name in enumerate(free)}
+        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
         one, none = np.ones(N), np.zeros(N)
         return Linear(
             eta=none[:, None],
@@ -104,7 +104,7 @@ def impact_pair(free: tuple[str, ...], **fixed: float) -> Family:
     def model(rows: Array) -> tuple[Linear, None]:
         N = len(rows)
         given = {name: np.full(N, value) for name, value in fixed.items()}
-        given |= {name: rows[:, i] for i, name in enumerate(free)}
+        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
         none = np.zeros(N)
         return Linear(
             eta=none[:, None],

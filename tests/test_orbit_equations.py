@@ -29,10 +29,11 @@ from workers.orbit.equations import (
     residual,
 )
 from workers.orbit.extended import Extended, solve
-from workers.orbit.green import green
-from workers.orbit.linear import Linear, family_of, flow_entries, rest_position
+from workers.orbit.green import add_green
+from workers.orbit.linear import Linear, family_of, flow_entries, rest_of
+from workers.orbit.pulses import flights
 from workers.orbit.seeds import section_state
-from workers.orbit.stability import exponents, flights, multipliers, turn_map
+from workers.orbit.stability import exponents, multipliers, turn_map
 
 TWO_MASS = find_system("two-mass")
 
@@ -149,19 +150,18 @@ def test_the_answer_to_kicks_is_that_of_a_general_integrator(damping: float) -> 
     y = path[:, :3] @ lin.c[0, :, 0] + path[:, 3:] @ lin.c[0, :, 1] + Y
     assert end == pytest.approx(np.concatenate([start[:, 0], start[:, 1]]), abs=1e-10)
     assert motion_at(lin, itinerary, points, s[None])[0][0] == pytest.approx(y, abs=1e-10)
-    assert rest_position(lin)[0] == pytest.approx(lin.c[0, :, 0] @ rest)
+    assert rest_of(lin, 0) == pytest.approx(lin.c[0, :, 0] @ rest)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-9, 0.02, 0.13, 0.14, 1.0, 40.0])
 def test_the_answer_of_a_rigid_mode_has_a_unit_kick_and_mean_zero(damping: float) -> None:
     """Truth: its definition, g'(0) - g'(L) = 1 and g(0) = g(L); 0.13 and 0.14 lie on either side of the series."""
-    one = np.ones(1)
     lin = general()._replace(eta=damping * np.ones((1, 1)), lam=np.zeros((1, 1)))
     lin = lin._replace(c=np.array([[[1.0, 0.0]]]), k=np.array([[[0.0, 1.0]]]))
-    span = 3.7 * one
     nodes, weights = np.polynomial.legendre.leggauss(200)
-    s = np.concatenate([[0.0, 3.7], 1.85 * (nodes + 1.0)])[None]
-    g0, g1, g2, _ = (part[0] for part in green(lin, span, 1, s))
+    s, total = np.concatenate([[0.0, 3.7], 1.85 * (nodes + 1.0)]), np.zeros((4, 202))
+    add_green(lin, 0, 3.7, 1.0, s, total)
+    g0, g1, g2, _ = total
     assert g0[0] == pytest.approx(g0[1], abs=1e-14)
     assert g1[0] - g1[1] == pytest.approx(1.0, abs=1e-14)
     assert 1.85 * weights @ g0[2:] == pytest.approx(0.0, abs=1e-12)
@@ -174,7 +174,7 @@ def test_flows_are_those_of_the_kernel_s_formula() -> None:
 
     for eta, lam in ((0.1, 4.0), (2.0, 4.0), (2.0 + 1e-7, 4.0), (9.0, 4.0), (0.7, 0.0), (0.0, 0.0), (0.0, 3.0)):
         for s in (1e-3, 0.4, 3.0):
-            found = np.array(flow_entries(np.array([eta]), np.array([lam]), np.array([s])))[:, 0]
+            found = np.array(flow_entries(eta, lam, s))
             exact = expm(np.array([[0.0, 1.0], [-lam, -2.0 * eta]]) * s)
             assert found == pytest.approx(exact.ravel(), abs=1e-13)
 

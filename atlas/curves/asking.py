@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from atlas.curves.cells import CellOrbits
 from atlas.curves.export import columns, rows
-from atlas.curves.following import Located, events_towards
+from atlas.curves.following import Located, bounds_stability, events_towards
 from atlas.curves.plane import Plane, plane_of
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
 from atlas.store.store import Header, read_header
-from workers.orbit import Orbit
+from workers.orbit import Event, Orbit
 from workers.orbit.many import attract, many_of, moved
 from workers.orbit.view import GRAZING, IMPACT_LOST
 
@@ -97,7 +97,11 @@ def _first(
     """The first event of a kind on the way to an end, if any."""
     if here[axis] == end:
         return
-    events = events_towards(orbits, orbit, here, axis, end, RESOLUTION)
+
+    def wanted(event: Event) -> bool:
+        return bounds_stability(event) and kind in (None, GRAZING if event.kind == IMPACT_LOST else event.kind)
+
+    events = events_towards(orbits, orbit, here, axis, end, RESOLUTION, wanted)
     yield from [event for event in events if kind in (None, event.kind)][:1]
 
 

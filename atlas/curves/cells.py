@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.plane import Cells, Plane
-from workers.orbit import Family, Orbit, family_of, orbit_from_state
+from workers.model.oscillator import one_of
+from workers.orbit import Family, Orbit, family_of
 from workers.orbit.equations import Itinerary, check_orbits
 from workers.orbit.identity import same_orbit
 from workers.orbit.linear import NoOscillatorError
 from workers.orbit.many import attract, many_of, moved
+from workers.orbit.seeds import orbit_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,8 +40,18 @@ class CellOrbits:
     def of(self, cell: int) -> Orbit | None:
         """The orbit of a proven cell; None where Newton's method finds none, such as for R = 0."""
         if cell not in self._known:
-            self._known[cell] = self._find(cell)
+            self.find(np.array([cell]))
         return self._known[cell]
+
+    def find(self, cells: Cells) -> None:
+        """Find the orbits of cells, which is quicker for many at once."""
+        plane, found = self.plane, self._known
+        wanted = np.array([cell for cell in dict.fromkeys(cells.tolist()) if cell not in found], dtype=np.int64)
+        found.update(dict.fromkeys(wanted.tolist()))
+        impacts = (plane.impacts_upper[wanted] > 0) | (plane.impacts_lower[wanted] > 0)
+        for cell in wanted[plane.proven[wanted] & ~impacts].tolist():
+            found[cell] = self._without_impact(plane.values(np.array([cell])))
+        found.update(self._with_impacts(wanted[plane.proven[wanted] & impacts]))
 
     def omega(self, values: Array) -> Array:
         """The forcing frequency (N,) at points (N, 2)."""
@@ -82,6 +94,7 @@ class CellOrbits:
                 taken = moved(self.family, start, self.plane.values(cells[rows]))
             except (NoOscillatorError, ValueError):
                 continue
+            self.find(cells[rows[taken.found]])
             for k, row in enumerate(rows):
                 own = self.of(int(cells[row])) if taken.found[k] else None
                 found[row] = own is not None and same_orbit(own, taken.orbit(k), omega[row])
@@ -89,24 +102,25 @@ class CellOrbits:
 
     def _grouped(self, cells: Cells) -> Iterator[tuple[NDArray[np.intp], list[Orbit]]]:
         """Rows of cells whose orbits have one itinerary, with these."""
+        self.find(cells)
         orbits = [self.of(int(cell)) for cell in cells]
         for rows in _groups([None if orbit is None else orbit.itinerary for orbit in orbits]):
             yield rows, [orbit for row in rows if (orbit := orbits[row]) is not None]
 
-    def _find(self, cell: int) -> Orbit | None:
-        plane = self.plane
-        if not plane.proven[cell]:
-            return None
-        values = plane.values(np.array([cell]))
-        if not plane.impacts_upper[cell] and not plane.impacts_lower[cell]:
-            return self._without_impact(values)
-        given = {**plane.fixed, **dict(zip(plane.axes, values[0].tolist(), strict=True))}
-        try:
-            return orbit_from_state(
-                plane.system, given, plane.state[cell], int(plane.period[cell]), bool(plane.symmetric[cell])
-            )
-        except ValueError:
-            return None
+    def _with_impacts(self, cells: Cells) -> dict[int, Orbit | None]:
+        plane, values, found = self.plane, self.plane.values(cells), dict[int, Orbit | None]()
+        if not len(cells):
+            return found
+        given = {name: np.full(len(cells), value) for name, value in plane.fixed.items()}
+        given |= {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(plane.axes)}
+        oscillators, _ = plane.system.build_many(given)
+        for k, cell in enumerate(cells.tolist()):
+            try:
+                osc, turn = one_of(oscillators, k), (int(plane.period[cell]), bool(plane.symmetric[cell]))
+                found[cell] = orbit_of(osc, self.family, values[k], plane.state[cell], *turn)
+            except ValueError:
+                found[cell] = None
+        return found
 
     def _without_impact(self, values: Array) -> Orbit | None:
         """The motion without impact, in its symmetric form where the machine has one."""

@@ -9,6 +9,7 @@ from atlas.curves.cells import CellOrbits
 from workers.orbit import Condition, Event, Family, Orbit, Point, branch, curve
 from workers.orbit.curves import without_impact
 from workers.orbit.extended import PAIR, SPEED, Extended, solve
+from workers.orbit.follow import Until, never
 from workers.orbit.identity import same_orbit
 from workers.orbit.linear import NoOscillatorError
 from workers.orbit.view import GRAZING
@@ -79,21 +80,27 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
 
 
 def events_towards(
-    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until = never
 ) -> list[Located]:
     """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
-    to ``end``; in order along its branch, which may turn back. Raises as ``workers.orbit.branch``.
+    to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
+    as ``workers.orbit.branch``.
     """
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
-    way = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution)
+    way = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution, until=until)
     found = []
     for event in way.events if behind < end else way.events[::-1]:
-        if event.point.unstable == 0 and len(event.conditions) == 1:
+        if bounds_stability(event):
             values = here.copy()
             values[axis] = event.point.values[0]
             found.append(_located(event, values))
     return found
+
+
+def bounds_stability(event: Event) -> bool:
+    """Whether an event of a branch is one where a stable orbit loses stability or ends."""
+    return event.point.unstable == 0 and len(event.conditions) == 1
 
 
 def _located(event: Event, values: Array) -> Located:

@@ -1,7 +1,8 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,16 +52,36 @@ class Definition:
 
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
-        if values[OMEGA].size != 1:
-            return self._machines(values)
-        # Of a lone number numpy computes a power by other means, and its last bits would depend on the others' absence.
-        pair = self._machines({name: np.repeat(value, 2) for name, value in values.items()})
-        return Machines(*(field[:1] for field in pair))
+        return Machines(**self.fields(values, Machines._fields))
 
-    def _machines(self, values: Mapping[str, Array]) -> Machines:
+    def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
+        """Some fields of the machines of many values (N,) of each parameter, by name."""
+        if values[OMEGA].size != 1:
+            return self._fields(values, wanted)
+        # Of a lone number numpy computes a power by other means, and its last bits would depend on the others' absence.
+        pair = self._fields({name: np.repeat(value, 2) for name, value in values.items()}, wanted)
+        return {name: field[:1] for name, field in pair.items()}
+
+    def depending(self, names: Collection[str]) -> set[str]:
+        """The fields of machines that depend on parameters of these names."""
+        known = set(names)
+        for name, expression in self.let:
+            if expression.names & known:
+                known.add(name)
+        force = [entry for each in self.harmonics for entry in (*each.force, *each.phase)]
+        matrices = {"mass": self.mass, "damping": self.damping, "stiffness": self.stiffness}
+        entries: dict[str, Iterable[Expression | None]] = {
+            "gap_row": self.gap, "force_sin": force, "force_cos": force, "load": self.load,
+            "upper": [self.upper], "lower": [self.lower], "R": [self.restitution],
+        } | {name: chain(*matrix) for name, matrix in matrices.items()}  # fmt: skip
+        found = {name for name, of in entries.items() if any(entry and entry.names & known for entry in of)}
+        return found | ({OMEGA, TAU} & known)
+
+    def _fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
         named = dict(values)
         for name, expression in self.let:
             named[name] = expression(named)
+        count = named[OMEGA].size
 
         def row(entries: Row) -> Array:
             return np.stack([entry(named) for entry in entries], axis=-1)
@@ -68,6 +89,25 @@ class Definition:
         def matrix(rows: Matrix) -> Array:
             return np.stack([row(entries) for entries in rows], axis=-2)
 
+        made: dict[str, Callable[[], Array]] = {
+            "mass": lambda: matrix(self.mass),
+            "damping": lambda: matrix(self.damping),
+            "stiffness": lambda: matrix(self.stiffness),
+            "gap_row": lambda: row(self.gap),
+            "load": lambda: row(self.load),
+            "omega": lambda: named[OMEGA],
+            "tau": lambda: named[TAU],
+            "upper": lambda: np.full(count, np.inf) if self.upper is None else self.upper(named),
+            "lower": lambda: np.full(count, -np.inf) if self.lower is None else self.lower(named),
+            "R": lambda: self.restitution(named),
+        }
+        found = {name: make() for name, make in made.items() if name in wanted}
+        if "force_sin" in wanted or "force_cos" in wanted:
+            found["force_sin"], found["force_cos"] = self._force(named)
+        return found
+
+    def _force(self, named: Mapping[str, Array]) -> tuple[Array, Array]:
+        """The force (N, H, n) as amplitudes of the sines and of the cosines."""
         count, n = named[OMEGA].size, len(self.coordinates)
         force_sin = np.zeros((count, max(each.order for each in self.harmonics), n))
         force_cos = np.zeros_like(force_sin)
@@ -79,20 +119,7 @@ class Definition:
                 else:
                     angle = phase(named)
                     force_sin[:, order - 1, i], force_cos[:, order - 1, i] = size * np.cos(angle), size * np.sin(angle)
-        return Machines(
-            mass=matrix(self.mass),
-            damping=matrix(self.damping),
-            stiffness=matrix(self.stiffness),
-            gap_row=row(self.gap),
-            force_sin=force_sin,
-            force_cos=force_cos,
-            load=row(self.load),
-            omega=named[OMEGA],
-            tau=named[TAU],
-            upper=np.full(count, np.inf) if self.upper is None else self.upper(named),
-            lower=np.full(count, -np.inf) if self.lower is None else self.lower(named),
-            R=self.restitution(named),
-        )
+        return force_sin, force_cos
 
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
@@ -115,21 +142,22 @@ class Definition:
         return found | ({"let": {name: _entry(each) for name, each in self.let}} if self.let else {})
 
 
-def faults(machines: Machines) -> NDArray[np.int8]:
-    """The reason why each of many machines is none, or NO_REASON, as far as its numbers alone tell.
+def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArray[np.int8]:
+    """The reason why each of many machines is none, or NO_REASON, as far as the numbers of some fields alone tell.
 
     Matrices have to be symmetric, the lower stop below the upper one, and 0 <= R <= 1.
     """
-    matrices = (machines.mass, machines.damping, machines.stiffness)
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    for matrix in matrices:
+    for name in {"mass", "damping", "stiffness"}.intersection(of):
+        matrix = getattr(machines, name)
         reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
-    ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
-    reasons[~ranges] = OUT_OF_RANGE
-    unknown = np.isnan(machines.upper) | np.isnan(machines.lower)
-    for field in machines._replace(upper=machines.omega, lower=machines.omega):  # a stop may be infinitely far away
-        unknown |= ~np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
-    reasons[unknown] = OUT_OF_DOUBLES
+    if not {"lower", "upper", "R"}.isdisjoint(of):
+        ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
+        reasons[~ranges] = OUT_OF_RANGE
+    for name in of:
+        field = getattr(machines, name)
+        known = ~np.isnan(field) if name in ("upper", "lower") else np.isfinite(field)  # a stop may be infinitely far
+        reasons[~known.all(axis=tuple(range(1, field.ndim)))] = OUT_OF_DOUBLES
     return reasons
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, derivative_bounds, next_crossing
 from workers.model.oscillator import Signal
 from workers.orbit.equations import Impacts, Itinerary, at_impacts, block_state, motion_at
-from workers.orbit.linear import Linear, rest_position
+from workers.orbit.linear import Linear, rest_of
 
 Array = NDArray[np.float64]
 
@@ -117,6 +117,6 @@ def _next_contact(
         return None
     phase = math.fmod(float(lin.omega[0]) * here.time + float(lin.tau[0]), 2.0 * math.pi)
     kind = ON_STOP_AT_REST if here.touches else ON_STOP_MOVING
-    upper, lower, offset = float(lin.upper[0]), -float(lin.lower[0]), float(rest_position(lin)[0])
+    upper, lower, offset = float(lin.upper[0]), -float(lin.lower[0]), float(rest_of(lin, 0))
     s, side, _count = next_crossing(signal, h, phase, offset, upper, lower, here.side, kind, H, np.zeros(h.shape))
     return Fault(CONTACT, time=here.time + s, side=int(side)) if side else None

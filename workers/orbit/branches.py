@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from workers.orbit.equations import Itinerary, Orbit
 from workers.orbit.events import Event
 from workers.orbit.extended import MINUS_ONE, Condition, Extended, solve
-from workers.orbit.follow import Way, follow, window_of
+from workers.orbit.follow import Until, Way, follow, never, window_of
 from workers.orbit.linear import Family
 
 Array = NDArray[np.float64]
@@ -32,11 +32,13 @@ def branch(
     *,
     resolution: float = RESOLUTION,
     budget: int = BUDGET,
+    until: Until = never,
 ) -> Way:
     """The branch of an orbit of a family with one free parameter, both ways from ``value``.
 
     Pseudo-arclength in times, speeds and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
+    Either way ends at the first event of which ``until`` is true.
     Raises ValueError, in one line, for R = 0, for a start that no orbit is near, that is not admissible, or that is a
     shorter or symmetric orbit repeated.
     """
@@ -48,7 +50,7 @@ def branch(
     found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
     if not found.converged:
         raise ValueError(f"Newton's method finds no orbit at {family.free[0]} = {value:g}")
-    return follow(equations, found.X, bounds, resolution, budget)
+    return follow(equations, found.X, bounds, resolution, budget, until)
 
 
 def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> Start:

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.orbit.green import answer, green
-from workers.orbit.linear import Linear, forced, rigid_mode
+from workers.orbit.linear import Linear, rigid_mode
+from workers.orbit.pulses import before_impacts, between_impacts, blocks_between, linearised_table
 
 Array = NDArray[np.float64]
 Table = NDArray[Any]
@@ -107,32 +107,10 @@ def unknown_offset(lin: Linear, itinerary: Itinerary) -> bool:
     return not itinerary.symmetric and rigid_mode(lin) is not None
 
 
-def since(span: Array, t: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Times (N, m, m) from the latest impact j before impact i, its own one turn ago; and whether that was a turn ago.
-
-    Impacts are ordered as in the itinerary, so that this is smooth in the times whatever they are.
-    """
-    m = t.shape[1]
-    before = np.arange(m)[:, None] <= np.arange(m)
-    return t[:, :, None] - t[:, None, :] + span[:, None, None] * before, before
-
-
-def pair_answers(lin: Linear, itinerary: Itinerary, t: Array, z: complex) -> list[Table]:
-    """g, g', g'' (N, m, m) at impact i of the kicks at impact j, those growing by z from turn to turn."""
-    N, m = t.shape
-    span, zeta = itinerary.span(lin), itinerary.sign * z
-    s, before = since(span, t)
-    factor = np.where(before, 1.0 / zeta, 1.0)
-    return [factor * g.reshape(N, m, m) for g in green(lin, span, zeta, s.reshape(N, m * m))[:3]]
-
-
 def at_impacts(lin: Linear, itinerary: Itinerary, points: Impacts) -> tuple[Array, Array, Array]:
     """y, y' and y'' (N, m) just before each impact."""
-    q = 1.0 + lin.R[:, None]
-    Y = forced(lin, points.t)
-    pairs = pair_answers(lin, itinerary, points.t, 1)
-    y, v, a = (Y[k] - q * np.einsum("nij,nj->ni", pairs[k], points.v) for k in range(3))
-    return y + points.offset[:, None], v, a
+    y, v, a = before_impacts(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points))
+    return y, v, a
 
 
 def residual(lin: Linear, itinerary: Itinerary, points: Impacts) -> Array:
@@ -161,23 +139,10 @@ def linearised(lin: Linear, itinerary: Itinerary, points: Impacts, z: complex = 
 
     zero where z is a multiplier, and without poles.
     """
-    q, m = 1.0 + lin.R[:, None, None], points.t.shape[1]
-    _, v, a = at_impacts(lin, itinerary, points)
-    g0, g1, g2 = pair_answers(lin, itinerary, points.t, z)
-    bordered = itinerary.sign * z == 1 and rigid_mode(lin) is not None
-    size = 2 * m + bordered
-    J = np.zeros((len(v), size, size), dtype=g0.dtype)
-    i = np.arange(m)
-    speeds = points.v[:, None, :]
-    J[:, :m, :m], J[:, :m, m : 2 * m] = q * g1 * speeds, -q * g0
-    J[:, m : 2 * m, :m], J[:, m : 2 * m, m : 2 * m] = q * g2 * speeds, -q * g1
-    J[:, i, i] += v
-    J[:, m + i, i] += a
-    J[:, m + i, m + i] -= 1.0
-    if bordered:
-        J[:, :m, -1] = 1.0
-        J[:, -1, m : 2 * m] = q[:, 0] * lin.k[:, rigid_mode(lin), 1, None]
-    return J
+    given = lin, itinerary.span(lin), float(itinerary.sign), z if isinstance(z, complex) else float(z)
+    rigid = rigid_mode(lin) if itinerary.sign * z == 1 else None
+    found: Table = linearised_table(*given, *_plain(points), -1 if rigid is None else rigid)
+    return found
 
 
 def _balance(lin: Linear, itinerary: Itinerary, points: Impacts) -> Array:
@@ -189,40 +154,18 @@ def _balance(lin: Linear, itinerary: Itinerary, points: Impacts) -> Array:
 
 def motion_at(lin: Linear, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array, Array, Array]:
     """y and its first three derivatives at times s (N, K), any times but those of impacts."""
-    weight, since_kick, flip = _turns(lin, itinerary, points, s)
-    N, K, m = since_kick.shape
-    found = list(forced(lin, s))
-    if m:
-        span = itinerary.span(lin)
-        for k, g in enumerate(green(lin, span, itinerary.sign, since_kick.reshape(N, K * m))):
-            found[k] = found[k] - np.einsum("nkm,nm->nk", weight * g.reshape(N, K, m), points.v)
-    found[0] = found[0] + points.offset[:, None] * flip
-    return found[0], found[1], found[2], found[3]
+    y, v, a, j = between_impacts(
+        lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s)
+    )
+    return y, v, a, j
 
 
 def block_state(lin: Linear, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
     """Block coordinates h, h' (N, n, K) at times s (N, K), forced response and rest position taken off."""
-    weight, since_kick, flip = _turns(lin, itinerary, points, s)
-    N, K, m = since_kick.shape
-    h = np.zeros((N, lin.eta.shape[1], K))
-    if m == 0:
-        return h, h.copy()
-    parts = answer(lin, itinerary.span(lin), itinerary.sign, since_kick.reshape(N, K * m))
-    h, rate = (-np.einsum("njkm,nkm,nm->njk", part.reshape(N, -1, K, m), weight, points.v) for part in parts)
-    j = rigid_mode(lin)
-    if j is not None:
-        h[:, j] += points.offset[:, None] * flip / lin.c[:, j, 0, None]
+    h, rate = blocks_between(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s))
     return h, rate
 
 
-def _turns(lin: Linear, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array, Array]:
-    """Weights (1 + R) sign^turns and times (N, K, m) since the latest kick of each impact; sign^turns (N, K) of s."""
-    span = itinerary.span(lin)[:, None, None]
-    first = points.t[:, :1] if points.t.shape[1] else np.zeros((len(s), 1))
-    turns = np.floor((s - first) / span[:, 0])
-    local = s - turns * span[:, 0]
-    before = local[:, :, None] < points.t[:, None, :]
-    sign = float(itinerary.sign)
-    flip = sign ** np.abs(turns)
-    weight = (1.0 + lin.R)[:, None, None] * flip[..., None] * np.where(before, sign, 1.0)
-    return weight, local[:, :, None] - points.t[:, None, :] + span * before, flip
+def _plain(points: Impacts) -> tuple[Array, Array, Array]:
+    """Times, speeds and offsets as kernels take them."""
+    return np.ascontiguousarray(points.t), np.ascontiguousarray(points.v), np.ascontiguousarray(points.offset)

@@ -132,11 +132,14 @@ class Extended:
         each = np.arange(len(columns))
         rows[1 + each, columns] += step
         rows[1 + len(columns) + each, columns] -= step
-        moved = np.arange(len(columns) - self.free, len(columns))
-        of_build = np.concatenate([[0], 1 + moved, 1 + len(columns) + moved])
         which = np.zeros(len(rows), dtype=np.int64)
-        which[of_build] = np.arange(len(of_build))
-        lin = taken(self.family.model(self.values(rows[of_build]))[0], which)
+        if self.free:
+            moved = np.arange(len(columns) - self.free, len(columns))
+            of_build = np.concatenate([[0], 1 + moved, 1 + len(columns) + moved])
+            which[of_build] = np.arange(len(of_build))
+            lin = taken(self.family.model(self.values(rows[of_build]))[0], which)
+        else:
+            lin = taken(self.model(self.values(X))[0], which)
         found = self._all(rows, lin)
         J = np.zeros((found.shape[1], N))
         J[:, first:] = ((found[1 : 1 + len(columns)] - found[1 + len(columns) :]) / (2.0 * step[:, None])).T

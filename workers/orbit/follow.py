@@ -5,7 +5,7 @@ of the window, where it closes, where the orbit ceases to be admissible, or wher
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -82,10 +82,22 @@ def window_of(free: tuple[str, ...], window: Mapping[str, tuple[float, float]]) 
     return Window(np.array([window[name][0] for name in free]), np.array([window[name][1] for name in free]))
 
 
-def follow(equations: Extended, start: Array, window: Window, resolution: float, budget: int) -> Way:
+Until = Callable[[Event], bool]
+"""Whether a way ends at an event."""
+
+
+def never(event: Event) -> bool:
+    """No way ends at any event that it can pass."""
+    return False
+
+
+def follow(
+    equations: Extended, start: Array, window: Window, resolution: float, budget: int, until: Until = never
+) -> Way:
     """Both ways from a solution ``start`` (N,) of the equations, at most ``budget`` points each.
 
-    ``resolution`` is the longest step, as a share of the window. ValueError where the orbit to start from is not
+    ``resolution`` is the longest step, as a share of the window; either way ends at the first event of which ``until``
+    is true. ValueError where the orbit to start from is not
     admissible or another one repeated.
     """
     first = view(equations, start)
@@ -96,12 +108,12 @@ def follow(equations: Extended, start: Array, window: Window, resolution: float,
     totals, borders = list(equations.totals), list(equations.borders)
     direction = np.zeros(len(start))
     direction[len(start) - equations.free :] = equations.scale[len(start) - equations.free :]
-    ahead = _OneWay(equations, start, first, direction, window, resolution, budget)
+    ahead = _OneWay(equations, start, first, direction, window, resolution, budget, until)
     ahead.run()
     if ahead.end == CLOSED:
         return Way(ahead.points, ahead.events, (CLOSED, CLOSED), ahead.walker.newton_steps)
     equations.totals, equations.borders = totals, borders  # those of the start, not of the other end
-    back = _OneWay(equations, start, first, -direction, window, resolution, budget)
+    back = _OneWay(equations, start, first, -direction, window, resolution, budget, until)
     back.run()
     return Way(
         points=back.points[:0:-1] + ahead.points,
@@ -123,8 +135,9 @@ class _OneWay:
         window: Window,
         resolution: float,
         budget: int,
+        until: Until,
     ) -> None:
-        self.equations, self.start, self.window, self.budget = equations, start, window, budget
+        self.equations, self.start, self.window, self.budget, self.until = equations, start, window, budget, until
         self.walker = Walker(equations, start, resolution, direction)
         self.leaving = self.walker.tangent
         self.view = first
@@ -216,7 +229,7 @@ class _OneWay:
             placed = located(eq, here, there, change)
             if placed is not None and placed.share <= limit:
                 found.append(placed)
-                if _ends_pair(eq, placed.event):
+                if _ends_pair(eq, placed.event) or self.until(placed.event):
                     limit, end, last = placed.share, placed.event.kind, placed.event.point
         found.sort(key=lambda placed: placed.share)
         passed = [placed.event for placed in found if placed.share <= limit]

@@ -3,12 +3,16 @@
 Every field has an axis of oscillators in front, N of them: a step of Newton's method asks for several at once.
 """
 
+import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.jit import kernel
+from workers.model.family import FreeMotions, Motions
+from workers.model.free import phase_of
 from workers.model.oscillator import COLUMN, Oscillator, Signal
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
@@ -76,6 +80,26 @@ def linear_of(oscillators: Oscillator) -> Linear:
     )
 
 
+def _linear_of(found: Motions) -> Linear:
+    """The same of free motion alone."""
+    machines, frame, free = found.machines, found.frame, found.free
+    return Linear(
+        eta=frame.modes.eta,
+        lam=frame.modes.lam,
+        c=frame.row,
+        k=frame.kick,
+        sin_part=free.gap.sin_part,
+        cos_part=free.gap.cos_part,
+        load=free.driven.load,
+        upper=free.b_upper,
+        lower=free.b_lower,
+        omega=machines.omega,
+        tau=phase_of(machines.tau),
+        R=machines.R,
+        trace=frame.trace,
+    )
+
+
 def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Family:
     """A system over some of its parameters, the others fixed at ``values`` or at their defaults.
 
@@ -83,17 +107,15 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     """
     for name in (*values, *free):
         system.parameter(name)
-    fixed = {p.name: float(values.get(p.name, p.default)) for p in system.parameters}
+    motions = FreeMotions(system, values, free)
 
     def model(rows: Array) -> tuple[Linear, Signal | None]:
-        given = {name: np.full(len(rows), value) for name, value in fixed.items()}
-        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
-        oscillators, reasons = system.build_many(given)
-        if np.any(reasons != NO_REASON):
-            bad = int(np.flatnonzero(reasons != NO_REASON)[0])
+        found = motions(rows)
+        if np.any(found.reasons != NO_REASON):
+            bad = int(np.flatnonzero(found.reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
-            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
-        return linear_of(oscillators), oscillators.gap
+            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[found.reasons[bad]].text}")
+        return _linear_of(found), found.free.gap
 
     return Family(free, model)
 
@@ -111,70 +133,66 @@ def rigid_mode(lin: Linear) -> int | None:
     return int(rigid[0]) if len(rigid) else None
 
 
-def flow_entries(eta: Array, lam: Array, s: Array) -> tuple[Array, Array, Array, Array]:
+@kernel
+def flow_entries(eta, lam, s):
     """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
 
-    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), as kernel.flight.flow_entries, for arrays that broadcast.
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), as kernel.flight.flow_entries, for any s.
     """
     d = lam - eta * eta
-    w = np.sqrt(np.abs(d))
+    w = math.sqrt(abs(d))
     x = d * s * s
-    series, fast = np.abs(x) < 0.1, np.broadcast_to(d < 0.0, x.shape)
-    angle = w * s
-    decay = np.exp(-eta * s)
-    unit = np.where(w > 0.0, w, 1.0)
-    S, C = np.sin(angle) / unit, np.cos(angle)
-    if np.any(series):
-        small = np.where(series, x, 0.0)
-        S, C = np.where(series, s * _sinc(small), S), np.where(series, _cosine(small), C)
-    f11, f12, f22 = decay * (C + eta * S), decay * S, decay * (C - eta * S)
-    over = fast & ~series
-    if np.any(over):
+    if d < 0.0 and x <= -0.1:
         quick = eta + w
-        slow = lam / np.where(quick > 0.0, quick, 1.0)
-        e_slow = np.exp(np.where(over, -slow * s, 0.0))
-        ratio = np.exp(np.where(over, -2.0 * w * s, 0.0))
-        half = 0.5 * e_slow / unit
-        f11 = np.where(over, half * (quick - slow * ratio), f11)
-        f12 = np.where(over, -half * np.expm1(np.where(over, -2.0 * w * s, 0.0)), f12)
-        f22 = np.where(over, half * (quick * ratio - slow), f22)
-    return f11, f12, -lam * f12, f22
+        slow = lam / quick
+        half, ratio = 0.5 * math.exp(-slow * s) / w, math.exp(-2.0 * w * s)
+        f12 = -half * math.expm1(-2.0 * w * s)
+        return half * (quick - slow * ratio), f12, -lam * f12, half * (quick * ratio - slow)
+    if abs(x) < 0.1:
+        C, S = _cosine(x), s * _sinc(x)
+    else:
+        C, S = math.cos(w * s), math.sin(w * s) / w
+    decay = math.exp(-eta * s)
+    return decay * (C + eta * S), decay * S, -lam * decay * S, decay * (C - eta * S)
 
 
-def _cosine(x: Array) -> Array:
+@kernel
+def _cosine(x):
     """cos(sqrt x) for |x| < 0.1, its series."""
-    total: Any = 1.0
+    total = 1.0
     for n in (12, 10, 8, 6, 4, 2):
         total = 1.0 - x * total / (n * (n - 1))
-    return np.asarray(total)
+    return total
 
 
-def _sinc(x: Array) -> Array:
+@kernel
+def _sinc(x):
     """sin(sqrt x) / sqrt x for |x| < 0.1, its series."""
-    total: Any = 1.0
+    total = 1.0
     for n in (13, 11, 9, 7, 5, 3):
         total = 1.0 - x * total / (n * (n - 1))
-    return np.asarray(total)
+    return total
 
 
-def forced(lin: Linear, t: Array) -> tuple[Array, Array, Array, Array]:
-    """Y and its first three derivatives at times t (N, K), the rest position under constant load included."""
-    order = np.arange(1.0, lin.sin_part.shape[1] + 1.0)
-    phase = (lin.omega[:, None] * t + lin.tau[:, None])[..., None] * order
-    rate = lin.omega[:, None, None] * order
-    sin, cos, a, b = np.sin(phase), np.cos(phase), lin.sin_part[:, None, :], lin.cos_part[:, None, :]
-    value, slope = a * sin + b * cos, rate * (a * cos - b * sin)
-    return (
-        value.sum(-1) + rest_position(lin)[:, None],
-        slope.sum(-1),
-        -(rate * rate * value).sum(-1),
-        -(rate * rate * slope).sum(-1),
-    )
+@kernel
+def forced(lin, r, t):
+    """Y and its first three derivatives at time t of oscillator r, the rest position under constant load included."""
+    value, speed, bend, jerk = rest_of(lin, r), 0.0, 0.0, 0.0
+    phase = lin.omega[r] * t + lin.tau[r]
+    for h in range(lin.sin_part.shape[1]):
+        order = h + 1.0
+        sin, cos, rate = math.sin(order * phase), math.cos(order * phase), order * lin.omega[r]
+        here = lin.sin_part[r, h] * sin + lin.cos_part[r, h] * cos
+        slope = rate * (lin.sin_part[r, h] * cos - lin.cos_part[r, h] * sin)
+        value, speed, bend, jerk = value + here, speed + slope, bend - rate * rate * here, jerk - rate * rate * slope
+    return value, speed, bend, jerk
 
 
-def rest_position(lin: Linear) -> Array:
-    """Where y (N,) rests under the constant load: sum_j c_j load_j / lam_j over the elastic modes."""
-    elastic = lin.lam > 0.0
-    return np.asarray(
-        np.sum(np.where(elastic, lin.c[..., 0] * lin.load / np.where(elastic, lin.lam, 1.0), 0.0), axis=1)
-    )
+@kernel
+def rest_of(lin, r):
+    """Where y of oscillator r rests under the constant load: sum_j c_j load_j / lam_j over the elastic modes."""
+    total = 0.0
+    for j in range(lin.lam.shape[1]):
+        if lin.lam[r, j] > 0.0:
+            total += lin.c[r, j, 0] * lin.load[r, j] / lin.lam[r, j]
+    return total

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
 from workers.kernel.stroboscopic import motion_from, propagate
+from workers.model.oscillator import Oscillator
 from workers.model.system import System
 from workers.orbit.equations import (
     Impacts,
@@ -35,8 +36,12 @@ def orbit_from_state(
     values   parameters by name; those left out have their defaults
     Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
     """
-    full = {p.name: float(values.get(p.name, p.default)) for p in system.parameters}
-    osc = system.build(full)
+    osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
+    return orbit_of(osc, family_of(system, values, ()), np.zeros(0), state, periods, symmetric)
+
+
+def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
+    """The same where the oscillator is built, of a family at parameters (free,)."""
     motion = motion_from(osc, state, record=RECORD)
     rows = []
     for k in range(periods):
@@ -54,13 +59,12 @@ def orbit_from_state(
     sides = impacts[:, 1]
     itinerary = Itinerary(tuple(int(side) for side in sides), periods, symmetric)
     orbit = Orbit(itinerary, impacts[:, 0].copy(), sides * impacts[:, 2])
-    family = family_of(system, values, ())
-    return refined(family, orbit._replace(offset=_offset(family, orbit)), np.zeros(0))
+    return refined(family, orbit._replace(offset=_offset(family, orbit, values)), values)
 
 
-def _offset(family: Family, orbit: Orbit) -> float:
+def _offset(family: Family, orbit: Orbit, values: Array) -> float:
     """About the offset of y of a rigid mode: by how much the impacts of the orbit without it miss their stops."""
-    lin, points = family.model(np.zeros((1, 0)))[0], impacts_of(orbit)
+    lin, points = family.model(values[None])[0], impacts_of(orbit)
     if not unknown_offset(lin, orbit.itinerary) or not orbit.itinerary.sides:
         return 0.0
     return float(np.mean(stops(lin, orbit.itinerary) - at_impacts(lin, orbit.itinerary, points)[0]))

@@ -4,19 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.orbit.equations import Impacts, Itinerary, at_impacts
-from workers.orbit.linear import Linear, flow_entries
+from workers.orbit.linear import Linear
+from workers.orbit.pulses import flights
 
 Array = NDArray[np.float64]
-
-
-def flights(lin: Linear, s: Array) -> Array:
-    """e^(A s) (N, K, 2n, 2n) of times s (N, K)."""
-    N, K = s.shape
-    n = lin.eta.shape[1]
-    f11, f12, f21, f22 = flow_entries(lin.eta[:, None, :], lin.lam[:, None, :], s[..., None])
-    E, j = np.zeros((N, K, 2 * n, 2 * n)), 2 * np.arange(n)
-    E[..., j, j], E[..., j, j + 1], E[..., j + 1, j], E[..., j + 1, j + 1] = f11, f12, f21, f22
-    return E
 
 
 def saltations(lin: Linear, v: Array, a: Array) -> Array:

@@ -1,0 +1,77 @@
+"""Points of codimension two on curves, against closed forms: a cusp of folds, two grazes at once."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from tests.handmade import bouncing_ball
+from workers.model.system import find_system
+from workers.orbit import Condition, Event, Itinerary, Orbit, Point, curve, family_of
+from workers.orbit.branches import branch
+from workers.orbit.extended import GRAZE, UNIT
+from workers.orbit.linear import Family, Linear
+
+R, PHI = 0.5, 1.0
+"""Restitution of the ball on a table that shakes in two harmonics, and the phase of the second one."""
+
+
+def two_tones() -> Family:
+    """A ball above a table, y'' = -1 + A sin t + 2 B sin(2 t + PHI): then Y' = -A cos t - B cos(2 t + PHI)."""
+    one = bouncing_ball(("A",), R=R)
+
+    def model(rows: NDArray[np.float64]) -> tuple[Linear, None]:
+        lin, second = one.model(rows)[0], -0.5 * rows[:, 1]
+        sin_part = np.stack([lin.sin_part[:, 0], second * math.cos(PHI)], axis=1)
+        return lin._replace(sin_part=sin_part, cos_part=np.outer(second, [0.0, math.sin(PHI)])), None
+
+    return Family(("A", "B"), model)
+
+
+def fold(t: float) -> tuple[float, float]:
+    """(A, B) where the orbit of one impact a period, at time t, folds.
+
+    Balance gives (1 + R) |v| = 2 pi; between kicks that are alike y' is (1 - R) v / 2 off Y', so that
+    -Y'(t) = pi (1 - R) / (1 + R); two orbits meet where Y''(t) = 0.
+    """
+    rows = [[math.cos(t), math.cos(2.0 * t + PHI)], [math.sin(t), 2.0 * math.sin(2.0 * t + PHI)]]
+    A, B = np.linalg.solve(rows, [math.pi * (1.0 - R) / (1.0 + R), 0.0])
+    return float(A), float(B)
+
+
+def bend(t: float) -> float:
+    """Y three times differentiated at the fold of time t, up to a factor: zero where three orbits meet."""
+    return math.sin(2.0 * t + PHI) * math.cos(t) - 2.0 * math.cos(2.0 * t + PHI) * math.sin(t)
+
+
+def test_two_folds_meet_at_the_cusp_of_a_ball_on_a_table_of_two_tones() -> None:
+    at = float(brentq(bend, 1.9, 2.0, xtol=1e-15))
+    exact = np.array(fold(at))
+    v, start = -2.0 * math.pi / (1.0 + R), np.array(fold(0.0))
+    orbit = Orbit(Itinerary((-1,), 1), np.zeros(1), np.array([v]), -(1.0 + R) * v * math.pi / 6.0)
+    event = Event("fold", (Condition(UNIT),), Point(start, orbit, np.zeros(0), np.zeros(0, dtype=np.complex128), 0))
+    way = curve(two_tones(), event, start, {"A": (-5.0, 1.5), "B": (-3.0, 1.0)})
+    cusps = [met.point for met in way.events if met.kind == "cusp"]
+    assert [point.values for point in cusps] == [pytest.approx(exact, abs=1e-9)]
+    assert math.remainder(float(cusps[0].orbit.times[0]) - at, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-6)
+    distances = [float(np.linalg.norm(point.values - fold(float(point.orbit.times[0])))) for point in way.points]
+    assert max(distances) < 1e-11
+
+
+def test_motion_without_impact_grazes_both_stops_at_once_where_these_are_alike() -> None:
+    """In the plane of s, upper clearance over lower one, and b: the upper stop is grazed along b = |Y| up to s = 1."""
+    system, given = find_system("single-mass"), {"omega": 0.8, "A": 0.4, "zeta": 0.02}
+    amplitude = given["A"] / abs(complex(1.0 - given["omega"] ** 2, 2.0 * given["zeta"] * given["omega"]))
+    free, still = ("s", "b"), Orbit(Itinerary((), 1), np.zeros(0), np.zeros(0))
+    down = branch(family_of(system, given | {"s": 0.5}, ("b",)), still, 1.5 * amplitude, (0.5, 2.0))
+    (graze,) = down.events
+    assert graze.conditions == (Condition(GRAZE, side=1),)
+    start = np.array([0.5, graze.point.values[0]])
+    way = curve(family_of(system, given, free), graze, start, {"s": (0.2, 1.5), "b": (0.5, 2.0)})
+    assert way.ends == ("edge", "double_graze")
+    (both,) = way.events
+    assert both.point.values == pytest.approx([1.0, amplitude], abs=1e-10)
+    apart = math.remainder(float(np.diff(both.point.contacts)[0]) * given["omega"], 2.0 * math.pi)
+    assert abs(apart) == pytest.approx(math.pi, abs=1e-9)

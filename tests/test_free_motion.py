@@ -1,0 +1,48 @@
+"""The free motion of a system's machines over a few parameters: that of the whole oscillators, to the bit."""
+
+import numpy as np
+import pytest
+
+from workers.model.family import FreeMotions
+from workers.model.system import System, find_system, system_names
+from workers.orbit.linear import NoOscillatorError, family_of, linear_of
+from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
+
+
+def rows_of(system: System, free: tuple[str, ...], count: int) -> np.ndarray:
+    defaults = np.array([system.parameter(name).default for name in free])
+    return defaults * np.random.default_rng(7).uniform(0.9, 1.1, (count, len(free)))
+
+
+@pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("name", system_names())
+def test_it_is_that_of_whole_oscillators_to_the_bit_whichever_parameters_are_free(name: str, count: int) -> None:
+    system = find_system(name)
+    names = [p.name for p in system.parameters if p.name not in system.states]
+    for free in ((), (names[0],), tuple(names[:2]), tuple(names[2:4])):
+        rows = rows_of(system, free, count)
+        values = {p.name: np.full(count, p.default) for p in system.parameters}
+        oscillators, _ = system.build_many(values | {name: rows[:, k].copy() for k, name in enumerate(free)})
+        family = family_of(system, {}, free)
+        family.model(rows[::-1].copy())  # what is kept is of another row
+        lin, signals = family.model(rows)
+        assert signals is not None
+        for found, exact in ((lin, linear_of(oscillators)), (signals, oscillators.gap)):
+            assert all(np.array_equal(a, b) for a, b in zip(found, exact, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("free", "row"),
+    [(("omega", "b"), [2.0, -0.1]), (("R", "b"), [1.2, 0.3]), (("omega", "b"), [np.nan, 0.3])],
+)
+def test_values_out_of_range_are_told_beside_good_ones(free: tuple[str, ...], row: list[float]) -> None:
+    system = find_system("two-mass")
+    good = rows_of(system, free, 1)[0]
+    reasons = FreeMotions(system, {}, free)(np.array([good, row])).reasons
+    assert reasons.tolist() == [NO_REASON, OUT_OF_RANGE]
+
+
+def test_fixed_values_that_make_no_machine_are_told() -> None:
+    with pytest.raises(NoOscillatorError, match=r"no oscillator at b = 0\.2"):
+        family_of(find_system("two-mass"), {"mu_m": -1.0}, ("b",)).model(np.array([[0.2]]))
+    assert FreeMotions(find_system("two-mass"), {"zeta": 1e308}, ("b",))(np.array([[0.2]])).reasons[0] == OUT_OF_DOUBLES

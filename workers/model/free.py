@@ -1,0 +1,247 @@
+"""The motion between impacts: blocks, forced response, rest position, and the gap coordinate as their signal.
+
+What one oscillator is made of does not depend on the others, to the bit.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.modes import Modes, split, stacked
+from workers.model.oscillator import COLUMN, LARGEST_ANGLE, Array, Machines, Signal, make_blocks
+from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
+
+UNSEEN = 1e-9
+"""Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
+
+
+class Frame(NamedTuple):
+    """What mass, damping, stiffness and gap row alone decide, of N machines.
+
+    modes; flexibility M^-1 (N, n, n); accelerance M^-1 g and softness g.M^-1 g of the gap row g; row, row1, row2 and
+    kick (N, n, 2) and trace (N,), see Oscillator.
+    """
+
+    modes: Modes
+    flexibility: Array
+    accelerance: Array
+    softness: Array
+    row: Array
+    row1: Array
+    row2: Array
+    kick: Array
+    trace: Array
+
+
+class Push(NamedTuple):
+    """What force and load are to the blocks of N machines, whatever the forcing frequency.
+
+    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
+    Oscillator; block (N, n, columns), see Signal, whose metric is that of elastic blocks.
+    """
+
+    waves: Any
+    load: Array
+    rest: Array
+    block: Array
+
+
+class Driven(NamedTuple):
+    """Blocks with what force and load do to them.
+
+    modes; metric and load (N, n), rest (N, n, 2), block (N, n, columns); forced (N, n, 2, H, 2); resonant (N,).
+    """
+
+    modes: Modes
+    metric: Array
+    load: Array
+    rest: Array
+    block: Array
+    forced: Array
+    resonant: NDArray[np.bool_]
+
+
+class Free(NamedTuple):
+    """The free motion of N machines: its blocks, the gap signal, the stops seen from rest, and whether a rigid mode is
+    one that the gap does not see.
+    """
+
+    driven: Driven
+    gap: Signal
+    b_upper: Array
+    b_lower: Array
+    unseen: NDArray[np.bool_]
+
+
+def frame_of(mass: Array, damping: Array, stiffness: Array, gap_row: Array) -> Frame:
+    """The frame of matrices (N, n, n) and gap rows (N, n)."""
+    N, n = gap_row.shape
+    accelerance = stacked(np.linalg.solve, (N, n, 1), mass, gap_row[..., None])[..., 0]
+    softness = dot(gap_row, accelerance)
+    d = accelerance / softness[:, None]
+    modes = split(mass, damping, stiffness)
+    row = times(np.concatenate([gap_row, np.zeros((N, n))], axis=1), modes.to_physical).reshape(N, n, 2)
+    column = np.concatenate([np.zeros((N, n)), d], axis=1)
+    row1 = derivative(row, modes)
+    return Frame(
+        modes=modes,
+        flexibility=stacked(np.linalg.inv, (N, n, n), mass),
+        accelerance=accelerance,
+        softness=softness,
+        row=row,
+        row1=row1,
+        row2=derivative(row1, modes),
+        kick=(modes.to_blocks @ column[..., None])[..., 0].reshape(N, n, 2),
+        trace=2.0 * np.sum(modes.eta, axis=1),
+    )
+
+
+def push_of(modes: Modes, flexibility: Array, force: Any, load: Array) -> Push:
+    """What force (N, H, n) and load (N, n) are to blocks; flexibility is M^-1.
+
+    Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
+    """
+    N, n = modes.eta.shape
+    into = modes.to_blocks[:, :, n:] @ flexibility  # (N, 2n, n)
+    waves = (into[:, None] @ force[..., None])[..., 0].reshape(N, force.shape[1], n, 2)
+    steady = (into @ load[..., None])[..., 0].reshape(N, n, 2)
+    rigid = modes.lam == 0.0
+    l0, l1 = steady[..., 0], steady[..., 1]
+    p = l1 + 2.0 * modes.eta * l0
+    at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
+    loads = np.where(rigid, p, 0.0)
+    return Push(
+        waves=waves,
+        load=loads,
+        rest=np.stack([at_rest, -l0], axis=-1),
+        block=make_blocks(modes.eta, modes.lam, modes.lam, loads),
+    )
+
+
+def free_motion(frame: Frame, push: Push, omega: Array, upper: Array, lower: Array) -> Free:
+    """The free motion of machines of that frame under that push, at forcing frequencies and between stops (N,)."""
+    driven = drive(frame.modes, push, omega)
+    driven, unseen = _centred(driven, frame, upper, lower)
+    y0 = np.sum(frame.row * driven.rest, axis=(1, 2))
+    none = np.zeros(push.waves.shape[:2], dtype=np.complex128)
+    gap = signal_of(driven, (frame.row, frame.row1, frame.row2), none, omega)
+    return Free(driven, gap, upper - y0, y0 - lower, unseen)
+
+
+def faults_of(free: Free) -> list[tuple[int, NDArray[np.bool_]]]:
+    """The reasons why free motion may be none, and where they hold (N,), the weightiest last."""
+    modes, block = free.driven.modes, free.gap.block
+    turns = np.where(block[..., COLUMN.d] > 0.0, block[..., COLUMN.w], 0.0) * (2.0 * np.pi / free.gap.omega)[:, None]
+    return [
+        (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
+        (RESONANCE, free.driven.resonant),
+        (COUPLED_DAMPING, modes.inseparable),
+        (RIGID_MODE, free.unseen | (modes.rigid > 1)),
+        (UNSTABLE, modes.unstable),
+    ]
+
+
+def phase_of(tau: Array) -> Array:
+    """The forcing phase at a section, between -pi and pi."""
+    phase = np.fmod(tau, 2.0 * np.pi)
+    return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
+
+
+def complex_force(machines: Machines) -> Any:
+    """The force (N, H, n) as amplitudes of e^(i k phi), whose imaginary part counts."""
+    return machines.force_sin + 1j * machines.force_cos
+
+
+def orders_of(force: Any) -> Array:
+    """The orders k (H,) of the harmonics of a force (N, H, ...)."""
+    return np.arange(1.0, force.shape[1] + 1.0)
+
+
+def drive(modes: Modes, push: Push, omega: Array) -> Driven:
+    """The blocks with the forced response and the rest position that a push gives them."""
+    metric = modes.lam
+    block, rigid = push.block, modes.lam == 0.0
+    if np.any(rigid):
+        metric = np.where(rigid, omega[:, None] ** 2, modes.lam)
+        block = block.copy()
+        block[..., COLUMN.metric] = metric
+    forced, resonant = _response(modes, push.waves, omega)
+    return Driven(modes, metric, push.load, push.rest, block, forced, resonant)
+
+
+def _response(modes: Modes, waves: Any, omega: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2); resonance (N,).
+
+    Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w) with w = k omega, and i w Z - l0 of the velocity.
+    """
+    w = omega[:, None, None] * orders_of(waves)[None, :, None]
+    eta, lam = modes.eta[:, None], modes.lam[:, None]
+    l0, l1 = waves[..., 0], waves[..., 1]
+    push = l1 + (2.0 * eta + 1j * w) * l0
+    re, im = lam - w**2, 2.0 * eta * w
+    size = np.maximum(np.abs(re), np.abs(im))
+    unit = np.where(size > 0.0, size, 1.0)
+    re, im = re / unit, im / unit
+    square = re * re + im * im
+    resonant = (push != 0.0) & (size * np.sqrt(square) < 1e-13 * (lam + w**2))
+    Z = np.where(push != 0.0, push / (square * unit), 0.0) * (re - 1j * im)
+    rate = 1j * w * Z - l0
+    response = np.stack([np.stack([z.real, z.imag], axis=-1) for z in (Z, rate)], axis=-2)  # (N, H, n, 2, 2)
+    return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
+
+
+def _centred(free: Driven, frame: Frame, upper: Array, lower: Array) -> tuple[Driven, NDArray[np.bool_]]:
+    """The blocks with a rigid mode's position counted from between the stops, or from the only one; and where it is
+    one that the gap does not see.
+    """
+    rigid = free.modes.lam == 0.0
+    if not np.any(rigid):
+        return free, np.zeros(len(upper), dtype=np.bool_)
+    moving = np.any(rigid, axis=1)
+    share = np.sum(np.where(rigid, frame.row[..., 0], 0.0), axis=1)
+    unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.softness))
+    middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
+        np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
+    y0 = np.sum(frame.row * free.rest, axis=(1, 2))
+    move = np.where(moving & ~unseen, (middle - y0) / np.where(share != 0.0, share, 1.0), 0.0)
+    rest = free.rest.copy()
+    rest[..., 0] += np.where(rigid, move[:, None], 0.0)
+    return free._replace(rest=rest), unseen
+
+
+def finite(record: Any) -> NDArray[np.bool_]:
+    """Which of many records hold finite numbers only."""
+    fields = (finite(f) if isinstance(f, tuple) else np.isfinite(f).all(axis=tuple(range(1, f.ndim))) for f in record)
+    return np.asarray(np.logical_and.reduce(list(fields)))
+
+
+def signal_of(driven: Driven, rows: tuple[Array, Array, Array], direct: Any, omega: Array) -> Signal:
+    """The signal row . blocks + direct sin(k phi); rows are its own and those of its derivatives, direct (N, H)."""
+    row, row1, row2 = rows
+    (N, n), H = row.shape[:2], direct.shape[1]
+    parts = (row.reshape(N, 1, 2 * n) @ driven.forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
+    sin_part, cos_part = direct.real + parts[..., 0], direct.imag + parts[..., 1]
+    sizes = np.hypot(sin_part, cos_part)
+    w = omega[:, None] * orders_of(direct)
+    powers = [sizes * w**k for k in (2, 3, 4)]
+    return Signal(
+        driven.modes.eta, driven.modes.lam, driven.metric, driven.block, row, row1, row2,
+        sin_part=sin_part, cos_part=cos_part, amplitude=np.sum(sizes, axis=1),
+        swing=np.stack([np.sum(power, axis=1) for power in powers], axis=-1), omega=omega,
+    )  # fmt: skip
+
+
+def derivative(row: Array, modes: Modes) -> Array:
+    """row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
+    return np.stack([-modes.lam * row[..., 1], row[..., 0] - 2.0 * modes.eta * row[..., 1]], axis=-1)
+
+
+def times(row: Array, matrix: Array) -> Array:
+    """row @ matrix of each of many."""
+    return np.asarray((row[:, None, :] @ matrix)[:, 0])
+
+
+def dot(row: Array, other: Array) -> Array:
+    """row . other of each of many."""
+    return np.asarray((row[:, None, :] @ other[:, :, None])[:, 0, 0])
