@@ -139,9 +139,11 @@ class AtlasAccessor:
     def distance_to(self, kind: str | None = None, **point: float) -> list[dict[str, Any]]:
         """How far an operating point is from events of its orbit, ``distance_to("neimark_sacker", omega=3, b=0.15)``.
 
-        Along each axis either way the first event, the nearest first. See ``atlas.curves.asking.distance_to``.
+        Along each axis either way the first event, the nearest first. See ``atlas.curves.distance.distance_to``.
         """
-        return asking.distance_to(self._ds, kind, point)
+        from atlas.curves.distance import distance_to  # with it Numba
+
+        return distance_to(self._ds, kind, point)
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
         """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.

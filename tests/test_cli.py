@@ -62,6 +62,16 @@ def test_help_comes_without_the_heavy_imports() -> None:
     assert shown.stdout.splitlines()[-1] == "[]"
 
 
+def test_a_map_is_drawn_without_numba(folder: Path, tmp_path: Path) -> None:
+    asked = ["render", str(folder / "out.zarr"), "-o", str(tmp_path / "map.png")]
+    code = (
+        f"import sys; from atlas.cli.main import main; main({asked}, standalone_mode=False)\n"
+        "print('numba' in sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert shown.stdout.splitlines()[-1] == "False"
+
+
 @pytest.mark.parametrize(
     "command", ["plan", "run", "submit", "cancel", "status", "query", "render", "point", "systems"]
 )

@@ -16,8 +16,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from distributed import Client
 from PIL import Image
 
+import atlas
 from tests.faults import ATLAS
 from tests.test_docs import PAGES, ROOT, files, script_calls
 
@@ -122,7 +124,7 @@ def command(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> It
 
 
 @pytest.fixture(scope="module")
-def stores(tmp_path_factory: pytest.TempPathFactory, command: None) -> Callable[[str], Path]:
+def stores(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Callable[[str], Path]:
     """The store of a name that pages use, made when first asked for."""
     work = tmp_path_factory.mktemp("stores")
 
@@ -133,7 +135,7 @@ def stores(tmp_path_factory: pytest.TempPathFactory, command: None) -> Callable[
             spec = PLANE.replace("[axes.omega]", f"[parameters]\nR = {STORES[name]}\n[axes.omega]")
         (work / "table.csv").write_text(FILES["table.csv"])
         (work / "spec.toml").write_text(spec)
-        run(["atlas", "run", "spec.toml", "-o", name], work)
+        atlas.run(atlas.Spec.from_toml(work / "spec.toml"), work / name, client=client)
         return work / name
 
     return store
@@ -150,7 +152,9 @@ def coarse(spec: str) -> str:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if runnable(page)], ids=lambda page: page.name)
-def test_what_a_page_shows_can_be_run_as_it_stands(page: Path, tmp_path: Path, stores: Callable[[str], Path]) -> None:
+def test_what_a_page_shows_can_be_run_as_it_stands(
+    page: Path, tmp_path: Path, stores: Callable[[str], Path], command: None
+) -> None:
     folder, shown = tmp_path, page.read_text()
     for name in ("plane.zarr", "stack.zarr", "points.zarr", *STORES):
         if name in shown:

@@ -14,6 +14,7 @@ from distributed import Client, LocalCluster
 import atlas
 import workers
 from atlas.errors import InputError, RunError
+from atlas.service.probe import CELLS
 from atlas.service.progress import LogReporter, Progress, reporter
 from atlas.store.store import done_tiles, read_header
 from atlas.task.task import peak_memory
@@ -121,13 +122,20 @@ def test_a_client_passed_is_left_open(tmp_path: Path, plane: atlas.Spec, client:
 
 def test_progress_ends_with_every_cell_done(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
     told: list[Progress] = []
-    atlas.run(
-        plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=told.append, probe=True)
-    )
+    atlas.run(plane, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=told.append))
     assert (told[-1].cells_done, told[-1].tiles_done) == (35, 9)
-    assert told[-1].plan is not None
-    assert told[-1].plan.probe is not None
     assert [p.cells_done for p in told] == sorted(p.cells_done for p in told)
+
+
+@pytest.mark.parametrize(("cells", "probed"), [(CELLS, False), (CELLS + 1, True)])
+def test_a_run_is_probed_only_where_a_probe_would_not_solve_all_of_it(
+    tmp_path: Path, client: Client, cells: int, probed: bool
+) -> None:
+    spec = atlas.Spec("two-mass", {"omega": {"start": 2.0, "stop": 4.0, "num": cells}}, {"b": 5.0})
+    told: list[Progress] = []
+    atlas.run(spec, tmp_path / "out.zarr", client=client, options=atlas.RunOptions(on_progress=told.append, probe=True))
+    assert told[-1].plan is not None
+    assert (told[-1].plan.probe is not None) == probed
 
 
 def test_a_terminal_shows_speed_and_regimes(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:

@@ -1,34 +1,20 @@
-"""Questions about curves of an atlas: which there are, how far an operating point is from the events of its orbit."""
+"""Questions about the curves of an atlas: which there are, as they are kept and as a table."""
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from atlas.curves.cells import CellOrbits
 from atlas.curves.export import columns, rows
-from atlas.curves.following import Located, bounds_stability, events_towards
-from atlas.curves.plane import Plane, plane_of
 from atlas.curves.table import KINDS, Curves, read_curves
 from atlas.errors import InputError, check_names
-from atlas.query.queries import at
 from atlas.store.store import Header, read_header
-from workers.orbit import Event, Orbit
-from workers.orbit.many import attract, many_of, moved
-from workers.orbit.view import GRAZING, IMPACT_LOST
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-RESOLUTION = 0.02
-"""The longest step along a branch, as a share of its way."""
-
 
 def curves_of(ds: "xr.Dataset") -> Curves:
     """The curves that the store of an atlas keeps; InputError where it keeps none."""
-    header = _header_of(ds)
+    header = header_of(ds)
     found = read_curves(header)
     if found is None:
         raise InputError(f"{header.place}: has no curves yet; atlas curves finds them")
@@ -52,71 +38,8 @@ def frame(found: Curves, kind: str | None = None) -> "pd.DataFrame":
     return made
 
 
-def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The nearest events of the orbit at an operating point: along each axis, either way, the first of a kind, or of
-    any; exact, from branches of the orbit of the point's cell through the whole plane. The nearest first.
-
-    Keys: ``axis``; ``kind``; ``value`` of the axis at the event; ``distance`` to it, signed, in the axis's unit, and
-    ``share`` of the plane's width. An impact that is lost is a graze. Events are those where the orbit loses or gains
-    stability or ends; none is listed where it goes on to the plane's edge.
-    Raises InputError where the cell has no proven periodic orbit, or that does not attract at the point.
-    """
-    if kind is not None:
-        check_names("kind of event", [kind], KINDS)
-        kind = GRAZING if kind == IMPACT_LOST else kind
-    plane = plane_of(_header_of(ds))
-    found = at(ds, point)
-    orbits, here = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
-    orbit = _orbit_at(orbits, plane, found, here)
-    entries = [
-        _entry(plane, axis, here, event)
-        for axis in (0, 1)
-        for end in plane.window[plane.axes[axis]]
-        for event in _first(orbits, orbit, here, axis, end, kind)
-    ]
-    return sorted(entries, key=lambda entry: float(entry["share"]))
-
-
-def _orbit_at(orbits: CellOrbits, plane: Plane, cell: Mapping[str, Any], here: NDArray[np.float64]) -> Orbit:
-    """The orbit of a cell, taken to a point near it."""
-    x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
-    number = y * len(plane.x) + x
-    where = ", ".join(f"{name} = {cell[name]:g}" for name in plane.axes)
-    own = orbits.of(number)
-    if own is None:
-        raise InputError(f"the cell at {where} is {cell['regime']}: events are those of a proven periodic orbit")
-    taken = moved(orbits.family, many_of([own], plane.values(np.array([number]))), here[None])
-    if not attract(orbits.family, taken)[0]:
-        raise InputError(f"the orbit of the cell at {where} does not attract at the point itself; ask at the cell")
-    return taken.orbit(0)
-
-
-def _first(
-    orbits: CellOrbits, orbit: Orbit, here: NDArray[np.float64], axis: int, end: float, kind: str | None
-) -> Iterator[Located]:
-    """The first event of a kind on the way to an end, if any."""
-    if here[axis] == end:
-        return
-
-    def wanted(event: Event) -> bool:
-        return bounds_stability(event) and kind in (None, GRAZING if event.kind == IMPACT_LOST else event.kind)
-
-    events = events_towards(orbits, orbit, here, axis, end, RESOLUTION, wanted)
-    yield from [event for event in events if kind in (None, event.kind)][:1]
-
-
-def _entry(plane: Plane, axis: int, here: NDArray[np.float64], event: Located) -> dict[str, Any]:
-    distance = float(event.values[axis] - here[axis])
-    return {
-        "axis": plane.axes[axis],
-        "kind": event.kind,
-        "value": float(event.values[axis]),
-        "distance": distance,
-        "share": abs(distance) / float(plane.width[axis]),
-    }
-
-
-def _header_of(ds: "xr.Dataset") -> Header:
+def header_of(ds: "xr.Dataset") -> Header:
+    """The header of the store that a dataset is of; InputError where it does not say which."""
     source = ds.encoding.get("source")
     if not isinstance(source, str):
         raise InputError("this dataset does not say which store it is of: ask the one that atlas.open gives")

@@ -16,7 +16,7 @@ from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.plan import Plan, check_disk, default_workers, make_plan
-from atlas.service.probe import probe
+from atlas.service.probe import CELLS, probe
 from atlas.service.progress import Progress
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, Totals
@@ -257,7 +257,7 @@ def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOpti
     if client is None or options.probe:
         options.report(Progress(warming(spec.attractors is not None)))
         compile_once(spec.settings, spec.attractors is not None)
-    if not options.probe:
+    if not options.probe or work.plan.tiling.cells <= CELLS:  # a probe would solve them all
         return work
     options.report(Progress("probing a few cells"))
     return replace(work, plan=replace(work.plan, probe=probe(spec, work.plan.tiling.tile)))
