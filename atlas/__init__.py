@@ -4,12 +4,14 @@
 store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``extend`` computes a larger or finer atlas
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
 a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
-a plane, within the budget of ``CurveSettings``.
+a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
+branch from cell to cell.
 Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``branch`` follows its orbit along a
 parameter, ``solve_tile`` takes arrays of parameters.
 ``errors`` has what they raise.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
         verify,
     )
     from atlas.service.curves import find_curves
+    from atlas.service.labels import label_attractors
     from workers import solve_tile
 
     __version__: str
@@ -45,6 +48,7 @@ __all__ = [
     "errors",
     "extend",
     "find_curves",
+    "label_attractors",
     "open",
     "pack",
     "point",
@@ -55,6 +59,14 @@ __all__ = [
 ]
 
 
+_WITH_NUMBA = {
+    "solve_tile": "workers",
+    "find_curves": "atlas.service.curves",
+    "label_attractors": "atlas.service.labels",
+}
+"""Where those names are that bring Numba with them: apart from the others, which do without."""
+
+
 def __getattr__(name: str) -> Any:
     """Load a name at its first use, so that ``import atlas`` itself takes no time."""
     if name not in __all__:
@@ -63,14 +75,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("impact-atlas")
-    if name == "solve_tile":
-        import workers
-
-        return workers.solve_tile  # apart from the others, as it takes Numba with it
-    if name == "find_curves":
-        from atlas.service.curves import find_curves
-
-        return find_curves  # likewise
+    if name in _WITH_NUMBA:
+        return getattr(import_module(_WITH_NUMBA[name]), name)
     from atlas import api
 
     return getattr(api, name)
