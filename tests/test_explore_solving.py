@@ -12,6 +12,7 @@ import xarray as xr
 from distributed import Client
 
 import atlas
+from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.sheets import SheetKey
@@ -106,6 +107,17 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
         explorer.known.look(explorer.subject.plane, sight, ["largest", "period"])
         second = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"])
     assert first.identical(second)
+
+
+def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "MOST_WAITING", 1)
+    with exploring(finished, client) as explorer:
+        tiles = solved(explorer, view_of(explorer.subject))
+        assert len(tiles) > 3
+        assert waited(lambda: explorer.keeper.waiting == 0)
+        assert all(explorer.keeper.has(explorer.subject.plane, key) for key in tiles)
 
 
 @pytest.mark.slow

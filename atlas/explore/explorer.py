@@ -128,10 +128,11 @@ class Explorer:
         self.known.tiles.put(plane, key, arrays)
         with self._lock:
             kept, listeners = plane in self._kept_planes, list(self._listeners.values())
-        if kept:
-            self.keeper.offer(plane, key, arrays)
         for told in listeners:
             told(plane, key)
+        if kept:
+            self.keeper.room()
+            self.keeper.offer(plane, key, arrays)
 
     def _fail(self, item: Hashable, why: str) -> None:
         if isinstance(item, Question):

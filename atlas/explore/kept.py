@@ -27,7 +27,7 @@ TOGETHER = 64
 PAUSE = 1.0
 """Seconds between two turns."""
 MOST_WAITING = 1024
-"""Tiles that wait for their turn; of more the oldest are not kept."""
+"""Tiles that wait for their turn; of more the oldest are not kept, where others may not wait for ``room``."""
 RECENT = 60.0
 
 
@@ -42,6 +42,7 @@ class Keeper:
     ) -> None:
         self._most, self._recent = most_bytes, recent
         self._lock, self._stopped = threading.RLock(), threading.Event()
+        self._room = threading.Condition(self._lock)
         self._waiting: OrderedDict[tuple[Plane, TileKey], Arrays] = OrderedDict()
         self._seen: dict[tuple[str, str], float] = {}
         self._sizes: dict[tuple[str, str], int] = {}
@@ -58,6 +59,15 @@ class Keeper:
         """Tiles that wait to be written."""
         with self._lock:
             return len(self._waiting)
+
+    def room(self) -> None:
+        """Wait while as many tiles wait as may, so that cells are solved no faster than they can be written.
+
+        Not while nothing can be written, as during a run: then the oldest are not kept.
+        """
+        with self._room:
+            while len(self._waiting) >= MOST_WAITING and not self.trouble and self._thread.is_alive():
+                self._room.wait(PAUSE)
 
     def offer(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         """Keep a tile, soon."""
@@ -119,20 +129,21 @@ class Keeper:
             with claimed(notes, str(header.place)):
                 for (plane, key), arrays in batch:
                     self._write(plane, key, arrays)
-                    with self._lock:
+                    with self._room:
                         self._waiting.pop((plane, key), None)
+                        self._room.notify_all()
                 self._trim(header)
                 self.trouble = ""
         except (InputError, RunError, OSError) as error:
             busy = False
             with suppress(OSError):
                 busy = notes.read(CLAIM) is not None
-            if busy:
+            with self._room:
                 self.trouble = "kept later: a run is at work on the store"
-                return
-            with self._lock:
-                self.trouble, self.header = f"nothing is kept: {error}", None
-                self._waiting.clear()
+                if not busy:
+                    self.trouble, self.header = f"nothing is kept: {error}", None
+                    self._waiting.clear()
+                self._room.notify_all()
 
     def _write(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
