@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.labels.attractors import Array, Attractors
-from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
-from workers.kernel.stroboscopic import motion_from, propagate
 from workers.model.oscillator import Oscillator, one_of
-from workers.orbit import Family, Itinerary, Orbit, orbit_from_state
+from workers.orbit import Family, Orbit, orbit_from_state
 from workers.orbit.many import many_of, moved
-from workers.orbit.seeds import RECORD
+from workers.orbit.seeds import recorded
 
 
 def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
@@ -53,20 +51,10 @@ def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
 
 def _recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit | None:
     """An orbit of so many periods as its impacts are recorded; None where it rests on a stop."""
-    motion = motion_from(osc, state, record=RECORD)
-    parts = []
-    for k in range(periods):
-        propagate(osc, motion, osc.period)
-        count = int(motion.tally[RECORDED])
-        if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0 or count == RECORD:
-            return None
-        parts.append(motion.impacts[:count] + np.array([k * osc.period, 0.0, 0.0]))
-        motion.tally[RECORDED] = 0.0
-    impacts = np.concatenate(parts)
-    if symmetric:
-        impacts = impacts[impacts[:, 0] < 0.5 * periods * osc.period]
-    times, sides, speeds = impacts.T
-    return Orbit(Itinerary(tuple(int(side) for side in sides), periods, symmetric), times.copy(), sides * speeds)
+    try:
+        return recorded(osc, state, periods, symmetric)
+    except ValueError:
+        return None
 
 
 def _alone(own: Attractors, k: int) -> Orbit | None:

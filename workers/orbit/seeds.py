@@ -42,6 +42,12 @@ def orbit_from_state(
 
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The same where the oscillator is built, of a family at parameters (free,)."""
+    orbit = recorded(osc, state, periods, symmetric)
+    return refined(family, orbit._replace(offset=_offset(family, orbit, values)), values)
+
+
+def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
+    """The orbit as its impacts are recorded in one turn from a physical section state; ValueError as above."""
     motion = motion_from(osc, state, record=RECORD)
     rows = []
     for k in range(periods):
@@ -58,8 +64,7 @@ def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, perio
         impacts = impacts[impacts[:, 0] < 0.5 * periods * osc.period]
     sides = impacts[:, 1]
     itinerary = Itinerary(tuple(int(side) for side in sides), periods, symmetric)
-    orbit = Orbit(itinerary, impacts[:, 0].copy(), sides * impacts[:, 2])
-    return refined(family, orbit._replace(offset=_offset(family, orbit, values)), values)
+    return Orbit(itinerary, impacts[:, 0].copy(), sides * impacts[:, 2])
 
 
 def _offset(family: Family, orbit: Orbit, values: Array) -> float:
