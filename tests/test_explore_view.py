@@ -155,6 +155,16 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
     assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
 
 
+def test_memory_has_the_arrays_of_a_tile_in_one_block(subject: Subject) -> None:
+    key, tiles = TileKey(0, 0, 0, 0), Tiles()
+    given = filled(subject, key, 2.0)
+    tiles.put(subject.plane, key, {REGIME.name: given.pop(REGIME.name)})
+    held = tiles.put(subject.plane, key, given)
+    assert held.keys() == {REGIME.name, *given}
+    assert all(np.array_equal(held[name], given[name], equal_nan=given[name].dtype.kind == "f") for name in given)
+    assert {id(array.base) for array in held.values()} == {id(held[REGIME.name].base)}
+
+
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
     write_curves(read_header(finished), curves())
     stored = subject_of(str(finished))

@@ -1,7 +1,6 @@
 """The orbits of a plane's cells: found from what the atlas stores, taken to other cells, and to points of curves."""
 
-from collections.abc import Hashable, Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from workers.orbit import Family, Orbit, family_of
 from workers.orbit.equations import Itinerary, check_orbits
 from workers.orbit.identity import same_orbit
 from workers.orbit.linear import NoOscillatorError
-from workers.orbit.many import attract, many_of, moved
+from workers.orbit.many import alike, attract, many_of, moved
 from workers.orbit.seeds import orbit_of
 
 Array = NDArray[np.float64]
@@ -88,7 +87,7 @@ class CellOrbits:
         """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""
         found = np.zeros(len(cells), dtype=bool)
         omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
-        for rows in _groups([orbit.itinerary for orbit in points]):
+        for rows in alike(orbit.itinerary for orbit in points):
             start = many_of([points[row] for row in rows], values[rows])
             try:
                 taken = moved(self.family, start, self.plane.values(cells[rows]))
@@ -100,11 +99,11 @@ class CellOrbits:
                 found[row] = own is not None and same_orbit(own, taken.orbit(k), omega[row])
         return found
 
-    def _grouped(self, cells: Cells) -> Iterator[tuple[NDArray[np.intp], list[Orbit]]]:
+    def _grouped(self, cells: Cells) -> Iterator[tuple[NDArray[np.int64], list[Orbit]]]:
         """Rows of cells whose orbits have one itinerary, with these."""
         self.find(cells)
         orbits = [self.of(int(cell)) for cell in cells]
-        for rows in _groups([None if orbit is None else orbit.itinerary for orbit in orbits]):
+        for rows in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
             yield rows, [orbit for row in rows if (orbit := orbits[row]) is not None]
 
     def _with_impacts(self, cells: Cells) -> dict[int, Orbit | None]:
@@ -132,12 +131,3 @@ class CellOrbits:
                 continue
             return Orbit(itinerary, np.zeros(0), np.zeros(0))
         return None
-
-
-def _groups(keys: Sequence[Hashable | None]) -> Iterator[NDArray[np.intp]]:
-    """The places of equal keys, in the order in which they are met; none of None."""
-    found: dict[Any, list[int]] = {}
-    for place, key in enumerate(keys):
-        if key is not None:
-            found.setdefault(key, []).append(place)
-    return (np.array(places) for places in found.values())

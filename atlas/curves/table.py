@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError
-from atlas.store.curves import GROUP, read_group, write_group
-from atlas.store.schema import Coordinate
+from atlas.store.curves import GROUP, read_arrays, write_arrays
+from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 
 KINDS = ("fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost")
@@ -91,12 +91,12 @@ class Curves:
 
 def write_curves(header: Header, found: Curves) -> None:
     """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
-    write_group(header, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
+    write_arrays(header, as_arrays(found), {"axes": list(found.axes), "report": dict(found.report)})
 
 
 def read_curves(header: Header) -> Curves | None:
     """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
-    stored = read_group(header)
+    stored = read_arrays(header)
     if stored is None:
         return None
     try:
@@ -105,7 +105,7 @@ def read_curves(header: Header) -> Curves | None:
         raise ChunkError(header.place, {GROUP: f"is damaged ({error}); make it anew by atlas curves"}) from None
 
 
-def as_arrays(found: Curves) -> dict[str, Coordinate]:
+def as_arrays(found: Curves) -> dict[str, StoredArray]:
     """The curves as arrays along ``curve``, ``point`` and ``corner``: ragged ones end to end (CF's row_size)."""
     curves = found.curves
     corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]
@@ -129,24 +129,24 @@ def as_arrays(found: Curves) -> dict[str, Coordinate]:
     points = np.concatenate([np.zeros((0, 2)), *(curve.points for curve in curves)])
     unstable = np.concatenate([np.zeros(0, "int64"), *(curve.unstable for curve in curves)]).astype("int32")
     places = np.array([(corner.x, corner.y) for _, corner in corners], dtype="float64").reshape(-1, 2)
-    made = {name: Coordinate(values, ("curve",), {"long_name": what}) for name, (values, what) in of_curve.items()}
+    made = {name: StoredArray(values, ("curve",), {"long_name": what}) for name, (values, what) in of_curve.items()}
     made["row_size"].attributes["sample_dimension"] = "point"
     return made | {
-        "position": Coordinate(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
-        "unstable": Coordinate(unstable, ("point",), {"long_name": "unstable multipliers besides the event's own"}),
-        "corner_curve": Coordinate(
+        "position": StoredArray(points, ("point", "axis"), {"long_name": "points of all curves, end to end"}),
+        "unstable": StoredArray(unstable, ("point",), {"long_name": "unstable multipliers besides the event's own"}),
+        "corner_curve": StoredArray(
             np.array([number for number, _ in corners], dtype="int32"), ("corner",), {"long_name": "its curve, from 0"}
         ),
-        "corner_kind": Coordinate(
+        "corner_kind": StoredArray(
             text([corner.kind for _, corner in corners]), ("corner",), {"long_name": "kind of point of codimension two"}
         ),
-        "corner_after": Coordinate(
+        "corner_after": StoredArray(
             np.array([corner.after for _, corner in corners], dtype="int64"),
             ("corner",),
             {"long_name": "its curve's point that it follows, from 0"},
         ),
-        "corner_position": Coordinate(places, ("corner", "axis"), {"long_name": "points of codimension two"}),
-        "axis": Coordinate(text(list(found.axes)), ("axis",), {"long_name": "axis of the plane"}),
+        "corner_position": StoredArray(places, ("corner", "axis"), {"long_name": "points of codimension two"}),
+        "axis": StoredArray(text(list(found.axes)), ("axis",), {"long_name": "axis of the plane"}),
     }
 
 

@@ -125,7 +125,7 @@ class Explorer:
             array[mask] = found[name]
             if parent is not None:
                 array[::2, ::2] = parent[name]
-        self.known.tiles.put(plane, key, arrays)
+        arrays = self.known.tiles.put(plane, key, arrays)
         with self._lock:
             kept, listeners = plane in self._kept_planes, list(self._listeners.values())
         for told in listeners:

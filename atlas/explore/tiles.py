@@ -4,12 +4,15 @@ import threading
 from collections import OrderedDict
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from atlas.explore.subject import Plane
 from atlas.explore.view import Sight, TileKey
 
 MOST_BYTES = 384 * 2**20
+ALIGNMENT = 64
+"""Bytes at whose multiples an array begins."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -26,16 +29,20 @@ class Tiles:
         """Bytes of all arrays."""
         return self._bytes
 
-    def put(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
-        """Keep arrays of a tile, beside those that it has; the tiles not seen for longest go where there is no room."""
+    def put(self, plane: Plane, key: TileKey, arrays: Arrays) -> Arrays:
+        """Keep copies of a tile's arrays, beside those that it has, and return all that it now has.
+
+        The tiles not seen for longest go where there is no room.
+        """
         with self._lock:
             known = self._tiles.pop((plane, key), {})
             self._bytes -= _size(known)
-            self._tiles[plane, key] = made = known | arrays
+            self._tiles[plane, key] = made = _packed(known | arrays)
             self._bytes += _size(made)
             while self._bytes > self._most and len(self._tiles) > 1:
                 _, dropped = self._tiles.popitem(last=False)
                 self._bytes -= _size(dropped)
+            return made
 
     def get(self, plane: Plane, key: TileKey) -> Arrays | None:
         """The arrays of a tile, which now counts as seen; None where it is not in memory."""
@@ -63,6 +70,17 @@ class Tiles:
             if key.level_x <= sight.level_x and key.level_y <= sight.level_y and sight.shows(key)
         ]
         return sorted(found, key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+
+
+def _packed(arrays: Arrays) -> Arrays:
+    """The arrays in one block of memory: small ones that come and go among others would leave it full of gaps."""
+    sizes = [-(-array.nbytes // ALIGNMENT) * ALIGNMENT for array in arrays.values()]
+    starts = np.cumsum([0, *sizes]).tolist()
+    block, made = np.empty(starts[-1], dtype=np.uint8), {}
+    for (name, array), start in zip(arrays.items(), starts[:-1], strict=True):
+        made[name] = block[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
+        made[name][...] = array
+    return made
 
 
 def _size(arrays: Arrays) -> int:

@@ -13,11 +13,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from atlas.labels.attractors import Array, Attractors, Rows
-from atlas.labels.orbits import alike, orbits_of
+from atlas.labels.orbits import orbits_of
 from workers.orbit import Family, Orbit, family_of, section_states
 from workers.orbit.equations import Impacts
 from workers.orbit.linear import NoOscillatorError
-from workers.orbit.many import Many, many_of, moved
+from workers.orbit.many import Many, alike, many_of, moved
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)

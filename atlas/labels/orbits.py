@@ -1,14 +1,11 @@
 """The orbits of attractors as equations of their impacts, all of an atlas together."""
 
-from collections.abc import Hashable, Iterable
-
 import numpy as np
-from numpy.typing import NDArray
 
 from atlas.labels.attractors import Array, Attractors
 from workers.model.oscillator import Oscillator, one_of
 from workers.orbit import Family, Orbit, orbit_from_state
-from workers.orbit.many import many_of, moved
+from workers.orbit.many import alike, many_of, moved
 from workers.orbit.seeds import recorded
 
 
@@ -38,15 +35,6 @@ def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
             else:
                 found[k] = _alone(own, k)
     return found
-
-
-def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
-    """The places of equal keys, in the order in which they are met; none of None."""
-    found: dict[Hashable, list[int]] = {}
-    for place, key in enumerate(keys):
-        if key is not None:
-            found.setdefault(key, []).append(place)
-    return [np.array(places, dtype=np.int64) for places in found.values()]
 
 
 def _recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit | None:

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from atlas.labels.attractors import Array, Attractors, Rows, attractors_of
 from atlas.labels.components import branches
 from atlas.labels.following import followed
+from atlas.store.groups import group_attributes
+from atlas.store.schema import StoredArray
 from atlas.store.store import Header
-from atlas.store.tables import LABELS, Column, table_attributes, write_table
+from atlas.store.tables import LABELS, write_table
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
 
@@ -122,9 +124,11 @@ def _mirrors(number: Rows, every: Attractors, count: int) -> Rows:
 def write_labels(header: Header, found: Labels) -> None:
     """Keep labels in the store, in the place of any before."""
     dims = (*header.spec.dims, ATTRACTOR)
-    about = {name: Column((BRANCH,), values, {"long_name": _MEANINGS[name]}) for name, values in _rows(found).items()}
+    about = {
+        name: StoredArray(values, (BRANCH,), {"long_name": _MEANINGS[name]}) for name, values in _rows(found).items()
+    }
     values = found.values.astype(LABEL.dtype)
-    label = Column(dims, values, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})
+    label = StoredArray(values, dims, {"long_name": "branch that the attractor is on; -1 if none", "units": "1"})
     own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
     write_table(header, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
 
@@ -149,7 +153,7 @@ def _rows(found: Labels) -> dict[str, NDArray[Any]]:
 
 def stored_count(header: Header) -> Count | None:
     """What the stored labels say of themselves; None where there are none that would be found so again."""
-    known = table_attributes(header, LABELS)
+    known = group_attributes(header, LABELS)
     if known is None or known.get("version") != VERSION or known.get("solver_version") != SOLVER_VERSION:
         return None
     return Count(**known["count"])

@@ -27,7 +27,7 @@ from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import edges_of, widths_along
 from atlas.spec.spec import Slices
 from atlas.store.build import codecs
-from atlas.store.schema import OVERVIEWS, Coordinate
+from atlas.store.schema import OVERVIEWS, StoredArray
 from atlas.store.store import ROOT, Header, chunk_key, open_group
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, REGIMES, Variable
@@ -277,7 +277,7 @@ def _stored_shapes(root: Any) -> dict[str, int] | None:
     return shapes if attributes.get("version") == _VERSION and known else None
 
 
-def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> dict[str, Coordinate]:
+def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> dict[str, StoredArray]:
     """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of so many classes."""
     spec, base, made = header.spec, header.coordinates, {}
     for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
@@ -286,12 +286,12 @@ def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> 
             continue
         bounds = bounds_name(axis.name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
-        made[axis.name] = Coordinate(centres(edges, axis.scale == "log"), (axis.name,), attributes)
-        made[bounds] = Coordinate(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
+        made[axis.name] = StoredArray(centres(edges, axis.scale == "log"), (axis.name,), attributes)
+        made[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
     for name in (name for name in spec.parameters if name in base):
-        made[name] = Coordinate(np.asarray(base[name].values), (), base[name].attributes)
+        made[name] = StoredArray(np.asarray(base[name].values), (), base[name].attributes)
     named = np.array([regime.name for regime in REGIMES[:classes]], dtype="T")
-    return made | {"class": Coordinate(named, ("class",), {"long_name": "regime of motion"})}
+    return made | {"class": StoredArray(named, ("class",), {"long_name": "regime of motion"})}
 
 
 def bounds_name(axis: str) -> str:

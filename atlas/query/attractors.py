@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
+from atlas.query.open import open_table
 from atlas.store.store import read_header
 from atlas.store.tables import LABELS
 from workers.results import ATTRACTOR, LABEL, NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES
@@ -56,16 +57,10 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where they are not.
     """
-    import xarray
-
-    from atlas.overview.guard import GuardedStore
-
     source = ds.encoding.get("source")
     if LABEL.name not in ds or not isinstance(source, str):
         raise InputError("the attractors of this atlas are not labelled; label them by atlas label")
-    guarded: Any = GuardedStore(read_header(source))
-    table = xarray.open_dataset(guarded, engine="zarr", group=LABELS, chunks=None, consolidated=False)
-    return table.drop_vars(LABEL.name).load()
+    return open_table(read_header(source), LABELS).drop_vars(LABEL.name).load()
 
 
 def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:

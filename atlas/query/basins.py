@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.query.attractors import in_words
+from atlas.query.open import open_table
 from atlas.query.window import Window, axis_names, within
+from atlas.store.groups import group_attributes
 from atlas.store.store import read_header
-from atlas.store.tables import ATTRACTORS, table_attributes
+from atlas.store.tables import ATTRACTORS
 from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
 from workers.starts import wilson
 
@@ -46,18 +48,13 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where it is no such atlas, or not complete.
     """
-    import xarray
-
-    from atlas.overview.guard import GuardedStore
-
     source = ds.encoding.get("source")
     if not of_basins(ds) or not isinstance(source, str):
         raise InputError("this is no atlas of basins: its axes must be initial states, and its spec have [attractors]")
     header = read_header(source)
-    if table_attributes(header, ATTRACTORS) is None:
+    if group_attributes(header, ATTRACTORS) is None:
         raise InputError(f"{header.place}: has no table of attractors yet; run it to its end")
-    guarded: Any = GuardedStore(header)
-    return xarray.open_dataset(guarded, engine="zarr", group=ATTRACTORS, chunks=None, consolidated=False).load()
+    return open_table(header, ATTRACTORS).load()
 
 
 def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:

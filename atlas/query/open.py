@@ -3,8 +3,9 @@
 import os
 from typing import TYPE_CHECKING, Any
 
-from atlas.store.store import read_header
-from atlas.store.tables import LABELS, table_attributes
+from atlas.store.groups import group_attributes
+from atlas.store.store import Header, read_header
+from atlas.store.tables import LABELS
 from workers.results import LABEL
 
 if TYPE_CHECKING:
@@ -19,13 +20,22 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     """
     import xarray
 
-    from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
-
     header = read_header(store)
-    guarded: Any = GuardedStore(header)
-    opened = xarray.open_dataset(guarded, engine="zarr", chunks=None, consolidated=True)
-    if header.spec.coexistence and table_attributes(header, LABELS) is not None:
-        labels = xarray.open_dataset(guarded, engine="zarr", group=LABELS, chunks=None, consolidated=False)
-        opened = opened.assign({LABEL.name: labels[LABEL.name]})
+    opened = xarray.open_dataset(_guarded(header), engine="zarr", chunks=None, consolidated=True)
+    if header.spec.coexistence and group_attributes(header, LABELS) is not None:
+        opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
     opened.encoding["source"] = str(header.place)  # by which a view finds the overviews
     return opened
+
+
+def open_table(header: Header, table: str) -> "xarray.Dataset":
+    """A table that the store has beside its results, read from disk as it is used."""
+    import xarray
+
+    return xarray.open_dataset(_guarded(header), engine="zarr", group=table, chunks=None, consolidated=False)
+
+
+def _guarded(header: Header) -> Any:
+    from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
+
+    return GuardedStore(header)

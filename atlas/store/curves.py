@@ -1,7 +1,6 @@
 """The group ``curves`` of a store: arrays written whole, and what is kept while they are still being found.
 
-The group's own metadata are written last, with the digest of its arrays: before them there is none, and a kill at any
-moment leaves the group whole or absent. Finished parts of a search lie beside it as objects of their own.
+The group's attributes have the digest of its arrays. Finished parts of a search are objects of their own beside it.
 """
 
 import hashlib
@@ -13,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.store.build import codecs
-from atlas.store.schema import Coordinate
-from atlas.store.store import ROOT, Header, open_group
+from atlas.store.groups import group_attributes, write_group
+from atlas.store.schema import StoredArray
+from atlas.store.store import Header, open_group
 
 GROUP = "curves"
 PARTS = "parts"
@@ -23,54 +22,29 @@ _VERSION = 1
 """Of the form of the group; one of another version counts as absent."""
 
 
-def write_group(header: Header, arrays: Mapping[str, Coordinate], attributes: Mapping[str, Any]) -> None:
+def write_arrays(header: Header, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Write the group, in place of any before it."""
-    header.place.remove(f"{GROUP}/{ROOT}")
-    root: Any = open_group(header.place, "r+")
-    for name, (values, dims, described) in arrays.items():
-        array = root.create_array(
-            f"{GROUP}/{name}",
-            shape=values.shape,
-            chunks=tuple(max(1, size) for size in values.shape),
-            dtype="str" if values.dtype.kind == "T" else values.dtype,
-            dimension_names=dims,
-            compressors=codecs(),
-            attributes=described,
-            overwrite=True,
-        )
-        if values.size:
-            array[...] = values
     content = digest_of({name: each.values for name, each in arrays.items()})
-    own = {"version": _VERSION, "arrays": list(arrays), "content": content} | dict(attributes)
-    header.place.put(
-        f"{GROUP}/{ROOT}", json.dumps({"zarr_format": 3, "node_type": "group", "attributes": own}).encode()
-    )
+    own = {"version": _VERSION, "arrays": list(arrays), "content": content}
+    write_group(header, GROUP, arrays, own | dict(attributes))
 
 
-def read_group(header: Header) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+def read_arrays(header: Header) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
     """The arrays of the group by name, and its attributes; None where there is none. ChunkError where it is damaged."""
-    stored = header.place.get(f"{GROUP}/{ROOT}")
-    if stored is None:
-        return None
     try:
-        attributes = json.loads(stored)["attributes"]
-        if attributes["version"] != _VERSION:
+        attributes = group_attributes(header, GROUP)
+        if attributes is None or attributes["version"] != _VERSION:
             return None
         group: Any = open_group(header.place, "r")
         arrays = {name: np.asarray(group[f"{GROUP}/{name}"][...]) for name in attributes["arrays"]}
-        fault = "" if digest_of(arrays) == attributes["content"] else "its arrays are not those written together"
+        if digest_of(arrays) == attributes["content"]:
+            return arrays, attributes
+        fault = "its arrays are not those written together"
     except OSError:
         raise
     except Exception as error:  # metadata or a codec that meet bytes nobody wrote may raise anything
         fault = message_of(error)
-    if fault:
-        raise ChunkError(header.place, {GROUP: f"is damaged ({fault}); make it anew by atlas curves"})
-    return arrays, attributes
-
-
-def drop_group(header: Header) -> None:
-    """Make the group absent."""
-    header.place.remove(f"{GROUP}/{ROOT}")
+    raise ChunkError(header.place, {GROUP: f"is damaged ({fault}); make it anew by atlas curves"})
 
 
 def put_part(header: Header, name: str, data: bytes) -> None:

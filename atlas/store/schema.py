@@ -61,15 +61,15 @@ def extra_sizes(spec: Spec) -> dict[str, int]:
     return {"exponent": states, "state": states, "sample": spec.settings.section_samples} | kept
 
 
-class Coordinate(NamedTuple):
-    """A coordinate, stored whole in one chunk."""
+class StoredArray(NamedTuple):
+    """An array that is stored whole, in one chunk: a coordinate, or a column of a table."""
 
     values: Any
     dims: tuple[str, ...]
     attributes: dict[str, Any]
 
 
-def coordinates(spec: Spec) -> dict[str, Coordinate]:
+def coordinates(spec: Spec) -> dict[str, StoredArray]:
     """The coordinates by name: axes, fixed parameters as scalars, and the names of the states.
 
     Of a table its rows' numbers, and each column along them.
@@ -78,19 +78,19 @@ def coordinates(spec: Spec) -> dict[str, Coordinate]:
     names: dict[str, Any] = {"long_name": "component of the physical section state"}
     if spec.points:
         rows: dict[str, Any] = {"long_name": "row of the table of points, from 0 on", "units": "1"}
-        cells = {POINT: Coordinate(np.arange(spec.shape[0]), (POINT,), rows)}
+        cells = {POINT: StoredArray(np.arange(spec.shape[0]), (POINT,), rows)}
         columns = {name: np.array(values) for name, values in spec.points.items()}
-        cells |= {n: Coordinate(v, (POINT,), _described(record.parameter(n))) for n, v in columns.items()}
+        cells |= {n: StoredArray(v, (POINT,), _described(record.parameter(n))) for n, v in columns.items()}
     else:
         cells = {
-            axis.name: Coordinate(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
+            axis.name: StoredArray(np.array(axis.values), (axis.name,), _described(record.parameter(axis.name)))
             for axis in spec.axes
         }
     fixed = {
-        name: Coordinate(np.float64(value), (), _described(record.parameter(name)))
+        name: StoredArray(np.float64(value), (), _described(record.parameter(name)))
         for name, value in spec.parameters.items()
     }
-    return cells | fixed | {"component": Coordinate(np.array(record.states, dtype="T"), ("component",), names)}
+    return cells | fixed | {"component": StoredArray(np.array(record.states, dtype="T"), ("component",), names)}
 
 
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:

@@ -25,8 +25,8 @@ from atlas.store.schema import (
     FORMAT,
     FORMAT_VERSION,
     Allowance,
-    Coordinate,
     Origin,
+    StoredArray,
     coordinates,
     variable_attributes,
     variable_of,
@@ -115,7 +115,7 @@ class Header:
         )
 
     @cached_property
-    def coordinates(self) -> dict[str, Coordinate]:
+    def coordinates(self) -> dict[str, StoredArray]:
         """The coordinates that the store holds; it has none for a parameter that the system got later."""
         added = self.spec.parameters.keys() - self.resolved["parameters"].keys()
         return {name: made for name, made in coordinates(self.spec).items() if name not in added}

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.store.schema import DIMENSIONS, variable_attributes
+from atlas.store.groups import group_attributes
+from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
-from atlas.store.tables import ATTRACTORS, Column, table_attributes, write_table
+from atlas.store.tables import ATTRACTORS, write_table
 from atlas.store.tiles import read_tile, write_tile
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL, result_variables
 from workers.starts import wilson
@@ -34,7 +35,7 @@ def complete_basins(header: Header) -> None:
     labels = np.full(spec.shape, UNKNOWN_LABEL, dtype=np.int64)
     for index in tiles:
         labels[header.tiling.at(index).slices] = read_tile(header, index, [LABEL.name])[LABEL.name]
-    if table_attributes(header, ATTRACTORS) is not None and not (labels == BEYOND_TABLE).any():
+    if group_attributes(header, ATTRACTORS) is not None and not (labels == BEYOND_TABLE).any():
         return
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
@@ -69,7 +70,7 @@ def _solved(header: Header, index: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.ravel(read_tile(header, index, [REGIME.name])[REGIME.name] != INVALID)
 
 
-def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: int) -> Mapping[str, Column]:
+def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: int) -> Mapping[str, StoredArray]:
     """The table's variables. Shares are of the initial states of the plane that are not beyond a stop."""
     from workers.basins import section_points
 
@@ -79,14 +80,16 @@ def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: 
     mirror = table.mirrors().astype(np.int32)
     cells = _described("initial states of the plane that reach it")
     made = {
-        "cells": Column((ATTRACTOR,), hits, cells),
-        "share": Column((ATTRACTOR,), hits / max(solved, 1), _described("share of the plane that reaches it")),
-        "share_low": Column((ATTRACTOR,), low, _described("lower end of the 95 % Wilson interval of the share")),
-        "share_high": Column((ATTRACTOR,), high, _described("upper end of the 95 % Wilson interval of the share")),
-        "mirror": Column((ATTRACTOR,), mirror, _described("label of its mirror image; itself where symmetric; or -1")),
-        "points": Column(
-            (ATTRACTOR, "point", DIMENSIONS["state"]),
+        "cells": StoredArray(hits, (ATTRACTOR,), cells),
+        "share": StoredArray(hits / max(solved, 1), (ATTRACTOR,), _described("share of the plane that reaches it")),
+        "share_low": StoredArray(low, (ATTRACTOR,), _described("lower end of the 95 % Wilson interval of the share")),
+        "share_high": StoredArray(high, (ATTRACTOR,), _described("upper end of the 95 % Wilson interval of the share")),
+        "mirror": StoredArray(
+            mirror, (ATTRACTOR,), _described("label of its mirror image; itself where symmetric; or -1")
+        ),
+        "points": StoredArray(
             section_points(table, POINTS),
+            (ATTRACTOR, "point", DIMENSIONS["state"]),
             _described("section states; of an orbit each once"),
         ),
     }
@@ -95,7 +98,7 @@ def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: 
         dims = (ATTRACTOR, *(DIMENSIONS.get(dim, dim) for dim in variable.extra))
         shape = np.shape(values[0]) if values else tuple(0 for _ in variable.extra)
         array = np.array(values, dtype=variable.dtype).reshape(count, *shape)
-        made[variable.name] = Column(dims, array, variable_attributes(variable, []))
+        made[variable.name] = StoredArray(array, dims, variable_attributes(variable, []))
     return made
 
 

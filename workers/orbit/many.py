@@ -1,5 +1,6 @@
 """Many orbits of one itinerary at once, each at parameters of its own: Newton's method, and whether they attract."""
 
+from collections.abc import Hashable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,15 @@ class Many(NamedTuple):
         """One of them."""
         points = self.impacts
         return Orbit(self.itinerary, points.t[k].copy(), points.v[k].copy(), float(points.offset[k]))
+
+
+def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
+    """The places of equal keys, in the order in which they are met; none of None."""
+    found: dict[Hashable, list[int]] = {}
+    for place, key in enumerate(keys):
+        if key is not None:
+            found.setdefault(key, []).append(place)
+    return [np.array(places, dtype=np.int64) for places in found.values()]
 
 
 def many_of(orbits: list[Orbit], values: Array) -> Many:
