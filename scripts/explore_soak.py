@@ -147,13 +147,14 @@ class Report:
         ):
             first, last = max(column[: half + 1]), max(column[half:])
             print(f"memory of the {what}: at most {first:.0f} MiB in the first half, {last:.0f} MiB in the second")
-        twice = sum(1 for count in self.counts.values() if count > 1)
+        again = [key for key, count in self.counts.items() if count > 1]
         failed = len(self._running.explorer.failures)
-        print(f"tiles of the atlas's plane solved twice: {twice} of {len(self.counts)}; failed: {failed}")
+        print(f"tiles of the atlas's plane solved twice: {len(again)} of {len(self.counts)}; failed: {failed}")
+        print(*(f"  {key}" for key in again[:10]), sep="\n")
         print(f"complaints of the browser: {len(complaints)}", *sorted(set(complaints)), sep="\n  ")
         verified = atlas.verify(store)
         print(verified)
-        return verified.fine and not (twice or failed or complaints)
+        return verified.fine and not (again or failed or complaints)
 
 
 def main() -> None:

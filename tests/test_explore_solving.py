@@ -17,6 +17,7 @@ from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
+from atlas.explore.tiles import Tiles
 from atlas.explore.view import TILE, Sight, TileKey, View
 from atlas.service.lease import claimed
 from atlas.store.sidecar import notes_of
@@ -118,6 +119,18 @@ def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
         assert len(tiles) > 3
         assert waited(lambda: explorer.keeper.waiting == 0)
         assert all(explorer.keeper.has(explorer.subject.plane, key) for key in tiles)
+
+
+def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        sight, plane = view_of(explorer.subject), explorer.subject.plane
+        with claimed(notes_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
+            tiles = solved(explorer, sight)
+            explorer.known.tiles = Tiles(1)
+            assert len(tiles) > 3 and explorer.keeper.waiting == len(tiles)
+            assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
+            arrays = [explorer.known.whole(plane, key) for key in tiles]
+        assert all(each is not None and (each[REGIME.name] != PENDING).all() for each in arrays)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ One thread writes what was solved since it last did, under the store's claim, so
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 from atlas.errors import InputError, RunError
@@ -79,18 +79,22 @@ class Keeper:
                 self._waiting.popitem(last=False)
 
     def has(self, plane: Plane, key: TileKey) -> bool:
-        """Whether a tile is kept."""
+        """Whether a tile is kept, or waits to be."""
+        with self._lock:
+            if (plane, key) in self._waiting:
+                return True
         return self.header is not None and self.sheets is not None and self.sheets.has(plane, key)
 
-    def load(self, plane: Plane, keys: Iterable[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
-        """These variables of those of the tiles that are kept and can be read."""
+    def load(self, plane: Plane, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
+        """These variables of those of the tiles that are kept and can be read; all variables of those that wait."""
         if self.sheets is None:
             return {}
         wanted: dict[SheetKey, list[TileKey]] = {}
+        with self._lock:
+            found = {key: self._waiting[plane, key] for key in keys if (plane, key) in self._waiting}
         for key in keys:
-            if self.has(plane, key):
+            if key not in found and self.has(plane, key):
                 wanted.setdefault(SheetKey.of(key), []).append(key)
-        found: dict[TileKey, Arrays] = {}
         for of, tiles in wanted.items():
             sheet = self.sheets.find(plane, of)
             if sheet is not None:
