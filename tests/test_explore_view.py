@@ -155,7 +155,7 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
     assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
 
 
-def test_memory_has_the_arrays_of_a_tile_in_one_block(subject: Subject) -> None:
+def test_memory_has_the_arrays_of_a_tile_in_one_mapping(subject: Subject) -> None:
     key, tiles = TileKey(0, 0, 0, 0), Tiles()
     given = filled(subject, key, 2.0)
     tiles.put(subject.plane, key, {REGIME.name: given.pop(REGIME.name)})

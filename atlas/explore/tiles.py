@@ -2,6 +2,7 @@
 
 import threading
 from collections import OrderedDict
+from mmap import mmap
 from typing import Any
 
 import numpy as np
@@ -73,10 +74,11 @@ class Tiles:
 
 
 def _packed(arrays: Arrays) -> Arrays:
-    """The arrays in one block of memory: small ones that come and go among others would leave it full of gaps."""
+    """The arrays in a mapping of their own: on the heap, what stays among much that comes and goes leaves gaps."""
     sizes = [-(-array.nbytes // ALIGNMENT) * ALIGNMENT for array in arrays.values()]
     starts = np.cumsum([0, *sizes]).tolist()
-    block, made = np.empty(starts[-1], dtype=np.uint8), {}
+    made: Arrays = {}
+    block = np.frombuffer(mmap(-1, max(1, starts[-1])), dtype=np.uint8)
     for (name, array), start in zip(arrays.items(), starts[:-1], strict=True):
         made[name] = block[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
         made[name][...] = array
