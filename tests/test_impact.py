@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from tests import naive
 from tests.oscillators import mass_spring
-from workers.kernel.flight import dot
+from workers.kernel.flow import dot
 from workers.kernel.impact import (
     LEAVE,
     REBOUND,

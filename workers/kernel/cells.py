@@ -8,9 +8,9 @@ import math
 import numpy as np
 
 from workers.kernel.averages import COUNT, MEAN, standard_error
-from workers.kernel.flight import derivative_bounds
 from workers.kernel.jit import kernel
 from workers.kernel.motion import FREE, LOST, MIN_SPEED, STATUS, TALLIES, WORK, motion_of, oscillator_of, signal_of
+from workers.kernel.signal import derivative_bounds
 from workers.kernel.stroboscopic import blocks_to_physical, reset_frame_of, start_at
 
 

@@ -5,11 +5,13 @@ y' is a signal like y, so that the certified search for the next crossing finds 
 
 import numpy as np
 
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, evaluate, flow, next_crossing
+from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
+from workers.kernel.flow import flow
 from workers.kernel.impact import LEAVE, REST, kick, outcome, shift, stay_on_stop, stop_position
 from workers.kernel.jit import kernel, piece
 from workers.kernel.motion import AT_REST, FREE, oscillator_of
-from workers.kernel.stroboscopic import AT_THE_END, arrive
+from workers.kernel.signal import evaluate
+from workers.kernel.stroboscopic import AT_THE_END, arrival_of
 from workers.model.oscillator import COLUMN, Signal
 
 
@@ -62,7 +64,7 @@ def turning_points(gap, velocity, offset, h, phase, duration, own, kind, low, hi
             velocity, h, phase, offset, upper, lower, zero, zero_kind, duration - t, scratch
         )
         spent += max(1, evaluations)
-        flow(gap, s, h)
+        flow(gap.block, s, h)
         phase += gap.omega * s
         t += s
         if side == 0:
@@ -127,10 +129,12 @@ def excursion(osc, start, contact, periods, allowance):
                 return np.nan, np.nan
             contact = np.int64(FREE)
             if side == 0:
-                flow(gap, s, h)
+                flow(gap.block, s, h)
                 break
-            y, v, a, scale = arrive(osc, h, s, phase, side)
-            flow(gap, s, h)
+            y, v, a, scale = arrival_of(
+                gap.block, gap.row, gap.row1, gap.sin_part, gap.cos_part, gap.omega, h, s, phase, side
+            )
+            flow(gap.block, s, h)
             t += s
             phase += gap.omega * s
             stop = stop_position(osc, side)

@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from workers.kernel.flight import all_forced, derivative_bounds, dot, dot_vector, flow, flow_with_tangent, next_crossing
+from workers.kernel.flight import next_crossing
+from workers.kernel.flow import dot, dot_vector, flow, flow_with_tangent
 from workers.kernel.frame import graded_flow
 from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.signal import all_forced, derivative_bounds
 
 REBOUND, REST, LEAVE = range(3)
 """What an impact leads to: a rebound; rest on the stop; v = 0 with the load pulling away (R = 0)."""
@@ -173,7 +175,8 @@ def transformed(matrix, V, U):
 def load_on_stop(osc, u, phase, side):
     """side * a: the free acceleration that presses the mass on the stop while it rests there."""
     release = osc.held.release
-    return side * (dot(release.row, u) + all_forced(release, phase)[0] + osc.held.push[which(side)])
+    load = all_forced(release.sin_part, release.cos_part, release.omega, phase)[0]
+    return side * (dot(release.row, u) + load + osc.held.push[which(side)])
 
 
 @kernel
@@ -193,10 +196,10 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     none = np.int64(0)  # no literal, or Numba compiles for it what is called with it
     s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, none, none, H, scratch)
     if growth.shape[0] > 0:
-        flow(release, s, u)
+        flow(release.block, s, u)
         graded_flow(release.block, s, U, growth, triangle, 2 * n)
     else:
-        flow_with_tangent(release, s, u, U)
+        flow_with_tangent(release.block, s, u, U)
     from_held(osc, u, phase + release.omega * s, side, h)
     transformed(osc.held.up, U, V)
     return s, abs(crossed), evaluations

@@ -8,29 +8,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.flight import (
-    ON_STOP_AT_REST,
-    ON_STOP_MOVING,
-    ON_STOP_RELEASED,
-    TINY,
-    evaluate,
-    flow,
-    flow_with_tangent,
-    next_crossing,
-)
+from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, crossing
+from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.impact import (
     LEAVE,
+    REBOUND,
     REST,
+    add_column,
     forced_state,
-    kick,
+    is_rebound,
+    load_at_rest,
     load_on_stop,
     outcome,
     rest_projection,
     saltation,
-    shift,
     stay_on_stop,
-    stop_position,
     to_held,
 )
 from workers.kernel.jit import inlined, kernel, kernel_and_part, piece
@@ -58,6 +51,7 @@ from workers.kernel.motion import (
     Motion,
     motion_at,
 )
+from workers.kernel.signal import evaluated
 from workers.model.oscillator import COLUMN, Oscillator
 
 OVERDRAFT = 1_000_000
@@ -155,11 +149,11 @@ def spread_rate(block):
     return rate
 
 
-@piece
+@kernel
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
-    flow(osc.gap, s, motion.h)
+    flow(osc.gap.block, s, motion.h)
     graded_flow(osc.gap.block, s, motion.V, motion.growth, motion.triangle, rank)
     reset_frame(osc, motion)
 
@@ -201,34 +195,21 @@ def record_impact(tally, impacts, t, side, speed, R):
         tally[RECORDED] += 1.0
 
 
-@piece
-def arrive(osc, h, s, phase, side):
+@inlined
+def arrival_of(block, row, row1, sin_part, cos_part, omega, h, s, phase, side):
     """(y, v, a, scale of rounding) at the stop that a flight of s reaches."""
-    y, v, a, _, scale = evaluate(osc.gap, h, s, phase, 0.0)
+    y, v, a, _, scale = evaluated(block, row, row1, sin_part, cos_part, omega, h, s, phase, 0.0)
     return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
 
 
-@piece
-def meet_stop(osc, motion, t, side, remaining, arrived, spread):
-    """The impact at time t, ``arrived`` as arrive returns it: changes state and frame; returns what follows."""
+@kernel
+def come_to_rest(osc, motion, v):
+    """The end of chatter that an impact at velocity v begins."""
     h, V, tally = motion.h, motion.V, motion.tally
-    y, v, a, scale = arrived
-    following = outcome(osc, h, side, v, a, scale + abs(y), remaining)
-    if following == REST:
-        tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
-        tally[LOSS] += v * v
-        kick(osc, h, -v)
-        rest_projection(osc, V)
-        return REST
-    record_impact(tally, motion.impacts, t, side, abs(v), osc.R)
-    kick(osc, h, -(1.0 + osc.R) * v)
-    shift(osc, h, stop_position(osc, side) - y)  # or rounding would add up over many impacts
-    saltation(osc.gap.row, osc.gap.row1, osc.kick, osc.kick1, osc.R, V, a / v)
-    tally[SPREAD] += spread
-    if following == LEAVE:
-        tally[LOST] = max(tally[LOST], 1.0)
-        reset_frame(osc, motion)
-    return following
+    tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
+    tally[LOSS] += v * v
+    add_column(h, -v, osc.kick)
+    rest_projection(osc, V)
 
 
 @inlined
@@ -257,7 +238,7 @@ def spend(tally, evaluations):
         tally[STATUS] = OUT_OF_WORK
 
 
-@piece
+@kernel
 def leave_stop(osc, motion, phase, contact, remaining):
     """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
     h, V, tally = motion.h, motion.V, motion.tally
@@ -280,13 +261,17 @@ def propagate(osc, motion, duration):
 
     Stops early with tally[STATUS] set if it cannot be completed.
     """
-    # Taken out once: a field of a record costs a reference count at every use.
-    h, V, tally, scratch = motion.h, motion.V, motion.tally, motion.scratch
+    # Taken out once: a field of a record costs a reference count at every use, a record one for each of its fields.
+    gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
+    block, row, row1, swing, metric = gap.block, gap.row, gap.row1, gap.swing, gap.metric
+    sin_part, cos_part, omega, amplitude = gap.sin_part, gap.cos_part, gap.omega, gap.amplitude
+    column, column1, R, cA2k = osc.kick, osc.kick1, osc.R, osc.cA2k
+    upper, lower = osc.b_upper, -osc.b_lower
     contact = motion.contact[0]
     motion.contact[0] = FREE
-    vectors = V.shape[0] > 0
-    rate = spread_rate(osc.gap.block) if vectors else 0.0
-    unit, loss = osc.time_unit, loss_spread(osc.R)
+    vectors, frame = V.shape[0] > 0, motion.growth.shape[0] > 0
+    rate = spread_rate(block) if vectors else 0.0
+    unit, loss = osc.time_unit, loss_spread(R)
     own, kind = 0, ON_STOP_MOVING
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
@@ -297,25 +282,28 @@ def propagate(osc, motion, duration):
             if not released:
                 return
             t += s
-            phase += osc.gap.omega * s
+            phase += omega * s
             own, kind = contact, ON_STOP_RELEASED
             if duration - t <= AT_THE_END * duration:
                 motion.contact[0] = contact * AT_REST
                 return
-        s, side, evaluations = next_crossing(
-            osc.gap, h, phase, 0.0, osc.b_upper, -osc.b_lower, own, kind, duration - t, scratch
-        )
+        s, side, evaluations = crossing(
+            block, row, row1, sin_part, cos_part, omega, amplitude, swing, h, phase, 0.0, upper, lower, own, kind,
+            duration - t, scratch,
+        )  # fmt: skip
         spend(tally, evaluations)
         hit = abs(side) == 1
-        arrived = arrive(osc, h, s, phase, side) if hit else NOWHERE
-        spread = impact_spread(arrived[2] / arrived[1], unit, loss) if vectors and hit else 0.0
+        y, v, a, scale = NOWHERE
+        if hit:
+            y, v, a, scale = arrival_of(block, row, row1, sin_part, cos_part, omega, h, s, phase, side)
+        spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
         flown = s * rate
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
-            reset_frame(osc, motion)
-        if motion.growth.shape[0] > 0 and tally[SPREAD] + flown > MAX_SPREAD:
+            reset_frame_of(metric, motion)
+        if frame and tally[SPREAD] + flown > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
-            flow_with_tangent(osc.gap, s, h, V)
+            flow_with_tangent(block, s, h, V)
             tally[SPREAD] += flown
         if side == 0:
             return
@@ -324,10 +312,25 @@ def propagate(osc, motion, duration):
         if tally[STATUS] != RUNNING:
             return
         t += s
-        phase += osc.gap.omega * s
-        following = meet_stop(osc, motion, t, side, duration - t, arrived, spread)
-        own, kind = side, ON_STOP_AT_REST if following == LEAVE else ON_STOP_MOVING
-        contact = side if following == REST else FREE
+        phase += omega * s
+        scale += abs(y)
+        following = REBOUND
+        if not is_rebound(load_at_rest(side, v, a, cA2k), v, R, cA2k, scale, duration - t):
+            following = outcome(osc, h, side, v, a, scale, duration - t)
+        own, kind, contact = side, ON_STOP_MOVING, FREE
+        if following == REST:
+            come_to_rest(osc, motion, v)
+            contact = side
+            continue
+        record_impact(tally, impacts, t, side, abs(v), R)
+        add_column(h, -(1.0 + R) * v, column)
+        add_column(h, (upper if side > 0 else lower) - y, column1)  # or rounding would add up over many impacts
+        saltation(row, row1, column, column1, R, V, a / v)
+        tally[SPREAD] += spread
+        if following == LEAVE:
+            kind = ON_STOP_AT_REST
+            tally[LOST] = max(tally[LOST], 1.0)
+            reset_frame_of(metric, motion)
 
 
 @piece

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, derivative_bounds, next_crossing
+from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
+from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Signal
 from workers.orbit.equations import Impacts, Itinerary, at_impacts, block_state, motion_at
 from workers.orbit.linear import Linear, rest_of

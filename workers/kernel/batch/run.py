@@ -26,7 +26,6 @@ from workers.kernel.batch.layout import (
 from workers.kernel.batch.rounds import take_round
 from workers.kernel.batch.search import list_lanes, padded
 from workers.kernel.batch.signal import fields_of_harmonic
-from workers.kernel.flight import forced
 from workers.kernel.frame import log_length
 from workers.kernel.jit import inlined, kernel
 from workers.kernel.motion import (
@@ -48,6 +47,7 @@ from workers.kernel.motion import (
     motion_of,
     oscillator_of,
 )
+from workers.kernel.signal import forced
 from workers.kernel.stroboscopic import advance, loss_spread, spread_rate
 from workers.model.oscillator import Oscillator
 

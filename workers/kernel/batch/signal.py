@@ -4,18 +4,10 @@ Each function is a loop over the first n lanes; a holds the fields of all lanes,
 """
 
 from workers.kernel.batch.layout import BLOCK, BLOCK_SIZE, HARMONIC, HARMONIC_SIZE, LANE, LANE_SIZE
-from workers.kernel.flight import (
-    amplitude_bounds,
-    block_bounds,
-    block_output,
-    fall,
-    flow_entries,
-    forced,
-    loaded_output,
-    oscillating_flow,
-)
+from workers.kernel.flow import fall, flow_entries, oscillating_flow
 from workers.kernel.fma import fma
 from workers.kernel.jit import inlined, kernel
+from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, forced, loaded_output
 
 
 @kernel

@@ -1,0 +1,123 @@
+"""Free flight of the blocks: h'' + 2 eta h' + lam h = load in closed form, underdamped, overdamped and rigid."""
+
+from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
+from workers.kernel.fma import fma
+from workers.kernel.jit import inlined, kernel
+from workers.model.oscillator import COLUMN
+
+
+@inlined
+def oscillating_flow(s, eta, lam, w, inv_w):
+    """flow_entries of an underdamped block."""
+    decay = exp_minus(eta * s)
+    sin, cos = sin_cos(w * s)
+    S = sin * inv_w
+    f12 = decay * S
+    return decay * fma(eta, S, cos), f12, -lam * f12, decay * fma(-eta, S, cos)
+
+
+@inlined
+def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
+    """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
+
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S). With d = lam - eta^2 and w = sqrt|d|: C, S = cos(w s),
+    sin(w s) / w where d > 0; for d <= 0 their series in d s^2 where that is small; and else, with the decay rates
+    slow = lam / (eta + w) and fast = eta + w, the exponentials themselves, which do not cancel.
+    """
+    o11, o12, o21, o22 = oscillating_flow(s, eta, lam, w, inv_w)
+    oscillates = d > 0.0
+    e_slow = exp_minus(slow * s)
+    e_w = exp_minus(w * s)
+    x = d * s * s
+    C, sinc = cosc_sinc(x)
+    near = x > -0.1
+    S = s * sinc
+    decay = e_slow * e_w
+    ratio = e_w * e_w
+    half = 0.5 * e_slow * inv_w
+    f11 = decay * fma(eta, S, C) if near else half * fma(-slow, ratio, fast)
+    f12 = decay * S if near else half * (1.0 - ratio)
+    f22 = decay * fma(-eta, S, C) if near else half * fma(fast, ratio, -slow)
+    return (
+        o11 if oscillates else f11,
+        o12 if oscillates else f12,
+        o21 if oscillates else -lam * f12,
+        o22 if oscillates else f22,
+    )
+
+
+@inlined
+def block_flow(block, s):
+    """flow_entries of the constants of a block, a row of Signal.block."""
+    eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
+    if block[COLUMN.d] > 0.0:
+        return oscillating_flow(s, eta, lam, w, inv_w)
+    return flow_entries(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
+
+
+@inlined
+def fall(s, eta):
+    """How far a rigid mode moves from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
+    x = 2.0 * eta * s
+    p = 1.0 / 1307674368000.0
+    p = fma(-p, x, 1.0 / 87178291200.0)
+    p = fma(-p, x, 1.0 / 6227020800.0)
+    p = fma(-p, x, 1.0 / 479001600.0)
+    p = fma(-p, x, 1.0 / 39916800.0)
+    p = fma(-p, x, 1.0 / 3628800.0)
+    p = fma(-p, x, 1.0 / 362880.0)
+    p = fma(-p, x, 1.0 / 40320.0)
+    p = fma(-p, x, 1.0 / 5040.0)
+    p = fma(-p, x, 1.0 / 720.0)
+    p = fma(-p, x, 1.0 / 120.0)
+    p = fma(-p, x, 1.0 / 24.0)
+    p = fma(-p, x, 1.0 / 6.0)
+    p = fma(-p, x, 0.5)
+    far = ((x - 1.0) + exp_minus(x)) / (x * x)
+    return s * s * (p if x < 1.0 else far)
+
+
+@kernel
+def flow(block, s, h):
+    """Move the block state h (n, 2) on by s, in place."""
+    for j in range(len(block)):
+        flow_block(block[j], s, h[j])
+
+
+@inlined
+def flow_block(block, s, h):
+    """Move the state h (2,) of one block on by s, in place; its flow."""
+    f11, f12, f21, f22 = block_flow(block, s)
+    h0, h1, load = h[0], h[1], block[COLUMN.load]
+    h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
+    if load != 0.0:
+        h[0], h[1] = fma(load, fall(s, block[COLUMN.eta]), h[0]), fma(load, f12, h[1])
+    return f11, f12, f21, f22
+
+
+@kernel
+def flow_with_tangent(block, s, h, V):
+    """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
+    for j in range(len(block)):
+        f11, f12, f21, f22 = flow_block(block[j], s, h[j])
+        for i in range(V.shape[0]):
+            v0, v1 = V[i, j, 0], V[i, j, 1]
+            V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
+
+
+@kernel
+def dot(row, h):
+    """row . h over all blocks, both (n, 2)."""
+    total = 0.0
+    for j in range(len(row)):
+        total = fma(row[j, 1], h[j, 1], fma(row[j, 0], h[j, 0], total))
+    return total
+
+
+@kernel
+def dot_vector(row, V, i):
+    """row . V[i] over all blocks."""
+    total = 0.0
+    for j in range(len(row)):
+        total = fma(row[j, 1], V[i, j, 1], fma(row[j, 0], V[i, j, 0], total))
+    return total
