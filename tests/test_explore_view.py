@@ -155,14 +155,15 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
     assert [tiles.get(subject.plane, key) is not None for key in keys] == [True, False, True, True]
 
 
-def test_memory_has_the_arrays_of_a_tile_in_one_mapping(subject: Subject) -> None:
-    key, tiles = TileKey(0, 0, 0, 0), Tiles()
-    given = filled(subject, key, 2.0)
-    tiles.put(subject.plane, key, {REGIME.name: given.pop(REGIME.name)})
-    held = tiles.put(subject.plane, key, given)
-    assert held.keys() == {REGIME.name, *given}
-    assert all(np.array_equal(held[name], given[name], equal_nan=given[name].dtype.kind == "f") for name in given)
-    assert {id(array.base) for array in held.values()} == {id(held[REGIME.name].base)}
+def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subject) -> None:
+    keys = [TileKey(0, 0, i, 0) for i in range(4)]
+    arrays = filled(subject, keys[0], 0.0)
+    tiles = Tiles(2 * sum(array.nbytes for array in arrays.values()))
+    for key, only_here in zip(keys, (True, False, True, True), strict=True):
+        tiles.put(subject.plane, key, arrays, only_here)
+        if key == keys[2]:
+            assert [tiles.get(subject.plane, each) is not None for each in keys] == [True, False, True, False]
+    assert [tiles.get(subject.plane, each) is not None for each in keys] == [False, False, True, True]
 
 
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:

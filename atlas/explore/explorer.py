@@ -125,9 +125,10 @@ class Explorer:
             array[mask] = found[name]
             if parent is not None:
                 array[::2, ::2] = parent[name]
-        arrays = self.known.tiles.put(plane, key, arrays)
         with self._lock:
-            kept, listeners = plane in self._kept_planes, list(self._listeners.values())
+            wanted, listeners = plane in self._kept_planes, list(self._listeners.values())
+        kept = wanted and self.keeper.can_keep(key)
+        self.known.tiles.put(plane, key, arrays, only_here=wanted and not kept)
         for told in listeners:
             told(plane, key)
         if kept:

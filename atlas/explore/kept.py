@@ -85,6 +85,10 @@ class Keeper:
                 return True
         return self.header is not None and self.sheets is not None and self.sheets.has(plane, key)
 
+    def can_keep(self, key: TileKey) -> bool:
+        """Whether a tile can be kept at all: not one with cells out of the valid ranges."""
+        return self.sheets is not None and self.sheets.span_with(key) is not None
+
     def load(self, plane: Plane, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
         """These variables of those of the tiles that are kept and can be read; all variables of those that wait."""
         if self.sheets is None:
@@ -152,9 +156,9 @@ class Keeper:
     def _write(self, plane: Plane, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
         of = SheetKey.of(key)
-        span = self.sheets.span(of)
-        if span is None or not (span[0][0] <= key.y <= span[1][0] and span[0][1] <= key.x <= span[1][1]):
-            return  # some of its cells are out of range: a spec has none such
+        span = self.sheets.span_with(key)
+        if span is None:
+            return
         sheet = self.sheets.find(plane, of) or self.sheets.made(plane, of, span)
         index = sheet.index(key)
         if index not in done_tiles(sheet.header) or index in sheet.bad:

@@ -179,6 +179,13 @@ class Sheets:
         (low_y, high_y), (low_x, high_x) = ends
         return ((low_y, low_x), (high_y, high_x)) if low_y <= high_y and low_x <= high_x else None
 
+    def span_with(self, key: TileKey) -> Span | None:
+        """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
+        span = self.span(SheetKey.of(key))
+        if span is None or not (span[0][0] <= key.y <= span[1][0] and span[0][1] <= key.x <= span[1][1]):
+            return None
+        return span
+
     def _opened(self, at: tuple[Plane, SheetKey], header: Header, first: tuple[int, int]) -> Sheet:
         """Keep a sheet open; those not used for longest are closed."""
         self._open[at] = sheet = Sheet(header, first, open_arrays(header), done_tiles(header), looked=time.monotonic())

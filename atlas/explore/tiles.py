@@ -2,18 +2,14 @@
 
 import threading
 from collections import OrderedDict
-from mmap import mmap
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from atlas.explore.subject import Plane
 from atlas.explore.view import Sight, TileKey
 
 MOST_BYTES = 384 * 2**20
-ALIGNMENT = 64
-"""Bytes at whose multiples an array begins."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -24,26 +20,30 @@ class Tiles:
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._most, self._bytes, self._lock = most_bytes, 0, threading.Lock()
         self._tiles: OrderedDict[tuple[Plane, TileKey], Arrays] = OrderedDict()
+        self._only_here: set[tuple[Plane, TileKey]] = set()
 
     @property
     def bytes(self) -> int:
         """Bytes of all arrays."""
         return self._bytes
 
-    def put(self, plane: Plane, key: TileKey, arrays: Arrays) -> Arrays:
-        """Keep copies of a tile's arrays, beside those that it has, and return all that it now has.
+    def put(self, plane: Plane, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
+        """Keep arrays of a tile, beside those that it has.
 
-        The tiles not seen for longest go where there is no room.
+        The tiles not seen for longest go where there is no room; those that are ``only_here`` after all others.
         """
         with self._lock:
+            if only_here:
+                self._only_here.add((plane, key))
             known = self._tiles.pop((plane, key), {})
             self._bytes -= _size(known)
-            self._tiles[plane, key] = made = _packed(known | arrays)
+            self._tiles[plane, key] = made = known | arrays
             self._bytes += _size(made)
             while self._bytes > self._most and len(self._tiles) > 1:
-                _, dropped = self._tiles.popitem(last=False)
-                self._bytes -= _size(dropped)
-            return made
+                others = (each for each in self._tiles if each not in self._only_here and each != (plane, key))
+                at = next(others, next(iter(self._tiles)))
+                self._only_here.discard(at)
+                self._bytes -= _size(self._tiles.pop(at))
 
     def get(self, plane: Plane, key: TileKey) -> Arrays | None:
         """The arrays of a tile, which now counts as seen; None where it is not in memory."""
@@ -71,18 +71,6 @@ class Tiles:
             if key.level_x <= sight.level_x and key.level_y <= sight.level_y and sight.shows(key)
         ]
         return sorted(found, key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
-
-
-def _packed(arrays: Arrays) -> Arrays:
-    """The arrays in a mapping of their own: on the heap, what stays among much that comes and goes leaves gaps."""
-    sizes = [-(-array.nbytes // ALIGNMENT) * ALIGNMENT for array in arrays.values()]
-    starts = np.cumsum([0, *sizes]).tolist()
-    made: Arrays = {}
-    block = np.frombuffer(mmap(-1, max(1, starts[-1])), dtype=np.uint8)
-    for (name, array), start in zip(arrays.items(), starts[:-1], strict=True):
-        made[name] = block[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
-        made[name][...] = array
-    return made
 
 
 def _size(arrays: Arrays) -> int:
