@@ -21,6 +21,7 @@ from PIL import Image
 
 import atlas
 from tests.faults import ATLAS
+from tests.forked import commands
 from tests.test_docs import PAGES, ROOT, files, script_calls
 
 pytestmark = pytest.mark.slow
@@ -112,11 +113,12 @@ def runnable(page: Path) -> list[tuple[str, str]]:
 
 @pytest.fixture(scope="module")
 def command(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Iterator[None]:
-    """The command ``atlas`` on the path."""
-    bin_folder = tmp_path_factory.mktemp("bin")
-    (bin_folder / "atlas").write_text(f'#!/bin/sh\nexec {shlex.join(ATLAS)} "$@"\n')
-    (bin_folder / "atlas").chmod(0o755)
-    with pytest.MonkeyPatch.context() as patch:
+    """The command ``atlas`` on the path: the first time of each subcommand a new process, later one that is forked."""
+    bin_folder, called, folder = (tmp_path_factory.mktemp(name) for name in ("bin", "called", "forked"))
+    with pytest.MonkeyPatch.context() as patch, commands(folder) as forked:
+        first = f'mkdir {called}/"command-$1" 2>/dev/null && exec {shlex.join(ATLAS)} "$@"'
+        (bin_folder / "atlas").write_text(f'#!/bin/sh\n{first}\nexec {forked} "$@"\n')
+        (bin_folder / "atlas").chmod(0o755)
         patch.setenv("PATH", f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
         patch.setenv("PYTHONPATH", str(ROOT))
         patch.setenv("MPLBACKEND", "agg")
