@@ -53,11 +53,11 @@ def commands(folder: Path) -> Iterator[Path]:
         listener.bind(str(address))
         listener.listen()
         server = subprocess.Popen(SERVE, env=environment, stdin=listener, start_new_session=True)
-        try:
-            yield command
-        finally:
-            os.killpg(server.pid, signal.SIGKILL)
-            server.wait()
+    try:
+        yield command
+    finally:
+        os.killpg(server.pid, signal.SIGKILL)
+        server.wait()
 
 
 def serve() -> None:
