@@ -40,7 +40,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Path:
-    """The site, built without any address that a program could reach the network by."""
+    """The site, built without any address that a program could reach the network by; its commands are forked."""
     out = tmp_path_factory.mktemp("site")
     nowhere = {
         "http_proxy": "http://127.0.0.1:9",
