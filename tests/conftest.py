@@ -11,13 +11,18 @@ from distributed import Client
 import atlas
 from tests.planes import plane_of
 
-LONGEST = ("test_docs_site.py", "test_commands.py")
-"""Files begun first, each by a worker of its own: begun last they would keep one worker busy alone."""
+LONGEST = (
+    "test_docs_site.py", "test_commands.py", "test_explore_page.py", "test_fma.py", "test_page.py", "test_place.py",
+    "test_overview.py", "test_family.py", "test_explore_solving.py", "test_curves_search.py", "test_submit.py",
+    "test_stress.py",
+)  # fmt: skip
+"""Files begun first, in this order: begun last they would keep one worker busy alone."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first, all others as they were found."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")

@@ -21,6 +21,7 @@ from PIL import Image
 
 import atlas
 from tests.faults import ATLAS
+from tests.forked import commands
 from tests.test_docs import PAGES, ROOT, files, script_calls
 
 pytestmark = pytest.mark.slow
@@ -111,10 +112,18 @@ def runnable(page: Path) -> list[tuple[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def command(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Iterator[None]:
-    """The command ``atlas`` on the path."""
-    bin_folder = tmp_path_factory.mktemp("bin")
-    (bin_folder / "atlas").write_text(f'#!/bin/sh\nexec {shlex.join(ATLAS)} "$@"\n')
+def forked(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Iterator[Path]:
+    """The command ``atlas`` without the time that imports take."""
+    with commands(tmp_path_factory.mktemp("forked")) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def command(tmp_path_factory: pytest.TempPathFactory, forked: Path) -> Iterator[None]:
+    """The command ``atlas`` on the path: the first time of each subcommand a new process, later one that is forked."""
+    bin_folder, called = (tmp_path_factory.mktemp(name) for name in ("bin", "called"))
+    first = f'mkdir {called}/"command-$1" 2>/dev/null && exec {shlex.join(ATLAS)} "$@"'
+    (bin_folder / "atlas").write_text(f'#!/bin/sh\n{first}\nexec {forked} "$@"\n')
     (bin_folder / "atlas").chmod(0o755)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", f"{bin_folder}{os.pathsep}{os.environ['PATH']}")
@@ -173,6 +182,19 @@ def test_what_a_page_shows_can_be_run_as_it_stands(
         if (folder / name).exists():
             with Image.open(folder / name) as image:
                 image.verify()
+
+
+@pytest.mark.parametrize("arguments", [["systems"], ["status", "nowhere.zarr"]], ids=lambda given: given[0])
+def test_a_forked_command_says_what_a_new_process_says_and_ends_like_it(
+    forked: Path, tmp_path: Path, arguments: list[str]
+) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    ended = [
+        subprocess.run([*each, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        for each in ([str(forked)], ATLAS)
+    ]
+    assert len({(one.returncode, one.stdout, one.stderr) for one in ended}) == 1
+    assert ended[0].returncode == (0 if arguments == ["systems"] else 2)
 
 
 def pictures(page: Path) -> list[str]:

@@ -10,6 +10,7 @@ from urllib.parse import unquote
 
 import pytest
 
+from tests.forked import commands
 from tests.test_docs import ROOT
 
 pytestmark = pytest.mark.slow
@@ -39,19 +40,21 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, one_processor: None) -> Path:
-    """The site, built without any address that a program could reach the network by."""
+    """The site, built without any address that a program could reach the network by; its commands are forked."""
     out = tmp_path_factory.mktemp("site")
     nowhere = {
         "http_proxy": "http://127.0.0.1:9",
         "https_proxy": "http://127.0.0.1:9",
         "no_proxy": "127.0.0.1,localhost",
     }
-    paths = {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
-    built = subprocess.run(
-        [sys.executable, "-m", "sphinx", "--quiet", "--fresh-env", "--fail-on-warning", "-d", str(out / "read"), "docs",
-         str(out / "html")],
-        cwd=ROOT, env=os.environ | nowhere | paths, capture_output=True, text=True, timeout=3000,
-    )  # fmt: skip
+    with commands(tmp_path_factory.mktemp("forked")) as atlas:
+        found = os.pathsep.join([str(atlas.parent), str(Path(sys.executable).parent), os.environ["PATH"]])
+        built = subprocess.run(
+            [sys.executable, "-m", "sphinx", "--quiet", "--fresh-env", "--fail-on-warning", "-d", str(out / "read"),
+             "docs", str(out / "html")],
+            cwd=ROOT, env=os.environ | nowhere | {"PATH": found, "PYTHONPATH": str(ROOT)}, capture_output=True,
+            text=True, timeout=3000,
+        )  # fmt: skip
     assert built.returncode == 0, built.stderr[-6000:]
     return out / "html"
 

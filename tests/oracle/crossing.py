@@ -1,28 +1,35 @@
-"""The first upward zero of a polynomial on [0, 1], isolated by Bernstein coefficients: none is missed."""
+"""The first upward zero of a polynomial on [0, 1], isolated by Bernstein coefficients: none is missed.
+
+In integers, multiples of one unit so far below the working precision that what is rounded away does not count.
+"""
 
 import itertools
 from functools import cache
 from math import comb
+from operator import mul
 
 import numpy as np
 from mpmath import mp
 
-from tests.oracle.linear import Number
-
-
-@cache
-def _to_bernstein(degree: int) -> tuple[tuple[Number, ...], ...]:
-    """Rows that turn monomial into Bernstein coefficients: entry (i, k) is C(i, k) / C(degree, k)."""
-    with mp.workdps(80):
-        return tuple(tuple(mp.mpf(comb(i, k)) / comb(degree, k) for k in range(i + 1)) for i in range(degree + 1))
+from tests.oracle.linear import Number, integer
 
 
 @cache
 def _to_bernstein_float(degree: int) -> np.ndarray:
-    table = np.zeros((degree + 1, degree + 1))
-    for i, row in enumerate(_to_bernstein(degree)):
-        table[i, : i + 1] = [float(value) for value in row]
-    return table
+    """Rows that turn monomial into Bernstein coefficients: entry (i, k) is C(i, k) / C(degree, k)."""
+    return np.array([[comb(i, k) / comb(degree, k) for k in range(degree + 1)] for i in range(degree + 1)])
+
+
+@cache
+def _binomials(degree: int) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(comb(i, k) for k in range(i + 1)) for i in range(degree + 1))
+
+
+def _bernstein(polynomial: list[int]) -> list[int]:
+    """Bernstein coefficients on [0, 1]: sum_k C(i, k) / C(degree, k) p_k, too small by less than 2^degree units."""
+    degree = len(polynomial) - 1
+    parts = [value // comb(degree, k) for k, value in enumerate(polynomial)]
+    return [sum(map(mul, row, parts)) for row in _binomials(degree)]
 
 
 def _surely_negative(polynomial: list[Number]) -> bool:
@@ -32,44 +39,44 @@ def _surely_negative(polynomial: list[Number]) -> bool:
     return bool((_to_bernstein_float(len(polynomial) - 1) @ rough).max() < -room)
 
 
-def _halves(coefficients: list[Number]) -> tuple[list[Number], list[Number]]:
+def _halves(coefficients: list[int]) -> tuple[list[int], list[int]]:
     """Bernstein coefficients on the two halves of the interval (de Casteljau)."""
-    half = mp.mpf(0.5)
     left, right, row = [coefficients[0]], [coefficients[-1]], coefficients
     while len(row) > 1:
-        row = [half * (a + b) for a, b in itertools.pairwise(row)]
+        row = [(a + b) >> 1 for a, b in itertools.pairwise(row)]
         left.append(row[0])
         right.append(row[-1])
     return left, right[::-1]
 
 
-def _value(polynomial: list[Number], u: Number) -> tuple[Number, Number]:
-    """The polynomial and its derivative at u."""
-    value, slope = polynomial[-1], mp.zero
+def _value(polynomial: list[int], u: int, bits: int) -> tuple[int, int]:
+    """The polynomial and its derivative at u / 2^bits."""
+    value, slope = polynomial[-1], 0
     for coefficient in reversed(polynomial[:-1]):
-        slope = slope * u + value
-        value = value * u + coefficient
+        slope = (slope * u >> bits) + value
+        value = (value * u >> bits) + coefficient
     return value, slope
 
 
-def _refine(polynomial: list[Number], low: Number, high: Number) -> Number:
-    """The one zero in (low, high): Newton's method, kept inside a bracket that shrinks."""
-    settled = mp.ldexp(1, -(mp.prec // 2) - 8)
-    u = (low + high) / 2
+def _refine(polynomial: list[int], low: int, high: int, bits: int) -> Number:
+    """The one zero in (low, high) / 2^bits: Newton's method, kept inside a bracket that shrinks."""
+    settled = mp.prec // 2 + 8
+    u = (low + high) >> 1
     for _ in range(4 * mp.prec):
-        value, slope = _value(polynomial, u)
+        value, slope = _value(polynomial, u, bits)
         if value < 0:
             low = u
         else:
             high = u
-        following = u - value / slope if slope > 0 else low - 1
+        following = u - (value << bits) // slope if slope > 0 else low - 1
         if not low <= following <= high:
-            following = (low + high) / 2
+            following = (low + high) >> 1
         # Newton's error squares: after so short a step, the next one is below the working precision.
-        if abs(following - u) <= settled * u:
-            return following
+        if abs(following - u) << settled <= u:
+            u = following
+            break
         u = following
-    return u
+    return mp.ldexp(u, -bits)
 
 
 def first_upward_zero(polynomial: list[Number], error: Number) -> Number | None:
@@ -81,23 +88,26 @@ def first_upward_zero(polynomial: list[Number], error: Number) -> Number | None:
     """
     if _surely_negative(polynomial):
         return None
-    table = _to_bernstein(len(polynomial) - 1)
-    whole = [sum((f * c for f, c in zip(row, polynomial, strict=False)), mp.zero) for row in table]
-    narrow = mp.mpf(2) ** (-(mp.prec // 2))
-    pending = [(mp.zero, mp.one, whole)]
+    degree = len(polynomial) - 1
+    bits = mp.prec + 2 * degree
+    unit = mp.ldexp(1, mp.frexp(max(map(abs, polynomial)))[1] - bits)
+    values = [integer(value / unit) for value in polynomial]
+    doubt = integer(mp.ceil(error / unit)) + (2 << degree)  # with what was rounded here
+    narrow = 1 << (bits - mp.prec // 2)
+    pending = [(0, 1 << bits, _bernstein(values))]
     while pending:
         low, high, coefficients = pending.pop()
-        if max(coefficients) < -error:
+        if max(coefficients) < -doubt:
             continue
         signs = [value > 0 for value in coefficients]
         changes = sum(a != b for a, b in itertools.pairwise(signs))
         if signs[0]:
-            return low
+            return mp.ldexp(low, -bits)
         if changes == 1:
-            return _refine(polynomial, low, high)
+            return _refine(values, low, high, bits)
         if changes == 0 or high - low < narrow:
             continue
-        middle = (low + high) / 2
+        middle = (low + high) >> 1
         left, right = _halves(coefficients)
         pending += [(middle, high, right), (low, middle, left)]
     return None

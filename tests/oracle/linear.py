@@ -1,4 +1,8 @@
-"""Linear autonomous systems z' = B z by Taylor series, with a bound on what the series leaves out."""
+"""Linear autonomous systems z' = B z by Taylor series, with a bound on what the series leaves out.
+
+The terms are integers, multiples of one unit of the norm: Python's are exact and fast, and what is rounded away is
+2^-GUARD of what the series may leave out.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,21 +14,33 @@ Number = Any  # an mpmath mpf, which has no public type
 Row = dict[int, Number]
 
 REACH = 4  # a step is at most REACH / rate long: longer ones need fewer terms a unit of time, but lose digits
+GUARD = 64  # bits of a term below the working precision
 
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """z' = B z with B by sparse rows, and a norm max_i weight_i |z_i| in which B stretches by at most ``rate``."""
+    """z' = B z with B by sparse rows, and a norm max_i weight_i |z_i| in which B stretches by at most ``rate``.
+
+    ``scaled`` are the rows in coordinates weight_i z_i, as (column, entry): a multiple of rate / 2^bits.
+    """
 
     rows: tuple[Row, ...]
     weights: tuple[Number, ...]
     rate: Number
+    bits: int
+    scaled: tuple[tuple[tuple[int, int], ...], ...]
 
     @classmethod
     def of(cls, rows: Sequence[Row], weights: Sequence[Number]) -> "LinearSystem":
         """The system with its rate, the operator norm of B."""
         rate = max(sum(abs(entry) * weights[i] / weights[j] for j, entry in row.items()) for i, row in enumerate(rows))
-        return cls(tuple(rows), tuple(weights), rate)
+        bits = mp.prec + GUARD
+        with mp.workprec(bits):
+            scaled = tuple(
+                tuple((j, integer(entry * weights[i] / weights[j] / rate, bits)) for j, entry in row.items())
+                for i, row in enumerate(rows)
+            )
+        return cls(tuple(rows), tuple(weights), rate, bits, scaled)
 
     def derivative(self, z: Sequence[Number]) -> list[Number]:
         """B z."""
@@ -36,35 +52,55 @@ class LinearSystem:
 
     def series(self, z: Sequence[Number], step: Number) -> "Series":
         """Taylor series of the flow over one step, as a polynomial in u = t/step in [0, 1]."""
-        coefficients = [list(z)]
-        largest = self.norm(z)
+        bits = self.bits
+        unit = mp.ldexp(1, mp.frexp(self.norm(z))[1] - bits)
+        with mp.workprec(bits):
+            term = [integer(weight * value / unit) for weight, value in zip(self.weights, z, strict=True)]
+            stretch = integer(self.rate * step, bits)
+        terms = [term]
+        largest = max(map(abs, term))
         while True:
-            order = len(coefficients)
-            factor = step / order
-            coefficients.append([factor * value for value in self.derivative(coefficients[-1])])
-            size = self.norm(coefficients[-1])
+            order = len(terms)
+            term = [sum(entry * term[j] for j, entry in row) * stretch // (order << 2 * bits) for row in self.scaled]
+            terms.append(term)
+            size = max(map(abs, term))
             largest = max(largest, size)
-            ratio = self.rate * step / (order + 1)
+            ratio = stretch // (order + 1) + 1
+            rest = (1 << bits) - ratio
             # Each later term is at most ratio times the one before: a geometric series bounds them all.
-            if ratio < 0.5 and size * ratio / (1 - ratio) <= mp.eps * largest:
-                return Series(coefficients, tuple(size * ratio / (1 - ratio) / weight for weight in self.weights))
+            if 2 * ratio < 1 << bits and size * ratio << (mp.prec - 1) <= rest * largest:
+                left_out = unit * size * ratio / rest
+                return Series(terms, bits, tuple(unit / weight for weight in self.weights), left_out, self.weights)
+
+
+def integer(value: Number, bits: int = 0) -> int:
+    """The integer nearest to value 2^bits."""
+    return int(mp.nint(mp.ldexp(value, bits)))
 
 
 @dataclass(frozen=True)
 class Series:
-    """Coefficient vectors of z(u), u in [0, 1], and the bounds on each component's truncation error."""
+    """z(u), u in [0, 1]: terms as integers, ``units`` of their components.
 
-    coefficients: list[list[Number]]
-    remainder: tuple[Number, ...]
+    What is left out is at most ``left_out`` in the norm of these ``weights``.
+    """
+
+    terms: list[list[int]]
+    bits: int
+    units: tuple[Number, ...]
+    left_out: Number
+    weights: tuple[Number, ...]
 
     def at(self, u: Number) -> list[Number]:
         """z(u), by Horner's rule."""
-        result = list(self.coefficients[-1])
-        for row in reversed(self.coefficients[:-1]):
-            result = [value * u + lower for value, lower in zip(result, row, strict=True)]
-        return result
+        result = self.terms[-1]
+        whole = integer(u, self.bits)
+        for term in reversed(self.terms[:-1]):
+            result = [(value * whole >> self.bits) + lower for value, lower in zip(result, term, strict=True)]
+        return [value * unit for value, unit in zip(result, self.units, strict=True)]
 
     def of(self, functional: Mapping[int, Number]) -> tuple[list[Number], Number]:
         """Coefficients of a linear functional of z(u), and the bound on its truncation error."""
-        polynomial = [mp.fdot((f, row[i]) for i, f in functional.items()) for row in self.coefficients]
-        return polynomial, sum(abs(f) * self.remainder[i] for i, f in functional.items())
+        scaled = {i: f * self.units[i] for i, f in functional.items()}
+        polynomial = [mp.fdot((f, term[i]) for i, f in scaled.items()) for term in self.terms]
+        return polynomial, sum(abs(f) * self.left_out / self.weights[i] for i, f in functional.items())
