@@ -141,7 +141,9 @@ def test_what_the_linear_map_leaves_is_measured_in_the_energy_norm() -> None:
 def test_an_orbit_is_not_proved_as_several_turns_of_itself(lower: float, lag: int) -> None:
     osc = machine(2.2, 0.3, 0.7, 0.05, lower)
     h = attractor(osc)
-    assert proof(osc, h).found
+    once = proof(osc, h)
+    assert once.found and once.orbits.period[0] == 1
+    assert once.orbits.symmetric[0] == math.isfinite(lower)
     assert not proof(osc, h, lag).found
 
 
