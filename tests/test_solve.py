@@ -348,6 +348,13 @@ def test_without_exponents_chaos_is_aperiodic() -> None:
     assert cell(naive.FIGURES[5], Settings(exponents="none", max_periods=2000))["regime"] == APERIODIC
 
 
+def test_without_exponents_impacts_are_counted_from_the_end_of_the_transient() -> None:
+    """Fig. 5: 2.637 impacts a period, over the thousand periods that it is watched."""
+    found = cell(naive.FIGURES[5], Settings(exponents="none", survival=8000))
+    assert 1000 <= found["survived"] < 1500
+    assert found["impacts_per_period"] == pytest.approx(2.637, abs=0.1)
+
+
 def test_section_samples_of_an_orbit_repeat_with_its_period() -> None:
     params = {"omega": 1.8488, "b": 0.2084, "tau": 0.0}
     found = cell(params, Settings(section_samples=6))
