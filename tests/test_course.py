@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests import naive
+from tests.test_solve import TORI
 from tests.test_survival import cells_of
 from workers import Settings, solve_tile
 from workers.adaptive import AVERAGING, RELAXATIONS, WARM_UP, Course, relaxation_periods
@@ -23,7 +24,7 @@ from workers.results import (
     UNDETERMINED,
 )
 
-TORUS = {"mu_m": 0.321, "mu_k": 0.9674, "zeta": 0.0303, "omega": 5.4675, "R": 0.7889, "f2": 0.0, "b": 0.03536}
+TORUS = TORI[0]
 
 FIRST_AVERAGED = 256 + WARM_UP + 192
 """Periods after which the first average is looked at."""
