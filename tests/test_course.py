@@ -13,8 +13,10 @@ from tests.test_survival import cells_of
 from workers import Settings, solve_tile
 from workers.adaptive import AVERAGING, RELAXATIONS, WARM_UP, Course, relaxation_periods
 from workers.cells import Rows
+from workers.kernel.averages import MEAN
 from workers.results import (
     CHAOTIC,
+    NO_IMPACT,
     NO_REASON,
     NOT_RELAXED,
     NOT_STATIONARY,
@@ -75,6 +77,31 @@ def test_motion_that_has_changed_to_another_chaos_counts_from_there() -> None:
     assert found["error"] <= 0.05
     assert abs(found["largest"] - 1.123) < 4.0 * found["error"]
     assert found["survived"] == course.cells.flown[0] - (course.flown_then - 192)
+
+
+def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
+    """Said to have begun to average too early, before it changed."""
+
+    def put(course: Led) -> None:
+        earlier(3.0)(course)
+        course.first[0], course.memory[0] = 100, 200.0
+
+    found = Led(naive.FIGURES[5], Settings(tolerance=0.05, survival=0), put).found
+    assert (found["regime"], found["reason"]) == (CHAOTIC, NO_REASON)
+
+
+def test_motion_that_ends_without_impact_has_no_impact_speeds_of_the_chaos_before() -> None:
+    """Put where it meets no stop any more, when its average is no longer that of chaos."""
+
+    def put(course: Led) -> None:
+        earlier(3.0)(course)
+        course.cells.batch.levels[0, 0, MEAN] = -0.01
+        course.cells.batch.motions.h[0] = 0.0
+
+    params = {"omega": 3.28, "R": 0.905, "zeta": 0.005, "b": 0.3}
+    found = Led(params, Settings(tolerance=1.0, survival=0), put).found
+    assert found["regime"] == NO_IMPACT
+    assert all(math.isnan(found[f"{which}_impact_speed"]) for which in ("min", "mean", "max"))
 
 
 def test_averages_that_agree_are_one() -> None:

@@ -165,6 +165,7 @@ def test_a_torus_is_quasiperiodic_with_a_largest_exponent_of_zero(params: dict[s
     assert found["regime"] == QUASIPERIODIC
     assert found["period"] == 0
     assert abs(found["largest"]) < 1e-5
+    assert found["spectrum"][0] == found["largest"]
     assert found["spectrum"][1] < -1e-3
     long = cell(params, Settings(method="fixed", transient_periods=5000, periods=50000))
     assert abs(long["largest"]) < 1e-4
@@ -201,6 +202,8 @@ def test_a_gap_that_is_never_reached_needs_no_simulation(zeta: float) -> None:
     assert found["periods_used"] == 0
     assert found["period"] == 1
     assert found["spectrum"] == pytest.approx(free_exponents(naive.two_mass(**params)[0]), abs=0)
+    assert found["error"] == pytest.approx(1e-15 * abs(found["largest"]), rel=1e-12)  # rounding
+    assert found["sum_law_defect"] == pytest.approx(0.0, abs=1e-14 * abs(found["spectrum"].sum()))
     assert found["impacts_per_period"] == 0.0
     assert math.isnan(found["min_impact_speed"])
 
