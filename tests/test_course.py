@@ -138,7 +138,7 @@ def test_where_chaos_has_ended_and_the_budget_is_spent_the_class_is_open() -> No
 @pytest.mark.parametrize(
     ("before", "now", "flat"),
     [
-        (-9e-7, -1e-6, True),  # ten spreads
+        (-0.89e-6, -1e-6, True),  # nine spreads
         (-0.9e-6, -0.99e-6, False),  # eleven spreads: a small exponent that is clearly negative
         (-0.8e-6, -0.98e-6, True),  # five and a half
         (9.9e-6, -9.9e-6, True),
@@ -181,7 +181,7 @@ def test_what_may_be_an_orbit_that_closes_slowly_is_no_torus_yet() -> None:
 
 def test_no_period_is_averaged_twice() -> None:
     """The second average begins where the first ends, or later."""
-    cells = cells_of(naive.FIGURES[5] | {"x1": np.linspace(-0.1, 0.1, 4)}, Settings(tolerance=0.03, survival=0))
+    cells = cells_of(naive.FIGURES[5] | {"tau": np.linspace(0.0, 1.0, 4)}, Settings(tolerance=0.03, survival=0))
     course, ready, second = Course(cells), np.arange(4), False
     with np.errstate(all="ignore"):
         while len(ready):
