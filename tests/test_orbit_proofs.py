@@ -9,6 +9,7 @@ import pytest
 from tests import naive
 from tests.oscillators import mass_spring
 from tests.test_stroboscopic import KINDS
+from workers.identity import turn
 from workers.kernel.motion import FREE, motion_at, motions_at
 from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
@@ -145,6 +146,19 @@ def test_an_orbit_is_not_proved_as_several_turns_of_itself(lower: float, lag: in
     assert once.found and once.orbits.period[0] == 1
     assert once.orbits.symmetric[0] == math.isfinite(lower)
     assert not proof(osc, h, lag).found
+
+
+def test_a_symmetric_machine_has_orbits_that_are_not_symmetric() -> None:
+    """Truth: half a period later the motion is not the mirror image of what it was, but its twin's."""
+    osc = machine(lower=0.1)
+    h = attractor(osc)
+    seen = proof(osc, h)
+    assert seen.found and seen.orbits.period[0] == 1 and not seen.orbits.symmetric[0]
+    states, _ = turn(many_of(osc), 0, h, FREE, 2, np.bool_(True))
+    assert np.abs(states[1] - h).max() > 0.01
+    assert states[2] == pytest.approx(h, abs=1e-12)
+    twin = proof(osc, states[1])
+    assert twin.found and twin.orbits.exponents == pytest.approx(seen.orbits.exponents, rel=1e-9)
 
 
 def test_near_a_symmetric_orbit_nothing_is_proved_that_is_not_symmetric() -> None:
