@@ -200,6 +200,14 @@ def test_an_exponent_counts_as_negative_only_beyond_its_rounding_error(zeta: flo
     assert proof(machine(b=5.0, zeta=zeta), np.zeros((1, 2))).found == stable
 
 
+@pytest.mark.parametrize(("lower", "error"), [(math.inf, 1e-15), (5.0, 2e-15)], ids=["whole", "half"])
+def test_the_rounding_error_of_a_turn_is_told_per_period(lower: float, error: float) -> None:
+    """1e-15 a turn where all multipliers are near one; of a symmetric orbit a turn takes half a period."""
+    seen = proof(machine(b=5.0, zeta=1e-6, lower=lower), np.zeros((1, 2)))
+    assert seen.found
+    assert seen.orbits.error[0] == pytest.approx(error, rel=1e-4)
+
+
 @pytest.mark.parametrize(("modulus", "hopeless"), [(29.9, False), (30.1, True)])
 def test_only_multipliers_decide_that_there_is_no_hope_of_a_stable_orbit(modulus: float, hopeless: bool) -> None:
     """The norm of this Jacobian is above a thousand either way."""
