@@ -7,7 +7,9 @@ import pytest
 
 from tests import naive
 from workers.kernel.averages import (
+    COUNT,
     MEAN,
+    add_growth,
     add_to_blocks,
     no_averages,
     standard_error,
@@ -73,6 +75,17 @@ def test_the_error_bar_of_correlated_noise_is_right_within_statistics(phi: float
 def test_too_few_values_have_no_error() -> None:
     assert math.isnan(standard_error(blocking(np.ones(31))))
     assert standard_error(blocking(np.ones(32))) == 0.0
+
+
+def test_growth_is_weighted_by_the_bump_function_of_its_place_in_the_stretch() -> None:
+    """w = exp(-1 / (u (1 - u))), u the middle of the period as a share of the stretch."""
+    growth, averages = np.random.default_rng(5).normal(size=40), no_averages()
+    for k, value in enumerate(growth):
+        add_growth(averages.levels, averages.weighted, value, k, len(growth))
+    u = (np.arange(40) + 0.5) / 40
+    weight = np.exp(-1.0 / (u * (1.0 - u)))
+    assert averages.weighted == pytest.approx([np.sum(weight * growth), np.sum(weight)], rel=1e-13)
+    assert averages.levels[0, [COUNT, MEAN]] == pytest.approx([40, growth.mean()], rel=1e-13)
 
 
 def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None:

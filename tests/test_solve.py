@@ -165,7 +165,9 @@ def test_a_torus_is_quasiperiodic_with_a_largest_exponent_of_zero(params: dict[s
     assert found["regime"] == QUASIPERIODIC
     assert found["period"] == 0
     assert abs(found["largest"]) < 1e-5
+    assert found["spectrum"][0] == found["largest"]
     assert found["spectrum"][1] < -1e-3
+    assert found["kaplan_yorke"] == 1.0  # a closed curve of the map, whatever rounding has made of the zero
     long = cell(params, Settings(method="fixed", transient_periods=5000, periods=50000))
     assert abs(long["largest"]) < 1e-4
     assert long["regime"] not in (PERIODIC, NO_IMPACT)
@@ -201,6 +203,8 @@ def test_a_gap_that_is_never_reached_needs_no_simulation(zeta: float) -> None:
     assert found["periods_used"] == 0
     assert found["period"] == 1
     assert found["spectrum"] == pytest.approx(free_exponents(naive.two_mass(**params)[0]), abs=0)
+    assert found["error"] == pytest.approx(1e-15 * abs(found["largest"]), rel=1e-12, abs=0.0)  # rounding
+    assert found["sum_law_defect"] == pytest.approx(0.0, abs=1e-14 * abs(found["spectrum"].sum()))
     assert found["impacts_per_period"] == 0.0
     assert math.isnan(found["min_impact_speed"])
 
@@ -346,6 +350,13 @@ def test_period_and_impacts_do_not_depend_on_the_exponents_asked_for(exponents: 
 
 def test_without_exponents_chaos_is_aperiodic() -> None:
     assert cell(naive.FIGURES[5], Settings(exponents="none", max_periods=2000))["regime"] == APERIODIC
+
+
+def test_without_exponents_impacts_are_counted_from_the_end_of_the_transient() -> None:
+    """Fig. 5: 2.637 impacts a period, over the thousand periods that it is watched."""
+    found = cell(naive.FIGURES[5], Settings(exponents="none", survival=8000))
+    assert 1000 <= found["survived"] < 1500
+    assert found["impacts_per_period"] == pytest.approx(2.637, abs=0.1)
 
 
 def test_section_samples_of_an_orbit_repeat_with_its_period() -> None:

@@ -1,0 +1,92 @@
+"""What becomes of cells: results written of motions that are put in the state that decides them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests import naive
+from tests.test_survival import cells_of
+from workers import Settings
+from workers.cells import Cells
+from workers.kernel.averages import COUNT, add_to_blocks
+from workers.kernel.motion import MARCH_GAVE_UP, NOT_FINITE, OUT_OF_WORK, RUNNING, STATUS, STUCK, UPPER, WORK
+from workers.outcome import put_averaged, put_periodic, put_stopped
+from workers.results import CHAOTIC, COSTLY_PERIOD, FAILED, GAVE_UP, NO_REASON, PENDING, UNDETERMINED, WORK_SPENT
+from workers.results import NOT_FINITE as NO_LONGER_FINITE
+
+ONE = np.arange(1)
+
+
+def one_cell(**settings: str) -> Cells:
+    return cells_of({name: np.array([value]) for name, value in naive.FIGURES[5].items()}, Settings(**settings))
+
+
+@pytest.mark.parametrize(
+    ("status", "h", "work", "regime", "reason"),
+    [
+        (MARCH_GAVE_UP, 0.1, 1.0, FAILED, GAVE_UP),
+        (OUT_OF_WORK, 0.1, 1.0, UNDETERMINED, COSTLY_PERIOD),
+        (NOT_FINITE, 0.1, 1.0, FAILED, NO_LONGER_FINITE),
+        (RUNNING, math.nan, 1.0, FAILED, NO_LONGER_FINITE),
+        (RUNNING, math.inf, -1.0, FAILED, NO_LONGER_FINITE),
+        (OUT_OF_WORK, math.nan, 1.0, UNDETERMINED, COSTLY_PERIOD),
+        (RUNNING, 0.1, -1.0, UNDETERMINED, WORK_SPENT),
+    ],
+)
+def test_a_motion_that_cannot_go_on_has_a_regime_and_a_reason(
+    status: int, h: float, work: float, regime: int, reason: int
+) -> None:
+    cells = one_cell()
+    motions = cells.batch.motions
+    motions.h[0, 0, 0], motions.tally[0, STATUS], motions.tally[0, WORK] = h, status, work
+    cells.used[0] = 17
+    with np.errstate(all="ignore"):
+        assert put_stopped(cells, ONE).tolist() == [True]
+    assert (cells.found["regime"][0], cells.found["reason"][0]) == (regime, reason)
+    assert cells.found["periods_used"][0] == 17
+
+
+def test_a_motion_whose_work_is_just_spent_goes_on() -> None:
+    cells = one_cell()
+    cells.batch.motions.tally[0, WORK] = 0.0
+    assert put_stopped(cells, ONE).tolist() == [False]
+    assert cells.found["regime"][0] == PENDING
+
+
+@pytest.mark.parametrize(("exponent", "regime", "reason"), [(1.0, CHAOTIC, NO_REASON), (0.0, UNDETERMINED, WORK_SPENT)])
+def test_a_motion_whose_work_is_spent_is_chaotic_where_its_average_is_clearly_positive(
+    exponent: float, regime: int, reason: int
+) -> None:
+    """A thousand periods of noise about an exponent."""
+    cells = one_cell()
+    for growth in exponent + np.random.default_rng(0).normal(size=1000):
+        add_to_blocks(cells.batch.levels[0], growth)
+    cells.averaging[0], cells.batch.motions.tally[0, WORK] = True, -1.0
+    with np.errstate(all="ignore"):
+        assert put_stopped(cells, ONE).tolist() == [True]
+    assert (cells.found["regime"][0], cells.found["reason"][0]) == (regime, reason)
+    assert math.isnan(cells.found["error"][0]) == (regime == UNDETERMINED)
+
+
+def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None:
+    """Three units of time in ten periods of 2 pi / omega."""
+    cells = one_cell()
+    cells.averaging[0] = True
+    cells.batch.levels[0, 0, COUNT] = 10.0
+    cells.batch.motions.tally[0, STUCK] = 3.0
+    with np.errstate(all="ignore"):
+        put_averaged(cells, ONE)
+    found = {name: values[0] for name, values in cells.found.items()}
+    assert found["sticks"]
+    assert found["stuck_fraction"] == pytest.approx(3.0 * naive.FIGURES[5]["omega"] / (2.0 * math.pi * 10.0), rel=1e-14)
+    assert math.isnan(found["impacts_per_period"]) and math.isnan(found["mean_impact_speed"])
+
+
+def test_the_turn_that_counts_the_impacts_of_an_orbit_is_counted_too() -> None:
+    """Three periods of an orbit beside twenty that its proof has cost."""
+    cells = one_cell()
+    cells.used[0], cells.orbits.period[0], cells.orbits.tally[0, UPPER] = 20, 3, 6.0
+    put_periodic(cells, ONE)
+    assert cells.found["periods_used"][0] == 23
+    assert cells.found["impacts_per_period"][0] == 2.0
