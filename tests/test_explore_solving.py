@@ -24,7 +24,7 @@ from atlas.store.sidecar import notes_of
 from atlas.store.store import read_header
 from atlas.store.zoom import sheet_place, sheets
 from atlas.task.patch import solve_patch
-from workers.results import PENDING, REGIME
+from workers.results import INVALID, PENDING, REGIME
 
 
 def waited(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
@@ -256,6 +256,22 @@ def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) 
         assert explorer.want("page", explorer.subject.plane, sight, range(3, -1, -1)) > 100
         explorer.listen("page", None)
         assert explorer.patches.left("page") == 0
+
+
+def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished: Path, client: Client) -> None:
+    with exploring(finished, client) as explorer:
+        subject, known = explorer.subject, explorer.known
+        outside, partly = TileKey(0, 0, 0, -40), TileKey(2, 2, 0, -1)
+        assert known.has(subject.plane, outside) and not known.outside(partly)
+        found = known.whole(subject.plane, outside)
+        assert found is not None
+        for name, solved_so in solve_patch(subject.patch(subject.plane, outside)).items():
+            assert np.array_equal(
+                found[name].reshape(solved_so.shape), solved_so, equal_nan=solved_so.dtype.kind == "f"
+            )
+        sight = Sight.of(View((2.0, 3.0), (-20.0, -19.0), 30, 30), subject.x, subject.y)
+        assert solved(explorer, sight) == []
+        assert (explorer.known.seen(subject.plane, sight, []).regime == INVALID).all()
 
 
 @pytest.mark.slow

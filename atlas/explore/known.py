@@ -15,8 +15,20 @@ from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays, Tiles
 from atlas.explore.view import STAGES, TILE, Sight, TileKey
 from atlas.query.queries import at
+from atlas.store.schema import extra_sizes
 from atlas.store.store import done_tiles
-from workers.results import NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES, result_variables
+from workers.results import (
+    INVALID,
+    NO_REASON,
+    OUT_OF_RANGE,
+    PENDING,
+    REASON,
+    REASONS,
+    REGIME,
+    REGIMES,
+    empty_results,
+    result_variables,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,6 +55,8 @@ class Known:
         self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
         self._variables = result_variables(subject.settings)
         self.names = [variable.name for variable in self._variables]
+        self._invalid = empty_results(self._variables, (TILE, TILE), extra_sizes(subject.spec))
+        self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
         self._done: NDArray[np.bool_] | None = None
         self._looked = float("-inf")
 
@@ -60,14 +74,24 @@ class Known:
 
     def has(self, plane: Plane, key: TileKey) -> bool:
         """Whether a tile need not be solved."""
-        known = self.tiles.has(plane, key, {REGIME.name}) or self.keeper.has(plane, key)
+        known = self.tiles.has(plane, key, {REGIME.name}) or self.outside(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
+
+    def outside(self, key: TileKey) -> bool:
+        """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
+        subject = self.subject
+        for lattice, level, index in ((subject.x, key.level_x, key.index_x()), (subject.y, key.level_y, key.index_y())):
+            if not lattice.admitted(subject.system.parameter(lattice.axis.name), level, index).any():
+                return True
+        return False
 
     def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
         """All variables of a tile, from memory or from the store; None where it is not known."""
         arrays = self.tiles.get(plane, key)
         if arrays is not None and arrays.keys() >= set(self.names):
             return arrays
+        if self.outside(key):
+            return self._invalid
         kept = self.keeper.load(plane, [key], self.names).get(key)
         if kept is not None and kept.keys() >= set(self.names):
             self.tiles.put(plane, key, kept)
@@ -99,7 +123,8 @@ class Known:
         """The cells in view as far as they are known."""
         wanted = list(names)
         base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None
-        return composed(self.subject, plane, sight, self.tiles.shown(plane, sight), wanted, base)
+        tiles = self.tiles.shown(plane, sight) + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
+        return composed(self.subject, plane, sight, tiles, wanted, base)
 
     def cell(self, plane: Plane, sight: Sight, x: float, y: float) -> Cell | None:
         """The finest cell that is known at a point in view; None where none is."""

@@ -1,7 +1,7 @@
 """Periodic orbits: near returns, Newton on the period map, what makes a fixed point the orbit that attracts, symmetry.
 
-Where the gap is symmetric every orbit is sought as one of the half-period map G, G o G = P: period m under G
-with m odd is a symmetric orbit of period m, m even an asymmetric one of period m / 2.
+Where the gap is symmetric an orbit of odd period m is first sought as one of the half-period map G, G o G = P: what
+closes after m steps of G is a symmetric orbit of period m.
 """
 
 import math
@@ -291,10 +291,9 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
-        period = orbit.steps // 2 if orbit.half and orbit.steps % 2 == 0 else orbit.steps
-        turn = iterate_alone(osc, orbit.h, orbit.contact, period, np.bool_(False))  # no literal, as in run_batch
-        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = orbit.contact, period, orbit.error
-        orbits.symmetric[r] = orbit.half and orbit.steps % 2 == 1
+        turn = iterate_alone(osc, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # no literal, as in run_batch
+        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = orbit.contact, orbit.steps, orbit.error
+        orbits.symmetric[r] = orbit.half
         for j in range(orbit.h.shape[0]):
             for k in range(2):
                 orbits.h[r, j, k] = orbit.h[j, k]
