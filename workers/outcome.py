@@ -97,7 +97,8 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
         stuck_fraction=0.0,
         periods_used=cells.used[rows],
     )
-    put_states(cells, rows, steady, np.zeros((len(rows), 1), dtype=np.int64), np.ones(len(rows), dtype=np.int64))
+    contact, period = np.zeros((len(rows), 1), dtype=np.int64), np.ones(len(rows), dtype=np.int64)
+    put_states(cells, rows, oscillators, steady, contact, period)
 
 
 def _steady(oscillators: Oscillator, h: Array) -> Array:
@@ -119,7 +120,9 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     free = (hits == 0.0) & ~sticks
     put_impact_free(cells, rows[free], orbits.h[rows[free]])
     rows, tally, period, sticks, hits = (x[~free] for x in (rows, tally, period, sticks, hits))
-    exponents = orbits.exponents[rows]
+    if not len(rows):
+        return
+    oscillators, exponents = taken(cells.oscillators, rows), orbits.exponents[rows]
     put(
         cells,
         rows,
@@ -127,7 +130,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         error=orbits.error[rows],
         spectrum=exponents,
         kaplan_yorke=kaplan_yorke(exponents),
-        sum_law_defect=_defect(cells, rows, np.sum(exponents, axis=1), tally, hits),
+        sum_law_defect=_defect(oscillators, np.sum(exponents, axis=1), tally, hits),
         regime=PERIODIC,
         period=period,
         impacts_upper=np.where(sticks, -1.0, tally[:, UPPER]),
@@ -135,12 +138,12 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         impacts_per_period=np.where(sticks, math.nan, hits),
         symmetric=orbits.symmetric[rows],
         sticks=sticks,
-        stuck_fraction=tally[:, STUCK] / (period * cells.oscillators.period[rows]),
-        peak_to_peak=impact_range(taken(cells.oscillators, rows), tally, orbits.h[rows], orbits.contact[rows], period),
+        stuck_fraction=tally[:, STUCK] / (period * oscillators.period),
+        peak_to_peak=impact_range(oscillators, tally, orbits.h[rows], orbits.contact[rows], period),
         periods_used=cells.used[rows],
     )
     put_speeds(cells, rows, tally, period)
-    put_states(cells, rows, orbits.h[rows], orbits.contact[rows], period)
+    put_states(cells, rows, oscillators, orbits.h[rows], orbits.contact[rows], period)
 
 
 def put_averaged(cells: Cells, rows: Rows) -> None:
@@ -168,7 +171,8 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     )
     put_speeds(cells, some, tally, count)
     put(cells, rows, periods_used=cells.used[rows])
-    put_states(cells, rows, motions.h[rows], motions.contact[rows], np.zeros(len(rows), dtype=np.int64))
+    oscillators, no_period = taken(cells.oscillators, rows), np.zeros(len(rows), dtype=np.int64)
+    put_states(cells, rows, oscillators, motions.h[rows], motions.contact[rows], no_period)
 
 
 def put_speeds(cells: Cells, rows: Rows, tally: Array, periods: Array | Rows) -> None:
@@ -196,7 +200,7 @@ def put_growth(cells: Cells, rows: Rows, mean: Array, error: Array, count: Array
     hits = impact_count(tally) / count
     if cells.settings.exponents == "spectrum":
         put(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum))
-        put(cells, rows, sum_law_defect=_defect(cells, rows, total, tally, hits))
+        put(cells, rows, sum_law_defect=_defect(taken(cells.oscillators, rows), total, tally, hits))
 
 
 def put_chaotic(cells: Cells, rows: Rows, reason: NDArray[np.int8] | int = NO_REASON) -> None:
@@ -225,6 +229,8 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
 
 def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
     """Write the results of cells that cannot go on: chaotic with their true error if clear."""
+    if not len(rows):
+        return
     average = cells.whole_average(rows)
     chaotic = clearly_positive(average.mean, average.error, average.periods)
     put_chaotic(cells, rows[chaotic])
@@ -232,13 +238,12 @@ def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
     put(cells, rows[~chaotic], regime=UNDETERMINED, error=math.nan, reason=reason)
 
 
-def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) -> None:
+def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the sections from it on.
 
     The next K states, those of an orbit of known ``period`` repeated. NaN from where the motion cannot be followed.
     """
-    motions, oscillators = motions_at(h, contact), taken(cells.oscillators, rows)
-    every = np.arange(len(rows))
+    motions, every = motions_at(h, contact), np.arange(len(rows))
     put(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples
     if K == 0:
@@ -254,8 +259,8 @@ def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) 
     put(cells, rows, section=states[every[:, None], np.arange(K) % counts[:, None]])
 
 
-def _defect(cells: Cells, rows: Rows, total: Array, tally: Array, hits: Array) -> Array:
+def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array) -> Array:
     """A sum of exponents minus its exact value; NaN where that law does not hold, see exponents.sum_law_holds."""
     holds = sum_law_holds(tally)
-    exact = sum_of_exponents(taken(cells.oscillators, rows), hits)
+    exact = sum_of_exponents(oscillators, hits)
     return np.where(holds, np.where(holds, total, 0.0) - exact, math.nan)
