@@ -90,3 +90,15 @@ def test_the_turn_that_counts_the_impacts_of_an_orbit_is_counted_too() -> None:
     put_periodic(cells, ONE)
     assert cells.found["periods_used"][0] == 23
     assert cells.found["impacts_per_period"][0] == 2.0
+
+
+@pytest.mark.parametrize("missed", [-1e-6, 1e-6])
+def test_the_error_of_an_orbit_is_at_least_what_its_exponents_miss_of_the_sum_law(missed: float) -> None:
+    """Two impacts in a period; the sum is -trace(M^-1 C) T + 4 ln R."""
+    cells = one_cell()
+    osc = cells.oscillators
+    exact = float(-osc.trace[0] * osc.period[0] + 4.0 * math.log(osc.R[0]))
+    cells.orbits.tally[0, UPPER], cells.orbits.error[0] = 2.0, 1e-13
+    cells.orbits.exponents[0] = 0.25 * (exact + missed)
+    put_periodic(cells, ONE)
+    assert cells.found["error"][0] == pytest.approx(1e-6, rel=1e-6)

@@ -111,7 +111,11 @@ def _steady(oscillators: Oscillator, h: Array) -> Array:
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
-    """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's."""
+    """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's.
+
+    Their error is at least what their sum misses of its exact value: where a stiff machine hits a stop slowly under a
+    large load, rounding takes more than one more turn shows.
+    """
     orbits = cells.orbits
     cells.used[rows] += orbits.period[rows]
     tally, period = orbits.tally[rows], orbits.period[rows]
@@ -123,14 +127,15 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     if not len(rows):
         return
     oscillators, exponents = taken(cells.oscillators, rows), orbits.exponents[rows]
+    defect = _defect(oscillators, np.sum(exponents, axis=1), tally, hits)
     put(
         cells,
         rows,
         largest=exponents[:, 0],
-        error=orbits.error[rows],
+        error=np.fmax(orbits.error[rows], np.abs(defect)),
         spectrum=exponents,
         kaplan_yorke=kaplan_yorke(exponents),
-        sum_law_defect=_defect(oscillators, np.sum(exponents, axis=1), tally, hits),
+        sum_law_defect=defect,
         regime=PERIODIC,
         period=period,
         impacts_upper=np.where(sticks, -1.0, tally[:, UPPER]),
