@@ -148,8 +148,13 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
     settled(running, tab)
     left, top, width, height = tab.plot()
     tab.page.mouse.move(left + 0.7 * width, top + 0.2 * height)
-    tab.until(lambda: "periods_used" in tab.text())
-    text = " ".join(tab.text().split())
+
+    def told() -> str:
+        """What the page says, once it says all of a cell; read at once, since it may be about to say something new."""
+        text = " ".join(tab.text().split())
+        return text if "periods_used" in text and " ω " in text else ""
+
+    text = tab.until(told)
     x, y = (float(text.split(f" {symbol} ")[1].split()[0]) for symbol in ("ω", "b"))
     ds = running.explorer.subject.ds
     assert ds is not None
