@@ -150,7 +150,8 @@ class Report:
         again = [key for key, count in self.counts.items() if count > 1]
         failed = len(self._running.explorer.failures)
         print(f"tiles of the atlas's plane solved twice: {len(again)} of {len(self.counts)}; failed: {failed}")
-        print(*(f"  {key}" for key in again[:10]), sep="\n")
+        for key in again[:10]:
+            print(f"  {key}")
         print(f"complaints of the browser: {len(complaints)}", *sorted(set(complaints)), sep="\n  ")
         verified = atlas.verify(store)
         print(verified)

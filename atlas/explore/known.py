@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +38,8 @@ LOOK = 5.0
 """Seconds after which it is looked for tiles that a run has added to the atlas itself."""
 DEPTH = 12
 """So many coarser levels are looked through for what was kept."""
+MOST_ROWS = 4096
+"""Rows and columns of tiles of which it is remembered whether they have a point in the valid range."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class Known:
         self.names = [variable.name for variable in self._variables]
         self._invalid = empty_results(self._variables, (TILE, TILE), extra_sizes(subject.spec))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
+        self._admits = lru_cache(MOST_ROWS)(self._some_admitted)
         self._done: NDArray[np.bool_] | None = None
         self._looked = float("-inf")
 
@@ -79,11 +83,7 @@ class Known:
 
     def outside(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
-        subject = self.subject
-        for lattice, level, index in ((subject.x, key.level_x, key.index_x()), (subject.y, key.level_y, key.index_y())):
-            if not lattice.admitted(subject.system.parameter(lattice.axis.name), level, index).any():
-                return True
-        return False
+        return not (self._admits("x", key.level_x, key.x) and self._admits("y", key.level_y, key.y))
 
     def whole(self, plane: Plane, key: TileKey) -> Arrays | None:
         """All variables of a tile, from memory or from the store; None where it is not known."""
@@ -160,6 +160,12 @@ class Known:
             done = done[subject.layer] if done.ndim > 2 else done
             self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
         return self._done
+
+    def _some_admitted(self, along: str, level: int, number: int) -> bool:
+        """Whether a column ("x") or a row ("y") of tiles has a point in the valid range."""
+        lattice = self.subject.x if along == "x" else self.subject.y
+        index = np.arange(number * TILE, (number + 1) * TILE, dtype=np.int64)
+        return bool(lattice.admitted(self.subject.system.parameter(lattice.axis.name), level, index).any())
 
     def _atlas_cell(self, plane: Plane, x: float, y: float) -> Cell | None:
         ds, names = self.subject.ds, [axis.name for axis in self.subject.spec.axes]

@@ -20,7 +20,7 @@ class Block(NamedTuple):
     """h'' + 2 eta h' + lam h = load with what its flow and its bounds need: columns of Signal.block.
 
     d = lam - eta^2; w = sqrt|d| and its inverse (0 for w = 0); the decay rates, both eta unless overdamped.
-    tilt, weight and grow2...grow4 are those of flight.amplitude_bounds. metric weighs h^2 against h'^2 where states are
+    tilt, weight and grow2...grow4 are those of signal.amplitude_bounds. metric weighs h^2 against h'^2 where states are
     compared: lam, so that undamped flight keeps the norm, or omega^2 for a rigid mode, lam = 0, which alone has a load:
     that of any other mode moves its rest position.
     """

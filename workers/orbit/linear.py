@@ -137,7 +137,7 @@ def rigid_mode(lin: Linear) -> int | None:
 def flow_entries(eta, lam, s):
     """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
 
-    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), as kernel.flight.flow_entries, for any s.
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), as kernel.flow.flow_entries, for any s.
     """
     d = lam - eta * eta
     w = math.sqrt(abs(d))

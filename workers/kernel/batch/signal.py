@@ -174,7 +174,7 @@ def share_at_start(a, i, share):
 
 @inlined
 def amplitude_factors(q, i):
-    """What flight.amplitude_bounds needs of one block of lane i."""
+    """What kernel.signal.amplitude_bounds needs of one block of lane i."""
     return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
 
 
