@@ -1,9 +1,10 @@
 """How many cells that are called chaotic settle later, against what watching them costs.
 
-Each plane is solved with several settings of ``survival``, and once without exponents but watched for very long: what
-that finds settled is taken as the truth. ``wrong`` is the share of the cells called chaotic that settle within 80,000
-further periods, with its 95 % interval (Wilson); ``of all`` the same cells as a share of the whole plane; ``undecided``
-the share of undetermined cells; ``periods`` the mean cost of a cell, without those that proofs of orbits take.
+Each plane is solved with several settings of ``survival``, and once without exponents but every cell watched for very
+long: what that finds settled is taken as the truth. ``wrong`` is the share of the cells called chaotic that settle
+within 80,000 further periods, with its 95 % interval (Wilson); ``of all`` the same cells as a share of the whole plane;
+``undecided`` the share of undetermined cells; ``periods`` the mean cost of a cell, without those that proofs of orbits
+take.
 
 Usage: .venv/bin/python -m scripts.bench_survival [--light] [--json FILE]
 """
@@ -19,12 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers import Settings, solve_tile
-from workers.adaptive import WITHOUT_RIVAL
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED
+from workers.adaptive import RELAXATIONS, Course
+from workers.cells import Rows
+from workers.model.system import find_system
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, empty_results, result_variables
+from workers.solve import begun
 from workers.starts import wilson
 
 FURTHER = 80_000
 """Periods after a verdict in which a settled motion makes it wrong."""
+
+SETTLED = (NO_IMPACT, PERIODIC)
 
 PLANES: dict[str, dict[str, Any]] = {
     "packaged omega-b": {"omega": (1.0, 4.5), "b": (0.05, 0.6)},
@@ -63,11 +69,42 @@ def solved(
     return arrays, sum(seconds for _, seconds in found)
 
 
+class Patient(Course):
+    """Watches whatever looks chaotic for all of ``survival``."""
+
+    def _required(self, rows: Rows) -> Rows:
+        return np.full(len(rows), self.settings.survival)
+
+
+def _follow(work: tuple[dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]]:
+    params, periods = work
+    record, settings = find_system("two-mass"), Settings(exponents="none", survival=periods)
+    count = max(np.size(value) for value in params.values())
+    flat = {p.name: np.broadcast_to(params.get(p.name, p.default), count).copy() for p in record.parameters}
+    oscillators, reasons = record.build_many(flat)
+    found = empty_results(result_variables(settings), (count,), {"exponent": 4, "state": 4, "sample": 0})
+    starts = np.stack([flat[name] for name in record.states], axis=-1)
+    cells, ready = begun(oscillators, reasons, starts, settings, found)
+    course = Patient(cells)
+    with np.errstate(all="ignore"):
+        course.take(ready)
+    return found | {"relaxation": course.memory / RELAXATIONS}
+
+
+def followed(pool: Any, params: dict[str, Any], periods: int, pieces: int = 32) -> dict[str, NDArray[Any]]:
+    """What becomes of flat cells that are all watched for so many periods; ``relaxation`` is the time in periods."""
+    count = max(np.size(value) for value in params.values())
+    full = {name: np.broadcast_to(value, count) for name, value in params.items()}
+    parts = np.array_split(np.arange(count), min(pieces, count))
+    found = pool.map(_follow, [({k: v[part] for k, v in full.items()}, periods) for part in parts], chunksize=1)
+    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
+
+
 def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tolerance: float) -> list[dict[str, Any]]:
     """One row for each survival."""
     params = plane(name, side)
-    truth, _ = solved(pool, params, Settings(exponents="none", survival=far * WITHOUT_RIVAL))
-    settles = np.isin(truth["regime"], (NO_IMPACT, PERIODIC))
+    truth = followed(pool, params, far)
+    settles = np.isin(truth["regime"], SETTLED)
     rows = []
     for survival in survivals:
         found, seconds = solved(pool, params, Settings(tolerance=tolerance, survival=survival))
@@ -111,7 +148,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--light", action="store_true", help="few cells, short: rough numbers in seconds")
     parser.add_argument("--side", type=int, default=32, help="cells along each axis")
-    parser.add_argument("--far", type=int, default=120_000, help="periods watched for the truth beside no rival")
+    parser.add_argument("--far", type=int, default=120_000, help="periods for which all are watched for the truth")
     parser.add_argument("--planes", default="", help="parts of names of planes, by comma; all by default")
     parser.add_argument("--survivals", default="0,16000,48000,160000")
     parser.add_argument("--tolerance", type=float, default=0.02)

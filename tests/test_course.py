@@ -9,9 +9,9 @@ import pytest
 
 from tests import naive
 from tests.test_solve import TORI
-from tests.test_survival import cells_of
+from tests.test_survival import cells_of, relaxation
 from workers import Settings, solve_tile
-from workers.adaptive import AVERAGING, RELAXATIONS, WARM_UP, Course, relaxation_periods
+from workers.adaptive import AVERAGING, RELAXATIONS, WARM_UP, Course
 from workers.cells import Rows
 from workers.kernel.averages import MEAN
 from workers.results import (
@@ -216,7 +216,7 @@ def test_what_began_before_the_motion_had_forgotten_its_start_says_so_however_lo
     """R = 1. The transient takes 5000 periods at most; the second average begins after 30,000."""
     params = {"b": 0.1, "mu_k": 5.0, "mu_m": 2.0, "omega": 1.6, "R": 1.0, "zeta": 1e-4}
     cells = cells_of({name: np.array([value]) for name, value in params.items()})
-    zeta = params["zeta"] * RELAXATIONS * relaxation_periods(cells, np.arange(1))[0] / memory
+    zeta = params["zeta"] * RELAXATIONS * relaxation(cells)[0] / memory
     found = solve_tile("two-mass", params | {"zeta": zeta}, Settings(tolerance=0.05, survival=200_000))
     assert found["regime"] == CHAOTIC
     assert found["survived"] >= 25_000

@@ -354,7 +354,7 @@ def test_without_exponents_chaos_is_aperiodic() -> None:
 
 def test_without_exponents_impacts_are_counted_from_the_end_of_the_transient() -> None:
     """Fig. 5: 2.637 impacts a period, over the thousand periods that it is watched."""
-    found = cell(naive.FIGURES[5], Settings(exponents="none", survival=8000))
+    found = cell(naive.FIGURES[5], Settings(exponents="none", survival=32_000))
     assert 1000 <= found["survived"] < 1500
     assert found["impacts_per_period"] == pytest.approx(2.637, abs=0.1)
 

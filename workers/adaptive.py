@@ -21,7 +21,7 @@ import numpy as np
 from workers.cells import NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
 from workers.kernel.cells import impact_free
 from workers.kernel.motion import LOWER, UPPER
-from workers.model.oscillator import COLUMN
+from workers.model.oscillator import COLUMN, Oscillator
 from workers.orbit.newton import far_from_closing
 from workers.outcome import (
     put,
@@ -56,8 +56,10 @@ FIRST_AVERAGE = 192
 FARTHEST = 1e9
 """From so many times the tolerance on it does not matter how far off the error is: no budget has the periods."""
 
-WITHOUT_RIVAL = 8
-"""Chaos beside no stable orbit that is known has to survive for this part of ``survival``."""
+LONG_MEMORY, LEAST_PART = 5.0, 1.0 / 32.0
+"""Chaos has to survive for all of ``survival`` beside a stable orbit that is known, and where its energy relaxes in so
+many periods or more. Elsewhere for a part that falls as the square of that time, but for the second part at least: that
+is about how the share of chaos that settles falls, which scripts/bench_relaxation.py measures."""
 
 LEAST_WATCH = 256
 """Periods of the shortest stretch of watching; each further one is half as long as what was survived before."""
@@ -77,18 +79,21 @@ def solve_adaptively(cells: Cells, ready: Rows) -> None:
     Course(cells).take(ready)
 
 
-def relaxation_periods(cells: Cells, rows: Rows) -> Array:
+def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Array:
     """Forcing periods in which the energy of these motions falls by a factor e, without the force.
 
-    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period since
-    they were last counted, take their part of one of the 2n squares that the energy is a sum of. May be infinite.
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, take
+    their part of one of the 2n squares that the energy is a sum of. May be infinite.
     """
-    oscillators, tally = cells.oscillators, cells.batch.motions.tally[rows]
     slowest = oscillators.gap.block[rows][..., COLUMN.slow].min(axis=-1)
-    hits = (tally[:, UPPER] + tally[:, LOWER]) / np.maximum(cells.flown[rows], 1)
     freedoms = 2.0 * oscillators.gap_row.shape[1]
     rate = 2.0 * slowest * oscillators.period[rows] + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms
     return np.asarray(1.0 / rate)
+
+
+def part_to_survive(relaxation: Array) -> Array:
+    """The part of ``survival`` for which chaos of these relaxation times is watched, beside no orbit that is known."""
+    return np.clip((relaxation / LONG_MEMORY) ** 2, LEAST_PART, 1.0)
 
 
 class Course:
@@ -187,7 +192,9 @@ class Course:
         cells = self.cells
         flown = cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
-        self.memory[new] = RELAXATIONS * relaxation_periods(cells, new)
+        tally = cells.batch.motions.tally[new]
+        hits = (tally[:, UPPER] + tally[:, LOWER]) / np.maximum(cells.flown[new], 1)
+        self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits)
         most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
         self.transient[new] = np.clip(self.memory[new], LEAST_TRANSIENT, most)
         self.stretch[rows] = np.minimum(flown, np.maximum(self.transient[rows] - flown, 1))
@@ -213,8 +220,9 @@ class Course:
 
     def _required(self, rows: Rows) -> Rows:
         """Periods that chaos in these cells has to survive."""
-        all_of_it = self.settings.survival
-        return np.where(self.cells.has_rival(rows), all_of_it, all_of_it // WITHOUT_RIVAL)
+        part = part_to_survive(self.memory[rows] / RELAXATIONS)
+        part[self.cells.has_rival(rows)] = 1.0
+        return (part * self.settings.survival).astype(np.int64)
 
     def _to_watch(self, rows: Rows) -> Rows:
         """Periods for which these cells are still to be watched, so far as ``survival`` allows."""

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.adaptive import WITHOUT_RIVAL
 from workers.cells import Array, Rows, taken
 from workers.identity import DIFFERENT, distance, on_orbit
 from workers.kernel.cells import scale_at
@@ -43,6 +42,9 @@ from workers.tile import Solution
 
 STABLE = (NO_IMPACT, PERIODIC)
 STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
+
+WATCHED_AGAIN = 8
+"""What is left of a transient is watched for this part of ``survival``, each motion of it."""
 
 
 def solve_attractors(
@@ -236,7 +238,7 @@ class Coexistence:
         if each.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in tally.attractors):
             return 0
         if chance:
-            return self.settings.survival // WITHOUT_RIVAL * len(each.starts) if each.transient else 0
+            return self.settings.survival // WATCHED_AGAIN * len(each.starts) if each.transient else 0
         return self.settings.survival - each.pooled
 
     def _settle_suspects(

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,12 @@ from atlas.task.solving import solve_apart
 from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
-if TYPE_CHECKING:
-    from workers.tile import Solution
-
 CELLS = 256
 STEPS = (4, 16, 64, CELLS)
 """Cells solved in all after each step. A step begins only if it should keep the whole within BUDGET."""
 BUDGET = 2.0
 """Processor seconds."""
-LONGEST, LONGEST_WATCH = 20_000, 40_000
+LONGEST, LONGEST_WATCH = 20_000, 48_000
 """Forcing periods that a probed cell may cost, and for which it may be watched besides.
 
 Its error shows what it would cost with a larger budget; what it survived, for how long it would be watched.
@@ -35,6 +32,8 @@ STANDARD_ERRORS = 2.0
 """By so many the range extends beyond what was measured."""
 
 Array = NDArray[np.float64]
+_Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]
+"""Parameters of cells and what was found of them, as arrays (starts, cells)."""
 
 
 class _Measured(NamedTuple):
@@ -116,10 +115,10 @@ def _evenness(steps: list[_Measured]) -> float:
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
 
 
-def _measured(spec: Spec, solved: list["Solution"], seconds: float, share: float, length: int) -> _Measured:
-    arrays = {name: np.concatenate([one.arrays[name] for one in solved]) for name in solved[0].arrays}
+def _measured(spec: Spec, solved: list[_Solved], seconds: float, share: float, length: int) -> _Measured:
+    given, arrays = ({name: np.concatenate([one[k][name] for one in solved]) for name in solved[0][k]} for k in (0, 1))
     if spec.attractors is None:
-        least, most = _full_periods(arrays, spec.settings, share)
+        least, most = _full_periods(spec, given, arrays, share)
     else:
         least = most = arrays["periods_used"].astype(np.float64)
     counted = slice(None)
@@ -133,8 +132,8 @@ def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[
         yield starts[first : first + together]
 
 
-def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> "Solution":
-    """The cells from each of these starts on, as arrays (starts, length)."""
+def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> _Solved:
+    """The cells from each of these starts on."""
     from workers.continuation import solve_lines
 
     along = -1 if spec.continuation is None else spec.continuation[0]
@@ -142,22 +141,25 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
-        return solve_apart(spec, params, settings)
-    return solve_lines(spec.record, params, settings, backward=spec.continuation[1])
+        return params, solve_apart(spec, params, settings).arrays
+    return params, solve_lines(spec.record, params, settings, backward=spec.continuation[1]).arrays
 
 
-def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> tuple[Array, Array]:
+def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
     """The least and the most periods that cells solved with this share of their budget cost with all of it.
 
-    The square of a chaotic cell's error falls as one over the periods that its budget allows for. Chaos is watched for
-    all of its survival, or for a part of it, whichever it was in the probe. Of a cell that is undetermined nothing is
-    known.
+    The square of a chaotic cell's error falls as one over the periods that its budget allows for. Of a cell that is
+    undetermined nothing is known.
     """
+    settings = spec.settings
     used = arrays["periods_used"].astype(np.float64)
     if settings.method == "fixed":
         return used / share, used / share
     regime, few = arrays[REGIME.name], brief(settings)[0]
-    least = used + np.where(np.isin(regime, (CHAOTIC, APERIODIC)), _unwatched(arrays["survived"], settings, few), 0.0)
+    least = used.copy()
+    if settings.survival > few.survival:
+        watched = np.isin(regime, (CHAOTIC, APERIODIC))
+        least[watched] += _unwatched(spec, params, arrays, few.survival)[watched]
     if "error" in arrays:
         with np.errstate(over="ignore"):  # a tolerance of next to nothing
             wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
@@ -166,12 +168,20 @@ def _full_periods(arrays: dict[str, Any], settings: Settings, share: float) -> t
     return least, np.where(regime == UNDETERMINED, used / share, least)
 
 
-def _unwatched(survived: NDArray[np.int32], settings: Settings, few: Settings) -> Array:
-    """Periods of survival that cells solved with few of them have still to go."""
-    from workers.adaptive import WITHOUT_RIVAL
+def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
+    """Periods for which chaos that was watched for its part of ``few`` is still to be watched.
 
-    required = np.where(survived >= few.survival, settings.survival, settings.survival // WITHOUT_RIVAL)
-    return np.where(settings.survival > few.survival, np.maximum(required - survived, 0), 0).astype(np.float64)
+    What survived all of them may have to for a stable orbit that is known, or for its relaxation.
+    """
+    from workers.adaptive import part_to_survive, relaxation_periods
+
+    survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
+    flat = {p.name: np.resize(params.get(p.name, np.array(p.default)), hits.shape) for p in spec.record.parameters}
+    oscillators, _ = spec.record.build_many(flat)
+    with np.errstate(divide="ignore", invalid="ignore"):  # cells without an oscillator are not chaotic
+        part = part_to_survive(relaxation_periods(oscillators, np.arange(hits.size), hits)).reshape(survived.shape)
+    required = np.where(survived >= few, 1.0, part) * spec.settings.survival
+    return np.maximum(required - survived, 0.0)
 
 
 def _estimate(steps: list[_Measured], cells: int, of: int) -> Probe:

@@ -1,0 +1,60 @@
+"""How often what is called chaotic settles later, by how fast the machine forgets.
+
+Cells are drawn over all parameters. Those that come out chaotic with each ``survival`` are told apart by the forcing
+periods in which their energy relaxes; *settles* are those that a watch of so many periods, the same for all of them,
+sees settle on an orbit, or without impact, after they were called chaotic.
+
+Usage: .venv/bin/python -m scripts.bench_relaxation [--cells 16000] [--far 200000] [--survivals 0,48000]
+"""
+
+import argparse
+import multiprocessing
+from itertools import pairwise
+
+import numpy as np
+
+from scripts.bench_error_bars import drawn
+from scripts.bench_survival import FURTHER, SETTLED, followed, solved
+from workers import Settings
+from workers.results import CHAOTIC
+from workers.starts import wilson
+
+EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, np.inf)
+"""Forcing periods of relaxation between which cells are counted together."""
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cells", type=int, default=16_000)
+    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--far", type=int, default=200_000, help="periods for which all are watched")
+    parser.add_argument("--survivals", default="0,48000")
+    parser.add_argument("--tolerance", type=float, default=0.02)
+    options = parser.parse_args()
+    params = drawn(options.seed, options.cells)
+    print("| relaxation, periods | survival | chaotic | settle, % | periods a chaotic cell |")
+    print("|---|---|---|---|---|")
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        called = [
+            (survival, solved(pool, params, Settings(tolerance=options.tolerance, survival=survival))[0])
+            for survival in map(int, options.survivals.split(","))
+        ]
+        looked_chaotic = np.flatnonzero(np.any([found["regime"] == CHAOTIC for _, found in called], axis=0))
+        truth = followed(pool, {name: values[looked_chaotic] for name, values in params.items()}, options.far)
+    settles = np.isin(truth["regime"], SETTLED)
+    for low, high in pairwise(EDGES):
+        for survival, found in called:
+            used = found["periods_used"][looked_chaotic]
+            here = (truth["relaxation"] >= low) & (truth["relaxation"] < high)
+            here &= found["regime"][looked_chaotic] == CHAOTIC
+            if not here.any():
+                continue
+            wrong = int(np.sum(here & settles & (truth["periods_used"] <= used + FURTHER)))
+            least, most = wilson(wrong, int(here.sum()))
+            share = f"{100 * wrong / here.sum():.2f} ({100 * least:.1f} to {100 * most:.1f})"
+            print(f"| {low:g} to {high:g} | {survival} | {here.sum()} | {share} | {used[here].mean():.0f} |")
+
+
+if __name__ == "__main__":
+    main()
