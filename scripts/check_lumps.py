@@ -37,8 +37,8 @@ RANGES = {"omega": (0.5, 4.5), "b": (0.02, 0.8)}
 """Of the random cells."""
 SETTINGS = Settings(exponents="none")
 PERIODS, BLOCK = 16_384, 512
-LONG = Settings(exponents="none", max_periods=20_000, survival=160_000, section_samples=PERIODS)
-"""An eighth of ``survival`` is what is watched beside no orbit that is known: all of the section states."""
+LONG = Settings(exponents="none", max_periods=20_000, survival=32 * PERIODS, section_samples=PERIODS)
+"""A 32nd of ``survival`` is what chaos is watched for at least: all of the section states."""
 CLEAR, SAME = 8.0, 4.0
 
 Array = NDArray[np.float64]

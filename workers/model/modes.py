@@ -4,6 +4,7 @@ Damping is classical where the undamped modes stay modes: then they are the bloc
 state space into planes, one for each pair of eigenvalues.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -122,10 +123,15 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     idle = int(lam[0] == 0.0 and np.max(np.abs(damping[0])) <= COUPLED * size)
     inner, coupled = lam[idle:], damping[idle:, idle:]
     k = n - idle
+    unit = _time_unit(inner, coupled)
     A = np.zeros((2 * k, 2 * k))
     A[:k, k:] = np.eye(k)
-    A[k:, :k], A[k:, k:] = -np.diag(inner), -coupled
+    A[k:, :k], A[k:, k:] = -np.diag(inner) * unit**2, -coupled * unit
     eta, stiffness, planes = _planes(A)
+    condition = np.linalg.cond(planes) if np.isfinite(planes).all() else np.inf
+    eta, stiffness = eta / unit, stiffness / unit**2
+    planes[0::2, k:] *= unit  # rows of h and h', of displacements and velocities
+    planes[1::2, :k] /= unit
     to_blocks = np.zeros((2 * n, 2 * n))  # of modal displacements and velocities
     for j in range(idle):
         to_blocks[2 * j, j] = to_blocks[2 * j + 1, n + j] = 1.0
@@ -138,11 +144,16 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     found.eta[r, idle:], found.lam[r, idle:] = np.maximum(eta, 0.0), stiffness
     whole = to_blocks @ modal
     found.to_blocks[r] = whole
-    condition = np.linalg.cond(to_blocks) if np.isfinite(to_blocks).all() else np.inf
     found.inseparable[r] = not condition < 1.0 / SINGULAR
     found.unstable[r] |= bool(np.any(eta < -COUPLED * size) or np.any(stiffness < 0.0))
     if not found.inseparable[r]:
         found.to_physical[r] = np.linalg.inv(whole)
+
+
+def _time_unit(lam: Array, damping: Array) -> float:
+    """A power of two near the shortest time of these modes, so that no number of one is lost in another's rounding."""
+    fastest = max(math.sqrt(np.max(lam)), float(np.max(np.abs(damping))))
+    return math.ldexp(1.0, -math.frexp(fastest)[1])
 
 
 def _planes(A: Array) -> tuple[Array, Array, Array]:
