@@ -37,7 +37,7 @@ def test_rates_of_coupled_damping_are_as_exact_in_any_unit_of_time(unit: float) 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
 def test_blocks_of_coupled_damping_move_as_the_machine_does(unit: float) -> None:
-    """to_blocks A to_physical has the blocks [[0, 1], [-lam, -2 eta]] on its diagonal, times in units of the fastest."""
+    """to_blocks A to_physical has the blocks [[0, 1], [-lam, -2 eta]] on its diagonal, in the unit of the fastest."""
     mass, damping, stiffness = MASS, DAMPING * unit, STIFFNESS * unit**2
     found = split(mass[None], damping[None], stiffness[None])
     n = len(mass)

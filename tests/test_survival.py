@@ -161,7 +161,7 @@ def test_a_transient_of_eight_thousand_periods_is_not_called_chaos() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("index", "weakest", "strongest"), [(1, 0.018, 0.07), (3, 0.06, 0.07)])
 def test_motion_that_changes_to_a_weaker_chaos_is_averaged_anew(index: int, weakest: float, strongest: float) -> None:
-    """From a dozen starts, watched for 110,000 and 20,000 periods: nearly all have changed. Truth: another simulator's."""
+    """From a dozen starts, watched for 110,000 and 20,000 periods: most have changed. Truth: another simulator's."""
     params = params_of(TRANSIENTS[index]) | {"x1": np.linspace(-0.04, 0.04, 12)}
     found = solve_tile("two-mass", params, Settings(tolerance=0.02, survival=640_000))
     largest, error = found["largest"], found["error"]
