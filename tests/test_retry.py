@@ -249,7 +249,7 @@ def test_a_budget_or_a_survival_without_a_retry_is_refused(tmp_path: Path, optio
 
 # Survival
 
-BRIEF, LONG = 0, 8000
+BRIEF, LONG = 0, 64_000
 """Periods for which chaos is watched: not at all, and long enough to cost some."""
 
 
@@ -289,7 +289,7 @@ def test_chaotic_cells_come_out_as_in_an_atlas_with_that_survival(watched: Path,
         assert same(after[name], expected[name])[chaotic].all(), name
     np.testing.assert_array_equal(after["survival"], np.where(chaotic, LONG, BRIEF))
     still = after["regime"] == CHAOTIC
-    assert (after["survived"][still] >= LONG // 8).all()
+    assert (after["survived"][still] >= LONG // 32).all()
     assert summary.changed == (chaotic & ~still).sum()
     assert "of another regime than before" in str(summary)
 
