@@ -9,7 +9,9 @@ import pytest
 from distributed import Client
 
 import atlas
+from atlas.explore.actions import new_atlas
 from atlas.explore.attractors import Attractors, known_attractors
+from atlas.explore.chosen import beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.known import Cell
 from atlas.explore.subject import Subject, subject_of
@@ -126,3 +128,40 @@ def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finish
     assert "<td></td><td>periodic</td><td>3-2-1</td><td>−0.25</td><td>75 % (58–87)</td>" in rows[2]
     assert "<td>►</td><td>chaotic</td><td></td><td>0.5</td><td>20 % (10–40)</td>" in rows[3]
     assert all(words in text for words in ("of 32 initial states", "1 more, of smaller shares", "1 undecided", "9 %"))
+
+
+PLANE = """
+system = "two-mass"
+
+[axes.omega]
+start = 2.0
+stop = 3.0
+num = 5
+
+[axes.b]
+start = 0.1
+stop = 0.4
+num = 4
+
+[solve]
+max_periods = 1000
+survival = 0
+"""
+ALL_ATTRACTORS = """
+[attractors]
+starts = 8
+seed = 3
+keep = 2
+box = { x1 = [-0.2, 0.1] }
+"""
+
+
+@pytest.mark.parametrize("table", ["", ALL_ATTRACTORS])
+def test_the_spec_of_a_new_atlas_seeks_all_attractors_where_the_explored_one_does(tmp_path: Path, table: str) -> None:
+    path = tmp_path / "plane.toml"
+    path.write_text(PLANE + table, encoding="utf-8")
+    subject = subject_of(str(path))
+    made = new_atlas(subject, beginning(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
+    sought = atlas.Spec.from_toml(made.file).attractors
+    assert sought == atlas.Spec.from_toml(path).attractors
+    assert (sought is None) == (table == "")

@@ -17,6 +17,7 @@ from atlas.render import SCALAR, has_scale, orbit_figure, render
 from atlas.render.screen import drawing
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
+from atlas.spec.attractors import resolved_attractors
 from atlas.spec.spec import Spec
 from atlas.spec.toml_text import spec_toml
 
@@ -64,7 +65,8 @@ class NewAtlas:
 def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, folder: Path) -> NewAtlas:
     """Write the spec of a window with so many cells across into a folder, beside what is there already.
 
-    Its settings are those of the subject's spec. OSError where it cannot be written.
+    Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
+    does. OSError where it cannot be written.
     """
     shape = (x[1] - x[0], y[1] - y[0]), (chosen.x[1] - chosen.x[0], chosen.y[1] - chosen.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))
@@ -72,8 +74,10 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
         lattice.axis.name: {"start": low, "stop": high, "num": num, "scale": lattice.axis.scale}
         for lattice, (low, high), num in ((subject.x, x, cells), (subject.y, y, up))
     }
-    spec = Spec(subject.system, axes, dict(chosen.plane.parameters), subject.spec.settings)
-    text = spec_toml(subject.system, dict(chosen.plane.parameters), axes, subject.spec.settings)
+    parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
+    spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
+    attractors = None if spec.attractors is None else resolved_attractors(spec.attractors)
+    text = spec_toml(subject.system, parameters, axes, settings, attractors)
     for number in range(1, 1000):
         file = folder / f"{Path(subject.name).stem}-{number}.toml"
         try:

@@ -67,7 +67,7 @@ class Subject:
     stored     the header of the store; None where a spec is explored that has none
     ds         the plane of the store as a dataset
     layer      the number of that plane in a stack
-    starts     from which initial states all attractors of a cell are sought
+    attractors from which initial states the spec seeks all attractors of a cell; None where it does not
     every      that plane with all attractors of its cells, where the store has them; ``ds`` has the motion from each
                cell's own initial state
     """
@@ -77,8 +77,13 @@ class Subject:
     stored: Header | None = None
     ds: "xr.Dataset | None" = None
     layer: int = 0
-    starts: Starts = STARTS
+    attractors: Starts | None = None
     every: "xr.Dataset | None" = None
+
+    @property
+    def starts(self) -> Starts:
+        """From which initial states all attractors of a cell are sought."""
+        return STARTS if self.attractors is None else self.attractors
 
     @property
     def header(self) -> Header | None:
@@ -172,7 +177,7 @@ def _subject(
         raise InputError("a continued sweep cannot be explored: each cell of it depends on those before it")
     if spec.basins:
         raise InputError("explore shows one motion a cell, found basins; take [attractors] out of the spec")
-    layer, settings, starts = 0, exploring(spec.settings, tolerance), spec.attractors
+    layer, settings, attractors = 0, exploring(spec.settings, tolerance), spec.attractors
     if len(spec.axes) == MOST_AXES:
         third = spec.axes[-1]
         value = chosen.get(third.name, third.values[0])
@@ -185,7 +190,7 @@ def _subject(
         spec = Spec(spec.record, axes, spec.parameters | {third.name: value}, spec.settings)
     elif chosen:
         raise InputError(f"--select picks a plane of a stack, found a plane of {', '.join(spec.dims)}")
-    if starts is None:
+    if attractors is None:
         return Subject(spec, settings, header, ds, layer)
     alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
-    return Subject(alone, settings, header, None if ds is None else own(ds), layer, starts, ds)
+    return Subject(alone, settings, header, None if ds is None else own(ds), layer, attractors, ds)

@@ -11,7 +11,11 @@ from workers.model.system import System
 
 
 def spec_toml(
-    system: System, parameters: Mapping[str, float], axes: Mapping[str, Mapping[str, Any]], settings: Settings
+    system: System,
+    parameters: Mapping[str, float],
+    axes: Mapping[str, Mapping[str, Any]],
+    settings: Settings,
+    attractors: Mapping[str, Any] | None = None,
 ) -> str:
     """The text of a spec with these tables; what has its default is left out. ``Spec.from_toml`` reads it."""
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
@@ -21,6 +25,7 @@ def spec_toml(
         tables[f"axes.{name}"] = {key: value for key, value in axis.items() if (key, value) != ("scale", "linear")}
     solve = {field.name: (getattr(settings, field.name), field.default) for field in fields(Settings)}
     tables["solve"] = {name: value for name, (value, default) in solve.items() if value != default}
+    tables["attractors"] = attractors or {}
     text = f"system = {_value(system.name)}\n" if system.packaged else ""
     return text + "".join(_table(name, table) for name, table in tables.items() if table)
 
