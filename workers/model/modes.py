@@ -126,10 +126,10 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     unit = _time_unit(inner, coupled)
     A = np.zeros((2 * k, 2 * k))
     A[:k, k:] = np.eye(k)
-    A[k:, :k], A[k:, k:] = -np.diag(inner) * unit**2, -coupled * unit
+    A[k:, :k], A[k:, k:] = -np.diag(inner * unit * unit), -coupled * unit
     eta, stiffness, planes = _planes(A)
     condition = np.linalg.cond(planes) if np.isfinite(planes).all() else np.inf
-    eta, stiffness = eta / unit, stiffness / unit**2
+    eta, stiffness = eta / unit, stiffness / unit / unit
     planes[0::2, k:] *= unit  # rows of h and h', of displacements and velocities
     planes[1::2, :k] /= unit
     to_blocks = np.zeros((2 * n, 2 * n))  # of modal displacements and velocities
