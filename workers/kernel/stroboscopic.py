@@ -98,7 +98,7 @@ def contact_at(osc, y, v, h):
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
 
 
-@kernel_and_part
+@kernel
 def blocks_to_physical(osc, motion):
     """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there."""
     state = np.empty(2 * motion.h.shape[0])

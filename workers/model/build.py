@@ -33,6 +33,24 @@ OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", 
 """The fields of machines that those of a kind have in common."""
 
 
+class Clamped(NamedTuple):
+    """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
+    frequency: its modes and its push; the rows of the signal ``release`` and its direct part; the rest as in Held.
+    """
+
+    modes: Modes
+    push: Push
+    row: Array
+    row1: Array
+    row2: Array
+    direct: Any
+    down: Array
+    up: Array
+    into: Array
+    out: Array
+    pushes: Array
+
+
 def build_one(machine: Machines) -> Oscillator:
     """The oscillator of the only machine; InvalidError where there is a reason against it."""
     oscillators, reasons = build(machine)
@@ -51,24 +69,6 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     with np.errstate(all="ignore"):
         found = _build(Machines(*(np.ascontiguousarray(field) for field in machines)))
     return found
-
-
-class Clamped(NamedTuple):
-    """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
-    frequency: its modes and its push; the rows of the signal ``release`` and its direct part; the rest as in Held.
-    """
-
-    modes: Modes
-    push: Push
-    row: Array
-    row1: Array
-    row2: Array
-    direct: Any
-    down: Array
-    up: Array
-    into: Array
-    out: Array
-    pushes: Array
 
 
 def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
@@ -131,8 +131,9 @@ def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     fields = [getattr(machines, name) for name in OF_KIND]
     bits = np.concatenate([field.reshape(len(field), -1) for field in fields], axis=1)
     numbers: dict[bytes, int] = {}
-    kind = [numbers.setdefault(key, len(numbers)) for key in bits.view(f"V{bits[0].nbytes}")[:, 0].tolist()]
-    return np.unique(kind, return_index=True)[1], np.array(kind)
+    keys = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0].tolist()
+    kind = np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
+    return np.unique(kind, return_index=True)[1], kind
 
 
 def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clamped:
