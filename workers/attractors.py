@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.cells import Array, Rows, taken
+from workers.cells import Array, Rows
 from workers.identity import DIFFERENT, distance, on_orbit
 from workers.kernel.cells import scale_at
 from workers.known import Attractor, Known, attractor_of_orbit, mirrored
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System, find_system
 from workers.results import (
     APERIODIC,

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workers.attractors import STABLE, STATISTICAL, Coexistence
-from workers.cells import Array, taken
+from workers.cells import Array
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.motion import motions_at
 from workers.known import Attractor, Known
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System, find_system
 from workers.results import (
     BEYOND_TABLE,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.kernel.cells import mean_growth, reset_frames, restart_counts
 from workers.kernel.motion import MAX_SPEED, MIN_SPEED, TALLIES, motions_at
-from workers.model.oscillator import COLUMN, Oscillator, each
+from workers.model.oscillator import COLUMN, Oscillator, taken
 from workers.orbit.newton import no_orbits, settle_each
 from workers.settings import Settings
 from workers.stretch import batch_of, ended, run, without_frames
@@ -127,7 +127,7 @@ class Cells:
         return settled
 
     def _settle_long(self, cells: Rows, budget: NDArray[np.int64]) -> Mask:
-        motions = each(self.bare.motions, lambda field: field[cells])
+        motions = taken(self.bare.motions, cells)
         batch = batch_of(taken(self.oscillators, cells), motions, LONG_PERIOD + 1)
         batch.periods[:] = LONG_PERIOD + 1
         every, spent = np.arange(len(cells)), np.zeros(len(cells), dtype=np.int64)
@@ -185,7 +185,7 @@ class Cells:
     def whole_average(self, cells: Rows) -> Average:
         """The earlier average of these cells and the one under way as one."""
         mean, error, count = self.growth(cells)
-        e, motions = each(self.earlier, lambda field: field[cells]), self.batch.motions
+        e, motions = taken(self.earlier, cells), self.batch.motions
         under_way = (count > 0.0) & (np.isfinite(error) | (e.periods == 0.0))  # or too short to have an error
         count = np.where(under_way, count, 0.0)
         mean, error = np.where(under_way, mean, 0.0), np.where(under_way, error, 0.0)
@@ -203,12 +203,6 @@ class Cells:
             growth=growth,
             tally=tally,
         )
-
-
-def taken(oscillators: Oscillator, cells: Rows) -> Oscillator:
-    """The oscillators of these cells."""
-    found: Oscillator = each(oscillators, lambda field: field[cells])
-    return found
 
 
 def clearly_positive(mean: Array, error: Array, count: Array) -> Mask:

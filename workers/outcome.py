@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cells import Array, Cells, Mask, Rows, clearly_positive, taken
+from workers.cells import Array, Cells, Mask, Rows, clearly_positive
 from workers.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.kernel.cells import physical_states, reset_frames
 from workers.kernel.motion import (
@@ -29,7 +29,7 @@ from workers.kernel.motion import (
     WORK_OF_A_TRIAL,
     motions_at,
 )
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Oscillator, taken
 from workers.ranges import FOLLOWED, free_range, impact_range
 from workers.results import (
     APERIODIC,

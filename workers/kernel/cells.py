@@ -8,10 +8,11 @@ import math
 import numpy as np
 
 from workers.kernel.averages import COUNT, MEAN, standard_error
+from workers.kernel.coordinates import enter_blocks, leave_blocks
 from workers.kernel.jit import kernel
 from workers.kernel.motion import FREE, LOST, MIN_SPEED, STATUS, TALLIES, WORK, motion_of, oscillator_of, signal_of
 from workers.kernel.signal import derivative_bounds
-from workers.kernel.stroboscopic import blocks_to_physical, reset_frame_of, start_at
+from workers.kernel.stroboscopic import contact_at, reset_frame_of
 
 
 @kernel
@@ -38,11 +39,16 @@ def scale_at(metric, swing, h):
 @kernel
 def start_motions(oscillators, motions, states, cells):
     """Start motions at physical section states (N, 2n); the scale of each (N,)."""
+    # Taken out once: an oscillator of its own costs a reference count for each of its fields.
+    o, h, contact = oscillators, motions.h, motions.contact
+    to_blocks, response, rest, row, tau = o.to_blocks, o.forced, o.rest, o.gap_row, o.tau
+    upper, lower, metric, swing = o.upper, o.lower, o.gap.metric, o.swing
     scales = np.zeros(len(states))
     for r in cells:
-        osc = oscillator_of(oscillators, r)
-        motions.contact[r, 0] = start_at(osc, states[r], motions.h[r])
-        scales[r] = scale_of(osc, motions.h[r])
+        y, v = enter_blocks(to_blocks[r], response[r], rest[r], row[r], tau[r], states[r], h[r])
+        inside = lower[r] < y < upper[r]
+        contact[r, 0] = FREE if inside else contact_at(oscillator_of(oscillators, r), y, v, h[r])
+        scales[r] = scale_at(metric[r], swing[r], h[r])
     return scales
 
 
@@ -87,12 +93,15 @@ def reset_frames(metric, motions, cells):
 @kernel
 def physical_states(oscillators, motions, cells):
     """Physical section states of these cells."""
-    states = np.empty((len(cells), 2 * motions.h.shape[1]))
+    o, h, contact = oscillators, motions.h, motions.contact
+    to_physical, response, rest, row, tau = o.to_physical, o.forced, o.rest, o.gap_row, o.tau
+    upper, lower = o.upper, o.lower
+    states = np.empty((len(cells), 2 * h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        state = blocks_to_physical(oscillator_of(oscillators, r), motion_of(motions, r))
-        for k in range(len(state)):
-            states[e, k] = state[k]
+        leave_blocks(
+            to_physical[r], response[r], rest[r], row[r], tau[r], upper[r], lower[r], h[r], contact[r, 0], states[e]
+        )
     return states
 
 

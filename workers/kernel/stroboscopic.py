@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.coordinates import enter_blocks, leave_blocks
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, crossing
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.frame import graded_flow, orthonormalise
@@ -16,7 +17,6 @@ from workers.kernel.impact import (
     REBOUND,
     REST,
     add_column,
-    forced_state,
     is_rebound,
     load_at_rest,
     load_on_stop,
@@ -78,61 +78,34 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     return motion_at(h, start_at(osc, np.asarray(state, dtype=np.float64), h), vectors, record)
 
 
-@kernel_and_part
+@kernel
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
-    to_blocks, response, rest, row, n = osc.to_blocks, osc.forced, osc.rest, osc.gap_row, h.shape[0]
-    y, v = 0.0, 0.0
-    for j in range(n):
-        for k in range(2):
-            full = 0.0
-            for i in range(2 * n):
-                full += to_blocks[2 * j + k, i] * state[i]
-            h[j, k] = full - forced_state(response, osc.tau, j, k) - rest[j, k]
-        y += row[j] * state[j]
-        v += row[j] * state[n + j]
+    y, v = enter_blocks(osc.to_blocks, osc.forced, osc.rest, osc.gap_row, osc.tau, state, h)
+    return contact_at(osc, y, v, h)
+
+
+@kernel
+def contact_at(osc, y, v, h):
+    """The contact of a state at a section whose gap coordinate is y and moves at v; h (n, 2) are its blocks."""
     if y > osc.upper or y < osc.lower:
         return BEYOND
     if v != 0.0 or osc.lower < y < osc.upper:
         return FREE
     side = 1 if y == osc.upper else -1
-    u = np.zeros((n - 1, 2))
+    u = np.zeros((h.shape[0] - 1, 2))
     to_held(osc, h, osc.tau, side, u)
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
 
 
-@kernel_and_part
+@kernel
 def blocks_to_physical(osc, motion):
-    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there.
-
-    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
-    """
-    to_physical, response, rest, row, h = osc.to_physical, osc.forced, osc.rest, osc.gap_row, motion.h
-    n = h.shape[0]
-    state, terms = np.zeros(2 * n), np.zeros(n)
-    for j in range(n):
-        for k in range(2):
-            full = h[j, k] + forced_state(response, osc.tau, j, k) + rest[j, k]
-            for i in range(2 * n):
-                state[i] += to_physical[i, 2 * j + k] * full
-            for i in range(n):
-                terms[i] += abs(to_physical[i, 2 * j + k]) * (abs(full) + abs(h[j, k]))
-    y, v, size, square = 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
-        y += row[i] * state[i]
-        v += row[i] * state[n + i]
-        size += abs(row[i]) * terms[i]
-        square += row[i] * row[i]
-    contact = motion.contact[0]
-    stop = min(max(y, osc.lower), osc.upper)
-    if abs(y - stop) > 1e-12 * size:
-        stop = y
-    if contact != FREE:
-        stop = osc.upper if contact > 0 else osc.lower
-    for i in range(n):
-        state[i] += row[i] / square * (stop - y)
-        if contact != FREE:
-            state[n + i] -= row[i] / square * v
+    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there."""
+    state = np.empty(2 * motion.h.shape[0])
+    leave_blocks(
+        osc.to_physical, osc.forced, osc.rest, osc.gap_row, osc.tau, osc.upper, osc.lower, motion.h, motion.contact[0],
+        state,
+    )  # fmt: skip
     return state
 
 

@@ -3,12 +3,15 @@
 What one oscillator is made of does not depend on the others, to the bit.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import (
-    Driven,
     Frame,
+    Push,
+    centred,
     complex_force,
     derivative,
     dot,
@@ -23,8 +26,29 @@ from workers.model.free import (
     times,
 )
 from workers.model.modes import Modes, split, stacked
-from workers.model.oscillator import Array, Held, Machines, Oscillator, each, one_of
+from workers.model.oscillator import Array, Held, Machines, Oscillator, each, one_of, taken
 from workers.results import COUPLED_DAMPING, NO_REASON, OUT_OF_DOUBLES, RESONANCE, RIGID_MODE, UNSTABLE, InvalidError
+
+OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
+"""The fields of machines that those of a kind have in common."""
+
+
+class Clamped(NamedTuple):
+    """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
+    frequency: its modes and its push; the rows of the signal ``release`` and its direct part; the rest as in Held.
+    """
+
+    modes: Modes
+    push: Push
+    row: Array
+    row1: Array
+    row2: Array
+    direct: Any
+    down: Array
+    up: Array
+    into: Array
+    out: Array
+    pushes: Array
 
 
 def build_one(machine: Machines) -> Oscillator:
@@ -48,13 +72,18 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
 
 
 def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
-    frame = frame_of(machines.mass, machines.damping, machines.stiffness, machines.gap_row)
-    push = push_of(frame.modes, frame.flexibility, complex_force(machines), machines.load)
+    first, kind = _kinds(machines)
+    few = taken(machines, first)
+    force = complex_force(few)
+    frame = frame_of(few.mass, few.damping, few.stiffness, few.gap_row)
+    push = push_of(frame.modes, frame.flexibility, force, few.load)
+    clamped = _clamped(few, force, frame, centred(push, frame, few.upper, few.lower)[0])
+    even = np.any(force[:, 1::2] != 0.0, axis=(1, 2))[kind]
+    frame, push, clamped = taken(frame, kind), taken(push, kind), taken(clamped, kind)
     free = free_motion(frame, push, machines.omega, machines.upper, machines.lower)
     modes, kick, driven, gap = frame.modes, frame.kick, free.driven, free.gap
-    held, held_lost, held_resonant = _held(machines, driven, frame)
+    held, held_resonant = _held(clamped, machines.omega)
     R, upper, lower = machines.R, machines.upper, machines.lower
-    even = np.any(complex_force(machines)[:, 1::2] != 0.0, axis=(1, 2))
     oscillators = Oscillator(
         gap=gap,
         kick=kick,
@@ -84,53 +113,84 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     reasons[~finite(near) | np.isnan(upper) | np.isnan(lower)] = OUT_OF_DOUBLES
     of_rest = {
         RESONANCE: held_resonant,
-        COUPLED_DAMPING: held_lost.inseparable,
-        RIGID_MODE: held_lost.rigid > 0,
-        UNSTABLE: held_lost.unstable,
+        COUPLED_DAMPING: clamped.modes.inseparable,
+        RIGID_MODE: clamped.modes.rigid > 0,
+        UNSTABLE: clamped.modes.unstable,
     }
     for reason, holds in faults_of(free):
         reasons[holds | of_rest.get(reason, False)] = reason
     return each(oscillators, lambda field: np.array(field, order="C")), reasons
 
 
-def _held(machines: Machines, free: Driven, frame: Frame) -> tuple[Held, Modes, NDArray[np.bool_]]:
-    """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row; its modes; resonance."""
-    mass, damping, stiffness, gap_row, load, omega = (
-        machines.mass, machines.damping, machines.stiffness, machines.gap_row, machines.load, machines.omega
+def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The first machine of each kind, and of which kind each machine is.
+
+    Machines of a kind differ at most in forcing frequency, phase and restitution: a plane has few kinds as a rule, and
+    what is made of matrices is made once for each of them.
+    """
+    fields = [getattr(machines, name) for name in OF_KIND]
+    bits = np.concatenate([field.reshape(len(field), -1) for field in fields], axis=1)
+    numbers: dict[bytes, int] = {}
+    keys = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0].tolist()
+    kind = np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
+    return np.unique(kind, return_index=True)[1], kind
+
+
+def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clamped:
+    """What holds y of these machines, whose force, frame and push these are; see Clamped."""
+    mass, damping, stiffness, gap_row, load = (
+        machines.mass, machines.damping, machines.stiffness, machines.gap_row, machines.load
     )  # fmt: skip
     N, n = gap_row.shape
-    force, accelerance = complex_force(machines), frame.accelerance
+    accelerance, free = frame.accelerance, frame.modes
     d = accelerance / frame.softness[:, None]
     null = _null_space(gap_row)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     inner = across @ mass @ null
     modes = split(inner, across @ damping @ null, across @ stiffness @ null)
     flexibility = stacked(np.linalg.inv, inner.shape, inner)
-    held = drive(modes, push_of(modes, flexibility, force @ null, np.zeros((N, n - 1))), omega)
     # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
     spread, gather = np.zeros((N, 2 * n, 2 * n - 2)), np.zeros((N, 2 * n - 2, 2 * n))
     spread[:, :n, : n - 1] = spread[:, n:, n - 1 :] = null
     gather[:, : n - 1, :n] = gather[:, n - 1 :, n:] = flexibility @ across @ mass
-    down = modes.to_blocks @ gather @ free.modes.to_physical
-    up = free.modes.to_blocks @ spread @ modes.to_physical
+    down = modes.to_blocks @ gather @ free.to_physical
+    up = free.to_blocks @ spread @ modes.to_physical
     pulls, drags = times(accelerance, stiffness), times(accelerance, damping)
     rows = times(-np.concatenate([times(pulls, null), times(drags, null)], axis=1), modes.to_physical)
-    into, out, push = np.zeros((N, 2, n - 1, 2)), np.zeros((N, 2, n, 2)), np.zeros((N, 2))
-    into_rest = (down @ free.rest.reshape(N, 2 * n, 1))[..., 0].reshape(N, n - 1, 2)
+    into, out, pushes = np.zeros((N, 2, n - 1, 2)), np.zeros((N, 2, n, 2)), np.zeros((N, 2))
+    into_rest = (down @ push.rest.reshape(N, 2 * n, 1))[..., 0].reshape(N, n - 1, 2)
     for side, position in enumerate((machines.upper, machines.lower)):
         y = np.where(np.isfinite(position), position, 0.0)[:, None]
         pull = load - times(d, stiffness) * y  # K is symmetric
         q = stacked(np.linalg.solve, (N, n - 1, 1), across @ stiffness @ null, (across @ pull[..., None]))[..., 0]
         at_rest = (modes.to_blocks[:, :, : n - 1] @ q[..., None])[..., 0].reshape(N, n - 1, 2)
-        lifted = (free.modes.to_blocks[:, :, :n] @ (d * y)[..., None])[..., 0].reshape(N, n, 2)
+        lifted = (free.to_blocks[:, :, :n] @ (d * y)[..., None])[..., 0].reshape(N, n, 2)
         into[:, side] = into_rest - at_rest
-        out[:, side] = (up @ at_rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - free.rest
-        push[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
+        out[:, side] = (up @ at_rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - push.rest
+        pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
     row = rows.reshape(N, n - 1, 2)
     row1 = derivative(row, modes)
-    direct = (force @ accelerance[..., None])[..., 0]
-    release = signal_of(held, (row, row1, derivative(row1, modes)), direct, omega)
-    return Held(down, up, into, out, held.forced, release, push), modes, held.resonant
+    return Clamped(
+        modes=modes,
+        push=push_of(modes, flexibility, force @ null, np.zeros((N, n - 1))),
+        row=row,
+        row1=row1,
+        row2=derivative(row1, modes),
+        direct=(force @ accelerance[..., None])[..., 0],
+        down=down,
+        up=up,
+        into=into,
+        out=out,
+        pushes=pushes,
+    )
+
+
+def _held(clamped: Clamped, omega: Array) -> tuple[Held, NDArray[np.bool_]]:
+    """The motion with y fixed at forcing frequencies (N,); resonance."""
+    driven = drive(clamped.modes, clamped.push, omega)
+    release = signal_of(driven, (clamped.row, clamped.row1, clamped.row2), clamped.direct, omega)
+    held = Held(clamped.down, clamped.up, clamped.into, clamped.out, driven.forced, release, clamped.pushes)
+    return held, driven.resonant
 
 
 def _null_space(row: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.expression import Expression
+from workers.model.free import finite
 from workers.model.oscillator import Machines
 from workers.model.parameter import OMEGA, TAU
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -150,14 +151,15 @@ def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArra
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
     for name in {"mass", "damping", "stiffness"}.intersection(of):
         matrix = getattr(machines, name)
-        reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
+        if np.any(skew := matrix != matrix.swapaxes(1, 2)):
+            reasons[skew.any(axis=(1, 2))] = NO_OSCILLATOR
     if not {"lower", "upper", "R"}.isdisjoint(of):
         ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
         reasons[~ranges] = OUT_OF_RANGE
     for name in of:
         field = getattr(machines, name)
-        known = ~np.isnan(field) if name in ("upper", "lower") else np.isfinite(field)  # a stop may be infinitely far
-        reasons[~known.all(axis=tuple(range(1, field.ndim)))] = OUT_OF_DOUBLES
+        known = ~np.isnan(field) if name in ("upper", "lower") else finite((field,))  # a stop may be infinitely far
+        reasons[~known] = OUT_OF_DOUBLES
     return reasons
 
 

@@ -186,6 +186,11 @@ def each(record: Any, act: Callable[[Any], Any]) -> Any:
     return type(record)(*done)
 
 
+def taken(record: Any, rows: NDArray[np.int64]) -> Any:
+    """These rows of a record of many, in their order."""
+    return each(record, lambda field: np.take(field, rows, axis=0))
+
+
 def one_of(oscillators: Oscillator, k: int) -> Oscillator:
     """Oscillator k of many."""
     found: Oscillator = each(oscillators, lambda field: field[k].copy() if field.ndim > 1 else float(field[k]))

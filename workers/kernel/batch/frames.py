@@ -30,7 +30,7 @@ from workers.kernel.elementary import log
 from workers.kernel.flight import TINY
 from workers.kernel.fma import fma
 from workers.kernel.frame import graded_flow, orthonormalise
-from workers.kernel.jit import inlined, kernel
+from workers.kernel.jit import inlined, kernel, piece
 from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
 
 Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ def at(j, field, i):
     return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
 
 
-@kernel
+@piece
 def workspace(m, n):
     """A workspace for m vectors of n blocks."""
     size = 2 * padded_blocks(n) * STRIDE
@@ -194,7 +194,7 @@ def spread_pass(a, limit, n):
     return count
 
 
-@kernel
+@piece
 def orthonormalise_due(a, count, frames, growths, space, blocks):
     """frame.orthonormalise of the frames of the first ``count`` of space.lanes."""
     U, growing, metric, rank, lanes, partial = space
@@ -267,19 +267,21 @@ def transfer_pass(a, u, partial, n):
             kick_block(a, u, j + 1, i, partial[first], partial[second])
 
 
-@kernel
+@piece
 def fly_frame_far(a, i, blocks, frames, growths):
     """As transfer_pass for the flight of lane i, which spreads its frame far; blocks: see Batch."""
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
-    V, growth, no_triangle = np.empty((m, n, 2)), np.empty(m), np.zeros((0, 0))
+    V, growth, metric, no_triangle = np.empty((m, n, 2)), np.empty(m), np.empty(n), np.zeros((0, 0))
+    for j in range(n):
+        metric[j] = constants[j, COLUMN.metric]
     take_frame(frames, growths, i, V, growth)
     graded_flow(constants, a[LANE.flown + i], V, growth, no_triangle, rank)
-    orthonormalise(constants[:, COLUMN.metric], V, growth, no_triangle, rank)
+    orthonormalise(metric, V, growth, no_triangle, rank)
     give_frame(V, growth, frames, growths, i)
 
 
-@kernel
+@piece
 def move_frames(a, n, blocks, frames, growths, space):
     """Take the tangent vectors of all lanes through the flights and impacts just ended, as stroboscopic.propagate does.
 

@@ -20,7 +20,7 @@ from workers.kernel.batch.signal import (
 )
 from workers.kernel.flight import REFRESH, TINY
 from workers.kernel.impact import is_rebound, load_at_rest
-from workers.kernel.jit import kernel
+from workers.kernel.jit import kernel, piece
 
 RENEWAL = float(REFRESH)
 
@@ -92,7 +92,7 @@ def arrival_pass(a, n):
     return stopping, renewing
 
 
-@kernel
+@piece
 def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
     """One round of the first n lanes, a multiple of VECTOR_WIDTH; so many harmonics besides the first.
 

@@ -27,7 +27,7 @@ from workers.kernel.batch.rounds import take_round
 from workers.kernel.batch.search import list_lanes, padded
 from workers.kernel.batch.signal import fields_of_harmonic
 from workers.kernel.frame import log_length
-from workers.kernel.jit import inlined, kernel
+from workers.kernel.jit import inlined, kernel, piece
 from workers.kernel.motion import (
     EVALUATIONS,
     FREE,
@@ -91,7 +91,7 @@ def constants(oscillators: Oscillator) -> tuple[Array, Array, Array]:
     return np.stack(head, axis=-1), np.concatenate(blocks, axis=-1), harmonics
 
 
-@kernel
+@piece
 def load(a, i, r, head, blocks, harmonics, h, tally):
     """Put the state of cell r into lane i, at its section."""
     for f in range(LANE_CONSTANTS):
@@ -177,21 +177,20 @@ def park(a, i):
     a[LANE.upper + i], a[LANE.lower + i], a[LANE.period + i] = 1.0, -1.0, 1.0
 
 
-@kernel
-def over(batch, r):
+@inlined
+def over(r, done, periods, tally):
     """Whether nothing is left to do for cell r: it is through, or its motion ends, or its work is spent."""
-    tally = batch.motions.tally
-    return batch.done[r] >= batch.periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
+    return done[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
 
 
-@kernel
+@piece
 def go_alone(batch, r):
     """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
     motion = motion_of(batch.motions, r)
     osc = oscillator_of(batch.oscillators, r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.metric, motion.V, motion.growth) if vectors else 0.0
-    while not over(batch, r):
+    while not over(r, batch.done, batch.periods, batch.motions.tally):
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             return
@@ -229,19 +228,25 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
     gathered, chosen = np.zeros(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
     space = workspace(m, n)
+    left = np.zeros(LANES, dtype=np.uint32)  # the cells that have left their lanes
     for i in range(LANES):
         park(a, i)
-    active = queued = np.int64(0)  # no literal, or Numba compiles for it what is called with it
-    begun, renewing = False, 0
+    active = queued = leaving = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    begun, ending, renewing = False, False, 0
     while True:
-        while active < lanes and queued < len(cells):
-            r = cells[queued]
-            queued += 1
-            if done[r] == 0:
-                weighted[r, 0] = weighted[r, 1] = 0.0
-            if contact[r, 0] != FREE:
+        while leaving > 0 or (active < lanes and queued < len(cells)):
+            if leaving > 0:
+                leaving -= 1
+                r, alone = np.int64(left[leaving]), True
+            else:
+                r = cells[queued]
+                queued += 1
+                alone = contact[r, 0] != FREE
+                if done[r] == 0:
+                    weighted[r, 0] = weighted[r, 1] = 0.0
+            if alone:
                 go_alone(batch, r)
-            if not over(batch, r):
+            if not (ending or over(r, done, periods, tally)):
                 load(a, active, r, head, blocks, harmonics, h, tally)
                 give_frame(V[r], growth[r], frames, growths, active)
                 begun = True
@@ -268,13 +273,11 @@ def run_batch(batch, cells, enough, lanes, oscillates):
         count = list_lanes(a, LANE.stops, active, chosen)
         for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
             i = chosen[e]
-            r = int(a[LANE.cell + i])
-            if a[LANE.event + i] == LEFT:
-                go_alone(batch, r)
-                if not over(batch, r):
-                    load(a, i, r, head, blocks, harmonics, h, tally)
-                    give_frame(V[r], growth[r], frames, growths, i)
-                    begun = True
+            r = np.int64(a[LANE.cell + i])
+            leaves = a[LANE.event + i] == LEFT
+            if leaves:
+                left[leaving] = r
+                leaving += 1
             else:
                 k = done[r]
                 if m > 0:
@@ -283,7 +286,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
                 save(a, i, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
-            if ending or done[r] == periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0:
+            if leaves or ending or over(r, done, periods, tally):
                 active -= 1
                 move_lane(a, active, i)
                 park(a, active)

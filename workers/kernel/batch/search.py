@@ -8,7 +8,7 @@ import numpy as np
 
 from workers.kernel.batch.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
 from workers.kernel.flight import GAP_ROUNDING, LEAST_STEP, arrival, bracket, close_in, curvature, meets
-from workers.kernel.jit import inlined, kernel
+from workers.kernel.jit import inlined, kernel, piece
 
 LONGEST_MARCH = 64
 """Steps of one flight after which a lane is left to the kernels of one cell."""
@@ -77,7 +77,7 @@ def list_lanes(a, field, n, chosen):
     return count
 
 
-@kernel
+@piece
 def gather(a, chosen, count, c):
     """The gaps of lanes chosen[:count] to the stop on their side, as GapFields in c; how far loops over them run."""
     for e in range(count):
@@ -122,14 +122,14 @@ def close_in_pass(c, n):
         c[GAP.low + e] = close_in(c[GAP.low + e], c[GAP.high + e], g, v, push, jerk, M2_, M3_, M4_, TRIALS)
 
 
-@kernel
+@piece
 def scatter(a, chosen, count, c):
     """Take the times found as the lanes' steps."""
     for e in range(count):
         a[LANE.step + chosen[e]] = c[GAP.low + e]
 
 
-@kernel
+@piece
 def safe_steps(a, n, chosen, c):
     """A step that is safe from both stops, for every lane that is not certain to meet one."""
     approach_pass(a, n)
