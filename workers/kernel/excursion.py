@@ -131,9 +131,7 @@ def excursion(osc, start, contact, periods, allowance):
             if side == 0:
                 flow(gap.block, s, h)
                 break
-            y, v, a, scale = arrival_of(
-                gap.block, gap.row, gap.row1, gap.sin_part, gap.cos_part, gap.omega, h, s, phase, side
-            )
+            y, v, a, scale = arrival_of(gap, h, s, phase, side)
             flow(gap.block, s, h)
             t += s
             phase += gap.omega * s

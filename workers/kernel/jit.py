@@ -73,7 +73,7 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], *, both: bool = False, **how: Any) -> None:
         self.py_func = function
-        self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
+        self.alone = njit(cache=CACHE is not None, no_cfunc_wrapper=True, **_HOW, **how)(function)
         self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **how)(function)
         update_wrapper(self, function)
 
