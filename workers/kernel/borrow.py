@@ -1,7 +1,8 @@
 """Arrays that count no references, for as long as someone else keeps their memory.
 
 A kernel counts every array that it is given, or takes out of a record, up and down again, in several nanoseconds each:
-for the dozens that make one cell as long as its flights take. Who calls it keeps them all the while.
+for the dozens that make one cell as long as its flights take. Who calls it keeps them all the while. The compiler sees
+that nothing is to be counted only in the kernel that borrows: so each of the hot ones does, even what is lent already.
 """
 
 from typing import Any, TypeVar

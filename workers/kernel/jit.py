@@ -59,9 +59,9 @@ def _prepare_cache() -> Path | None:
 CACHE = _prepare_cache()
 """The folder of the compiled kernels of these sources; None where there is none."""
 
-_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True}
 
 
 class Kernel:
@@ -73,7 +73,7 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], *, both: bool = False, **how: Any) -> None:
         self.py_func = function
-        self.alone = njit(cache=CACHE is not None, no_cfunc_wrapper=True, **_HOW, **how)(function)
+        self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
         self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **how)(function)
         update_wrapper(self, function)
 

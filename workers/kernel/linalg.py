@@ -36,7 +36,7 @@ def solution(matrix, right):
     return right
 
 
-@kernel
+@piece
 def balance(A):
     """Scale the coordinates until rows and columns of A are of like size: a similarity, in place."""
     size = len(A)
@@ -58,7 +58,7 @@ def balance(A):
             return
 
 
-@kernel
+@piece
 def to_hessenberg(A):
     """Bring A to zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
     size = len(A)
@@ -81,7 +81,7 @@ def to_hessenberg(A):
                 A[c, m] += factor * A[c, i]
 
 
-@kernel
+@piece
 def near_eigenvalue(a, b, c, d):
     """The eigenvalue of [[a, b], [c, d]] that is nearer to d."""
     half = times(0.5, a - d)
@@ -113,7 +113,7 @@ def couples(below, before, here):
     return abs(below) > EPS * (abs(before) + abs(here))
 
 
-@kernel
+@piece
 def rotate_once(H, cosines, sines, start, end, shift):
     """One step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix.
 
@@ -181,7 +181,7 @@ def moduli(matrix):
     return found
 
 
-@kernel
+@piece
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
     return highest(moduli(matrix), 0, len(matrix))

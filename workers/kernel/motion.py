@@ -64,7 +64,7 @@ def signal_of(signals, r):
 
 @kernel
 def oscillator_of(oscillators, r):
-    """Oscillator r of many."""
+    """Oscillator r of many, borrowed from them."""
     o, held = oscillators, oscillators.held
     return borrowed(Oscillator(
         signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.swing[r], o.rest[r],
@@ -79,7 +79,7 @@ def oscillator_of(oscillators, r):
 
 @kernel
 def motion_of(motions, r):
-    """Motion r of many."""
+    """Motion r of many, borrowed from them."""
     m = motions
     return borrowed(
         Motion(m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.scratch[r])

@@ -150,7 +150,7 @@ def spread_rate(block):
     return rate
 
 
-@kernel
+@piece
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
@@ -159,7 +159,7 @@ def fly_far(osc, motion, s):
     reset_frame(osc, motion)
 
 
-@kernel
+@piece
 def reset_frame(osc, motion):
     """Make the frame orthonormal and count its growth."""
     reset_frame_of(osc.gap.metric, motion)
@@ -203,7 +203,7 @@ def arrival_of(gap, h, s, phase, side):
     return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
 
 
-@kernel
+@piece
 def come_to_rest(osc, motion, v):
     """The end of chatter that an impact at velocity v begins."""
     h, V, tally = motion.h, motion.V, motion.tally
@@ -239,7 +239,7 @@ def spend(tally, evaluations):
         tally[STATUS] = OUT_OF_WORK
 
 
-@kernel
+@piece
 def leave_stop(osc, motion, phase, contact, remaining):
     """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
     h, V, tally = motion.h, motion.V, motion.tally
