@@ -5,6 +5,7 @@ y' is a signal like y, so that the certified search for the next crossing finds 
 
 import numpy as np
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
 from workers.kernel.flow import flow
 from workers.kernel.impact import LEAVE, REST, kick, outcome, shift, stay_on_stop, stop_position
@@ -43,7 +44,7 @@ def velocity_of(gap):
     ), offset  # fmt: skip
 
 
-@kernel
+@piece
 def turning_points(gap, velocity, offset, h, phase, duration, own, kind, low, high, scratch):
     """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state h (n, 2).
 
@@ -77,7 +78,7 @@ def turning_points(gap, velocity, offset, h, phase, duration, own, kind, low, hi
         zero, zero_kind = np.int64(side), ON_STOP_MOVING
 
 
-@kernel
+@piece
 def excursion(osc, start, contact, periods, allowance):
     """The least and the greatest y - y0 of a motion from block state ``start`` (n, 2) over so many periods.
 
@@ -131,9 +132,7 @@ def excursion(osc, start, contact, periods, allowance):
             if side == 0:
                 flow(gap.block, s, h)
                 break
-            y, v, a, scale = arrival_of(
-                gap.block, gap.row, gap.row1, gap.sin_part, gap.cos_part, gap.omega, h, s, phase, side
-            )
+            y, v, a, scale = arrival_of(gap, h, s, phase, side)
             flow(gap.block, s, h)
             t += s
             phase += gap.omega * s
@@ -156,6 +155,6 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
     many periods (N,) and for so many evaluations (N,) at most; NaN of the others."""
     found = np.full((len(periods), 2), np.nan)
     for r in cells:
-        low, high = excursion(oscillator_of(oscillators, r), h[r], contact[r, 0], periods[r], allowance[r])
+        low, high = excursion(borrowed(oscillator_of(oscillators, r)), h[r], contact[r, 0], periods[r], allowance[r])
         found[r, 0], found[r, 1] = low, high
     return found

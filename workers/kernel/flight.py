@@ -9,10 +9,11 @@ import math
 
 import numpy as np
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.flow import flow
 from workers.kernel.fma import fma
-from workers.kernel.jit import inlined, kernel
-from workers.kernel.signal import bounded, evaluated
+from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.signal import bounded, evaluate
 
 GAP_ROUNDING = 4e-16
 """Gap below which the mass is at the stop, in units of the terms that add up to y."""
@@ -130,7 +131,7 @@ def meets(g, v, a, j3, M3, M4, tol, H):
     return s if s <= H else np.inf
 
 
-@kernel
+@piece
 def _first_step(kind, side, a, j3, M3, M4):
     """A time for which a start at rest on stop ``side`` certainly leaves it: 3|a|/M3, after a release 4|j|/M4.
 
@@ -152,24 +153,15 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
     2 where the march needed more than MAX_EVALUATIONS.
     """
-    return crossing(
-        signal.block, signal.row, signal.row1, signal.sin_part, signal.cos_part, signal.omega, signal.amplitude,
-        signal.swing, h, phase, offset, upper, lower, own, kind, H, scratch,
-    )  # fmt: skip
-
-
-@kernel
-def crossing(
-    block, row, row1, sin_part, cos_part, omega, amplitude, swing, h, phase, offset, upper, lower, own, kind, H, scratch
-):
-    """next_crossing for the arrays of a signal; see evaluated."""
-    M0, M2, M3, M4 = bounded(block, row, row1, amplitude, swing, h)
+    signal, h, scratch = borrowed(signal), borrowed(h), borrowed(scratch)
+    block, row, row1 = signal.block, signal.row, signal.row1
+    M0, M2, M3, M4 = bounded(block, row, row1, signal.amplitude, signal.swing, h)
     s = 0.0
     for count in range(1, MAX_EVALUATIONS + 1):
         reach = M0 * (1.0 + 1e-12)
         if offset + reach < upper and offset - reach > lower:
             return H, 0, count - 1
-        y, v, a, j3, scale = evaluated(block, row, row1, sin_part, cos_part, omega, h, s, phase, offset)
+        y, v, a, j3, scale = evaluate(signal, h, s, phase, offset)
         step = H - s
         ahead = 1 if v > 0.0 else -1
         for side in (ahead, -ahead):
@@ -196,5 +188,5 @@ def crossing(
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]
             flow(block, s, scratch)
-            M0, M2, M3, M4 = bounded(block, row, row1, amplitude, swing, scratch)
+            M0, M2, M3, M4 = bounded(block, row, row1, signal.amplitude, signal.swing, scratch)
     return s, 2, MAX_EVALUATIONS

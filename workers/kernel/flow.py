@@ -1,5 +1,6 @@
 """Free flight of the blocks: h'' + 2 eta h' + lam h = load in closed form, underdamped, overdamped and rigid."""
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
 from workers.kernel.fma import fma
 from workers.kernel.jit import inlined, kernel
@@ -80,6 +81,7 @@ def fall(s, eta):
 @kernel
 def flow(block, s, h):
     """Move the block state h (n, 2) on by s, in place."""
+    block, h = borrowed(block), borrowed(h)
     for j in range(len(block)):
         flow_block(block[j], s, h[j])
 
@@ -98,6 +100,7 @@ def flow_block(block, s, h):
 @kernel
 def flow_with_tangent(block, s, h, V):
     """Move the block state h (n, 2) and the tangent vectors V (m, n, 2) on by s, in place."""
+    block, h, V = borrowed(block), borrowed(h), borrowed(V)
     for j in range(len(block)):
         f11, f12, f21, f22 = flow_block(block[j], s, h[j])
         for i in range(V.shape[0]):

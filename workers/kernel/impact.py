@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.flight import next_crossing
 from workers.kernel.flow import dot, dot_vector, flow, flow_with_tangent
 from workers.kernel.frame import graded_flow
@@ -42,6 +43,7 @@ def outcome(osc, h, side, v, a, scale, remaining):
     t* M3 + 2 |cA^2k| |v| <= 1e-4 |a0| with t* inside the ``remaining`` time, or if the hop is below
     rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
     """
+    osc = borrowed(osc)
     load = load_at_rest(side, v, a, osc.cA2k)
     if is_rebound(load, v, osc.R, osc.cA2k, scale, remaining):
         return REBOUND
@@ -75,7 +77,7 @@ def shift(osc, h, dy):
     add_column(h, dy, osc.kick1)
 
 
-@kernel
+@piece
 def saltation(row, row1, kick, kick1, R, V, ratio):
     """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
 
@@ -92,7 +94,7 @@ def saltation(row, row1, kick, kick1, R, V, ratio):
             V[i, j, 1] += along_k * kick[j, 1] + along_Ak * kick1[j, 1]
 
 
-@kernel
+@piece
 def rest_projection(osc, V):
     """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
 
@@ -147,13 +149,13 @@ def changed_blocks(matrix, shift, given, given_response, phase, found, found_res
                     found[i, k] += matrix[2 * i + k, 2 * j + c] * full
 
 
-@kernel
+@piece
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
     changed_blocks(osc.held.down, osc.held.into[which(side)], h, osc.forced, phase, u, osc.held.forced)
 
 
-@kernel
+@piece
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
     changed_blocks(osc.held.up, osc.held.out[which(side)], u, osc.held.forced, phase, h, osc.forced)
@@ -171,7 +173,7 @@ def transformed(matrix, V, U):
                 U[m, i, k] = total
 
 
-@kernel
+@piece
 def load_on_stop(osc, u, phase, side):
     """side * a: the free acceleration that presses the mass on the stop while it rests there."""
     release = osc.held.release
@@ -185,6 +187,7 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
 
     Returns (time, released, evaluations); released is 2 where the march gave up.
     """
+    osc, h, V = borrowed(osc), borrowed(h), borrowed(V)
     n = len(osc.held.release.lam)
     u, scratch = np.empty((n, 2)), np.empty((n, 2))
     U = np.empty((V.shape[0], n, 2))

@@ -59,9 +59,9 @@ def _prepare_cache() -> Path | None:
 CACHE = _prepare_cache()
 """The folder of the compiled kernels of these sources; None where there is none."""
 
-_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True}
 
 
 class Kernel:

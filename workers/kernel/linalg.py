@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inlined, kernel, piece
 
 EPS = float(np.finfo(np.float64).eps)
 
@@ -36,7 +36,7 @@ def solution(matrix, right):
     return right
 
 
-@kernel
+@piece
 def balance(A):
     """Scale the coordinates until rows and columns of A are of like size: a similarity, in place."""
     size = len(A)
@@ -58,7 +58,7 @@ def balance(A):
             return
 
 
-@kernel
+@piece
 def to_hessenberg(A):
     """Bring A to zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
     size = len(A)
@@ -81,10 +81,10 @@ def to_hessenberg(A):
                 A[c, m] += factor * A[c, i]
 
 
-@kernel
+@piece
 def near_eigenvalue(a, b, c, d):
     """The eigenvalue of [[a, b], [c, d]] that is nearer to d."""
-    half = 0.5 * (a - d)
+    half = times(0.5, a - d)
     root = np.sqrt(half * half + b * c)
     if abs(half + root) < abs(half - root):
         root = -root
@@ -92,26 +92,52 @@ def near_eigenvalue(a, b, c, d):
     return d - (b * c / far if far != 0.0 else 0.0 * far)
 
 
-@kernel
-def rotate_once(H, start, end, shift):
-    """One step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix."""
-    cosines, sines = np.empty(end - start), np.empty(end - start, dtype=np.complex128)
+@inlined
+def times(real, z):
+    """A real number times a complex one."""
+    return complex(real * z.real, real * z.imag)
+
+
+@inlined
+def over(z, real):
+    """A complex number by a real one."""
+    return complex(z.real / real, z.imag / real)
+
+
+@inlined
+def couples(below, before, here):
+    """Whether an entry below the diagonal is more than rounding of its two neighbours there."""
+    sides = abs(before.real) + abs(before.imag) + abs(here.real) + abs(here.imag)
+    if max(abs(below.real), abs(below.imag)) > 2.0 * EPS * sides:  # mostly: spares the roots
+        return True
+    return abs(below) > EPS * (abs(before) + abs(here))
+
+
+@piece
+def rotate_once(H, cosines, sines, start, end, shift):
+    """One step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix.
+
+    cosines and sines, as long as the matrix, are overwritten.
+    """
     for k in range(start, end):
         H[k, k] -= shift
     for k in range(start, end - 1):
         x, y = H[k, k], H[k + 1, k]
-        size = math.hypot(abs(x), abs(y))
-        c = abs(x) / size if size > 0.0 else 1.0
-        s = (x / abs(x) if abs(x) > 0.0 else 1.0 + 0.0j) * np.conj(y) / size if size > 0.0 else 0.0j
-        cosines[k - start], sines[k - start] = c, s
+        length = abs(x)
+        size = math.hypot(length, abs(y))
+        c, s = 1.0, 0.0j
+        if size > 0.0:
+            c = length / size
+            s = over((over(x, length) if length > 0.0 else 1.0 + 0.0j) * y.conjugate(), size)
+        cosines[k], sines[k] = c, s
         for j in range(k, end):
             x, y = H[k, j], H[k + 1, j]
-            H[k, j], H[k + 1, j] = c * x + s * y, c * y - np.conj(s) * x
+            H[k, j], H[k + 1, j] = times(c, x) + s * y, times(c, y) - s.conjugate() * x
     for k in range(start, end - 1):
-        c, s = cosines[k - start], sines[k - start]
+        c, s = cosines[k], sines[k]
         for i in range(start, min(k + 2, end)):
             x, y = H[i, k], H[i, k + 1]
-            H[i, k], H[i, k + 1] = c * x + np.conj(s) * y, c * y - s * x
+            H[i, k], H[i, k + 1] = times(c, x) + s.conjugate() * y, times(c, y) - s * x
     for k in range(start, end):
         H[k, k] += shift
 
@@ -122,6 +148,7 @@ def moduli(matrix):
     size = len(matrix)
     failed, found = np.empty(size), np.empty(size)
     A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
+    cosines, sines = np.empty(size), np.empty(size, dtype=np.complex128)
     for i in range(size):
         failed[i] = np.inf
         for k in range(size):
@@ -138,7 +165,7 @@ def moduli(matrix):
     end, sweeps = size, 0
     while end > 0:
         start = end - 1
-        while start > 0 and abs(H[start, start - 1]) > EPS * (abs(H[start - 1, start - 1]) + abs(H[start, start])):
+        while start > 0 and couples(H[start, start - 1], H[start - 1, start - 1], H[start, start]):
             start -= 1
         if start == end - 1:
             end, sweeps = end - 1, 0
@@ -150,11 +177,11 @@ def moduli(matrix):
             shift = near_eigenvalue(H[end - 2, end - 2], H[end - 2, end - 1], H[end - 1, end - 2], H[end - 1, end - 1])
             if sweeps % 10 == 0:  # out of a cycle
                 shift = H[end - 1, end - 1] + abs(H[end - 1, end - 2])
-            rotate_once(H, start, end, shift)
+            rotate_once(H, cosines, sines, start, end, shift)
     return found
 
 
-@kernel
+@piece
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
     return highest(moduli(matrix), 0, len(matrix))

@@ -6,6 +6,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import Held, Oscillator, Signal
 
@@ -63,9 +64,9 @@ def signal_of(signals, r):
 
 @kernel
 def oscillator_of(oscillators, r):
-    """Oscillator r of many."""
+    """Oscillator r of many, borrowed from them."""
     o, held = oscillators, oscillators.held
-    return Oscillator(
+    return borrowed(Oscillator(
         signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.swing[r], o.rest[r],
         o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.upper[r], o.lower[r], o.b_upper[r], o.b_lower[r],
         o.symmetric[r], o.R[r], o.gap_mass[r], o.time_unit[r], o.period[r], o.tau[r], o.trace[r],
@@ -73,14 +74,16 @@ def oscillator_of(oscillators, r):
             held.down[r], held.up[r], held.into[r], held.out[r], held.forced[r], signal_of(held.release, r),
             held.push[r],
         ),
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 @kernel
 def motion_of(motions, r):
-    """Motion r of many."""
+    """Motion r of many, borrowed from them."""
     m = motions
-    return Motion(m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.scratch[r])
+    return borrowed(
+        Motion(m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.scratch[r])
+    )
 
 
 @register_jitable

@@ -8,8 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import enter_blocks, leave_blocks
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, crossing
+from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.frame import graded_flow, orthonormalise
 from workers.kernel.impact import (
@@ -51,7 +52,7 @@ from workers.kernel.motion import (
     Motion,
     motion_at,
 )
-from workers.kernel.signal import evaluated
+from workers.kernel.signal import evaluate
 from workers.model.oscillator import COLUMN, Oscillator
 
 OVERDRAFT = 1_000_000
@@ -122,7 +123,7 @@ def spread_rate(block):
     return rate
 
 
-@kernel
+@piece
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
@@ -131,7 +132,7 @@ def fly_far(osc, motion, s):
     reset_frame(osc, motion)
 
 
-@kernel
+@piece
 def reset_frame(osc, motion):
     """Make the frame orthonormal and count its growth."""
     reset_frame_of(osc.gap.metric, motion)
@@ -168,14 +169,14 @@ def record_impact(tally, impacts, t, side, speed, R):
         tally[RECORDED] += 1.0
 
 
-@inlined
-def arrival_of(block, row, row1, sin_part, cos_part, omega, h, s, phase, side):
+@piece
+def arrival_of(gap, h, s, phase, side):
     """(y, v, a, scale of rounding) at the stop that a flight of s reaches."""
-    y, v, a, _, scale = evaluated(block, row, row1, sin_part, cos_part, omega, h, s, phase, 0.0)
+    y, v, a, _, scale = evaluate(gap, h, s, phase, 0.0)
     return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
 
 
-@kernel
+@piece
 def come_to_rest(osc, motion, v):
     """The end of chatter that an impact at velocity v begins."""
     h, V, tally = motion.h, motion.V, motion.tally
@@ -211,7 +212,7 @@ def spend(tally, evaluations):
         tally[STATUS] = OUT_OF_WORK
 
 
-@kernel
+@piece
 def leave_stop(osc, motion, phase, contact, remaining):
     """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
     h, V, tally = motion.h, motion.V, motion.tally
@@ -234,10 +235,9 @@ def propagate(osc, motion, duration):
 
     Stops early with tally[STATUS] set if it cannot be completed.
     """
-    # Taken out once: a field of a record costs a reference count at every use, a record one for each of its fields.
+    osc, motion = borrowed(osc), borrowed(motion)
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
-    block, row, row1, swing, metric = gap.block, gap.row, gap.row1, gap.swing, gap.metric
-    sin_part, cos_part, omega, amplitude = gap.sin_part, gap.cos_part, gap.omega, gap.amplitude
+    block, row, row1, metric, omega = gap.block, gap.row, gap.row1, gap.metric, gap.omega
     column, column1, R, cA2k = osc.kick, osc.kick1, osc.R, osc.cA2k
     upper, lower = osc.b_upper, -osc.b_lower
     contact = motion.contact[0]
@@ -260,15 +260,12 @@ def propagate(osc, motion, duration):
             if duration - t <= AT_THE_END * duration:
                 motion.contact[0] = contact * AT_REST
                 return
-        s, side, evaluations = crossing(
-            block, row, row1, sin_part, cos_part, omega, amplitude, swing, h, phase, 0.0, upper, lower, own, kind,
-            duration - t, scratch,
-        )  # fmt: skip
+        s, side, evaluations = next_crossing(gap, h, phase, 0.0, upper, lower, own, kind, duration - t, scratch)
         spend(tally, evaluations)
         hit = abs(side) == 1
         y, v, a, scale = NOWHERE
         if hit:
-            y, v, a, scale = arrival_of(block, row, row1, sin_part, cos_part, omega, h, s, phase, side)
+            y, v, a, scale = arrival_of(gap, h, s, phase, side)
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
         flown = s * rate
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel, piece
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
 from workers.kernel.stroboscopic import step
@@ -32,9 +33,10 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
 
     Not RUNNING where it cannot get there.
     """
+    osc = borrowed(osc)
     motion = motion_with(h, contact, V, growth, triangle)
     for _ in range(steps):
-        step(osc, motion, half)
+        step(osc, borrowed(motion), half)
         if motion.tally[STATUS] != RUNNING:
             break
     return motion

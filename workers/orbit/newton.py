@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import kernel, piece
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
@@ -284,7 +285,7 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
     settled = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        osc = oscillator_of(oscillators, r)
+        osc = borrowed(oscillator_of(oscillators, r))
         known = sections[r, sections.shape[1] - kept[r] :]
         result, orbit, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
         settled[e] = result == SETTLED
