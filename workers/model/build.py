@@ -3,6 +3,7 @@
 What one oscillator is made of does not depend on the others, to the bit.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,7 +130,7 @@ def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     what is made of matrices is made once for each of them.
     """
     fields = [getattr(machines, name) for name in OF_KIND]
-    bits = np.concatenate([field.reshape(len(field), -1) for field in fields], axis=1)
+    bits = np.concatenate([field.reshape(len(field), math.prod(field.shape[1:])) for field in fields], axis=1)
     numbers: dict[bytes, int] = {}
     keys = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0].tolist()
     kind = np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
