@@ -24,6 +24,7 @@ from workers.kernel.batch.layout import (
     LEFT,
     STRIDE,
     padded_blocks,
+    room_for_vectors,
 )
 from workers.kernel.batch.search import list_lanes, padded
 from workers.kernel.elementary import log
@@ -158,12 +159,12 @@ def workspace(m, n):
     """A workspace for m vectors of n blocks."""
     size = 2 * padded_blocks(n) * STRIDE
     return Workspace(
-        np.zeros((m, size)),
-        np.zeros((m, STRIDE)),
-        np.zeros(size),
-        np.zeros(STRIDE),
+        room_for_vectors(m * size).reshape((m, size)),
+        room_for_vectors(m * STRIDE).reshape((m, STRIDE)),
+        room_for_vectors(size),
+        room_for_vectors(STRIDE),
         np.zeros(STRIDE, dtype=np.uint32),
-        np.zeros(2 * STRIDE),
+        room_for_vectors(2 * STRIDE),
     )
 
 

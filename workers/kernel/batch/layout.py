@@ -6,7 +6,10 @@ compiler see that no two fields overlap, so that loops over lanes become vector 
 
 from typing import NamedTuple
 
+import numpy as np
 from numba.extending import register_jitable
+
+from workers.kernel.jit import piece
 
 LANES = 128
 """Lanes of a batch: their fields stay in the processor's nearest caches."""
@@ -185,3 +188,11 @@ BLOCK_SIZE = len(BlockFields._fields) * STRIDE
 HARMONIC_SIZE = len(HarmonicFields._fields) * STRIDE
 GAP_SIZE = len(GapFields._fields) * STRIDE
 """Numbers that the fields of all lanes take, of one block of them, of one harmonic, and of the gathered gaps."""
+
+
+@piece
+def room_for_vectors(size):
+    """So many zeros from a multiple of a vector register's size on: memory that lies across two lines is read twice."""
+    room = np.zeros(size + VECTOR_WIDTH)
+    first = (VECTOR_WIDTH - np.int64(room.ctypes.data) // 8 % VECTOR_WIDTH) % VECTOR_WIDTH
+    return room[first : first + size]

@@ -22,6 +22,7 @@ from workers.kernel.batch.layout import (
     LEFT,
     STRIDE,
     padded_blocks,
+    room_for_vectors,
 )
 from workers.kernel.batch.rounds import take_round
 from workers.kernel.batch.search import list_lanes, padded
@@ -224,9 +225,9 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     wide = padded_blocks(n)
     vectors = LANE_SIZE + wide * BLOCK_SIZE + harmonics.shape[1] * HARMONIC_SIZE
     growing = vectors + m * wide * 2 * STRIDE
-    a = np.zeros(growing + m * STRIDE)
+    a = room_for_vectors(growing + m * STRIDE)
     frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
-    gathered, chosen = np.zeros(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
+    gathered, chosen = room_for_vectors(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
     space = workspace(m, n)
     left = np.zeros(LANES, dtype=np.uint32)  # the cells that have left their lanes
     for i in range(LANES):
