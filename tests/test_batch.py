@@ -7,7 +7,7 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.kernel.batch.layout import VECTOR_WIDTH
+from workers.kernel.batch.layout import VECTOR_WIDTH, room_for_vectors
 from workers.kernel.batch.run import Batch
 from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
 from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from
@@ -227,3 +227,11 @@ def test_a_tile_has_the_bits_of_its_cells_alone() -> None:
         cell = solve_tile("two-mass", {"omega": omega[0, j], "b": b[i, 0]}, settings)
         for name, value in cell.items():
             assert np.array_equal(value, tile[name][i, j], equal_nan=True), name
+
+
+@pytest.mark.parametrize("size", [0, 1, 136, 5000])
+def test_memory_of_lanes_begins_on_a_line_of_memory(size: int) -> None:
+    for room in [room_for_vectors(size) for _ in range(20)]:  # all kept: each lies elsewhere
+        assert room.shape == (size,)
+        assert not room.any()
+        assert room.ctypes.data % 64 == 0
