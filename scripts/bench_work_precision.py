@@ -11,8 +11,8 @@ Cells: Figs 3, 4 and 5, the orbits of tests/data/periodic_orbits.json, cells dra
 1..4.5, b .05...6 of Fig. 6, and chaotic ones from omega .8..2, b .05...3.
 Truth: the 40-digit Floquet exponent where the file has it, else the Floquet exponent of the proved orbit (heyoka's
 averages, which share no code with it, are compared with it); for chaotic cells a plain average over twenty times
-(--long N: N times) the periods of tolerance 1e-2. What that long run does not find chaotic was a chaotic transient or
-too close to call, and is counted separately.
+(--long N: N times) the periods that a cell takes at tolerance 1e-2 without being watched. What that long run does not
+find chaotic was a chaotic transient or too close to call, and is counted separately.
 
 Cells are timed one at a time; those of the plane once more in batches, as a tile is solved.
 
@@ -110,7 +110,7 @@ def find_truth(cell: Cell, long: float) -> Cell:
         if not cell.source:
             cell.truth, cell.truth_error, cell.source = first["largest"], first["error"], "Floquet"
     elif cell.kind == "chaotic":
-        periods = int(long * first["periods_used"])
+        periods = int(long * solve(cell.params, Settings(survival=0))["periods_used"])  # less those of watching
         moved = cell.params | {"x1": 1e-9}  # soon another trajectory: the short run must not be a part of the long one
         slow = solve(moved, Settings(method="fixed", transient_periods=2000, periods=periods))
         cell.truth, cell.truth_error, cell.source = slow["largest"], slow["error"], f"{periods} periods"
