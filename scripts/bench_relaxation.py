@@ -9,7 +9,9 @@ Usage: .venv/bin/python -m scripts.bench_relaxation [--cells 16000] [--far 20000
 
 import argparse
 import multiprocessing
+from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -23,25 +25,14 @@ EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Forcing periods of relaxation between which cells are counted together."""
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cells", type=int, default=16_000)
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--far", type=int, default=200_000, help="periods for which all are watched")
-    parser.add_argument("--survivals", default="0,48000")
-    parser.add_argument("--tolerance", type=float, default=0.02)
-    options = parser.parse_args()
-    params = drawn(options.seed, options.cells)
-    print("| relaxation, periods | survival | chaotic | settle, % | periods a chaotic cell |")
-    print("|---|---|---|---|---|")
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
-        called = [
-            (survival, solved(pool, params, Settings(tolerance=options.tolerance, survival=survival))[0])
-            for survival in map(int, options.survivals.split(","))
-        ]
-        looked_chaotic = np.flatnonzero(np.any([found["regime"] == CHAOTIC for _, found in called], axis=0))
-        truth = followed(pool, {name: values[looked_chaotic] for name, values in params.items()}, options.far)
+def rows(pool: Any, cells: int, seed: int, far: int, survivals: list[int], tolerance: float) -> Iterator[str]:
+    """The rows of the table: one for each range of relaxation times and each survival that has chaotic cells."""
+    params = drawn(seed, cells)
+    called = [
+        (survival, solved(pool, params, Settings(tolerance=tolerance, survival=survival))[0]) for survival in survivals
+    ]
+    looked_chaotic = np.flatnonzero(np.any([found["regime"] == CHAOTIC for _, found in called], axis=0))
+    truth = followed(pool, {name: values[looked_chaotic] for name, values in params.items()}, far)
     settles = np.isin(truth["regime"], SETTLED)
     for low, high in pairwise(EDGES):
         for survival, found in called:
@@ -53,7 +44,24 @@ def main() -> None:
             wrong = int(np.sum(here & settles & (truth["periods_used"] <= used + FURTHER)))
             least, most = wilson(wrong, int(here.sum()))
             share = f"{100 * wrong / here.sum():.2f} ({100 * least:.1f} to {100 * most:.1f})"
-            print(f"| {low:g} to {high:g} | {survival} | {here.sum()} | {share} | {used[here].mean():.0f} |")
+            yield f"| {low:g} to {high:g} | {survival} | {here.sum()} | {share} | {used[here].mean():.0f} |"
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cells", type=int, default=16_000)
+    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--far", type=int, default=200_000, help="periods for which all are watched")
+    parser.add_argument("--survivals", default="0,48000")
+    parser.add_argument("--tolerance", type=float, default=0.02)
+    options = parser.parse_args()
+    survivals = [int(survival) for survival in options.survivals.split(",")]
+    print("| relaxation, periods | survival | chaotic | settle, % | periods a chaotic cell |")
+    print("|---|---|---|---|---|")
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        for row in rows(pool, options.cells, options.seed, options.far, survivals, options.tolerance):
+            print(row, flush=True)
 
 
 if __name__ == "__main__":

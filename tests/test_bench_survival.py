@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from scripts.bench_error_bars import compared
+from scripts.bench_relaxation import rows
 from scripts.bench_survival import PLANES, measure, plane, show
 from workers.starts import wilson
 
@@ -42,3 +43,13 @@ def test_error_bars_are_held_against_longer_runs_from_the_same_start() -> None:
     count = len(values["largest"])
     assert count == len(cells["omega"]) > 0
     assert np.all(values["again_error"][~values["settled"]] < values["error"][~values["settled"]])
+
+
+def test_what_remembers_for_longer_is_watched_for_longer() -> None:
+    with ThreadPool(1) as pool:
+        table = list(rows(pool, cells=1500, seed=11, far=3000, survivals=[0, 20_000], tolerance=0.1))
+    read = [[cell.strip() for cell in row.strip("|").split("|")] for row in table]
+    costs = {(row[0], int(row[1])): int(row[4]) for row in read}
+    extra = [costs[name, 20_000] - costs[name, 0] for name in dict.fromkeys(row[0] for row in read)]
+    assert len(extra) >= 4
+    assert extra[0] < extra[1] < extra[2] < extra[3]

@@ -11,8 +11,8 @@ from tests import naive
 from workers import Settings, solve_tile
 from workers.adaptive import RELAXATIONS, TORUS_RETURN, relaxation_periods
 from workers.cells import RETURNS, Cells, clearly_positive
+from workers.exponents import impact_count
 from workers.kernel.cells import start_motions
-from workers.kernel.motion import LOWER, UPPER
 from workers.model.system import find_system
 from workers.orbit.newton import far_from_closing
 from workers.results import (
@@ -68,8 +68,7 @@ def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = 
 
 def relaxation(cells: Cells) -> np.ndarray:
     """Periods in which the energy of these motions relaxes, with the impacts that they have had."""
-    tally = cells.batch.motions.tally
-    hits = (tally[:, UPPER] + tally[:, LOWER]) / np.maximum(cells.flown, 1)
+    hits = impact_count(cells.batch.motions.tally) / np.maximum(cells.flown, 1)
     return relaxation_periods(cells.oscillators, np.arange(len(hits)), hits)
 
 

@@ -19,8 +19,8 @@ import math
 import numpy as np
 
 from workers.cells import NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
+from workers.exponents import impact_count
 from workers.kernel.cells import impact_free
-from workers.kernel.motion import LOWER, UPPER
 from workers.model.oscillator import COLUMN, Oscillator
 from workers.orbit.newton import far_from_closing
 from workers.outcome import (
@@ -192,8 +192,7 @@ class Course:
         cells = self.cells
         flown = cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
-        tally = cells.batch.motions.tally[new]
-        hits = (tally[:, UPPER] + tally[:, LOWER]) / np.maximum(cells.flown[new], 1)
+        hits = impact_count(cells.batch.motions.tally[new]) / cells.flown[new]
         self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits)
         most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
         self.transient[new] = np.clip(self.memory[new], LEAST_TRANSIENT, most)
