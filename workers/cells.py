@@ -53,7 +53,7 @@ class Cells:
     used       periods that the cell has cost
     flown      periods that its motion has gone through; since: how many of them before it looked chaotic
     earlier    the average that was closed before the one under way; of no periods where there is none
-    found      result arrays by name (N, ...), written as the cells are done
+    found      result arrays by name (N, ...), written as the cells are done; contact (N,) that of their ``state``
     """
 
     def __init__(self, oscillators: Oscillator, settings: Settings, found: dict[str, NDArray[Any]], kept: int) -> None:
@@ -67,6 +67,7 @@ class Cells:
         self.used = np.zeros(N, dtype=np.int64)
         self.flown = np.zeros(N, dtype=np.int64)
         self.since = np.zeros(N, dtype=np.int64)
+        self.contact = np.zeros(N, dtype=np.int64)
         self.orbits = no_orbits(N, n)
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, vectors)), np.zeros((N, TALLIES)))
 

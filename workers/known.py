@@ -24,10 +24,12 @@ MOST_TURN = 32
 class Attractor:
     """An attractor of a cell: its results by variable, and the initial states, by number, that reach it.
 
-    h, contact, period   of an orbit: a section state; jacobian, contraction of its turn
+    contact              that of the state among the results
+    h, period            of an orbit: the block coordinates of that state; jacobian, contraction of its turn
     orbit                (p, n, 2) all its section states; twin: one of its mirror image, NaN where there is none
     reference            (k, 4n) of any other: its batches, see ``identity``
-    last                 physical states at which the motions of its initial states were left, in their order
+    last                 physical states, with their contacts, at which the motions of its initial states were left, in
+                         their order
     lumped, distance     initial states put to it by statistics; the largest distance among them
     pooled               periods for which they were seen on it, all together
     transient            whether one of them has left it
@@ -35,9 +37,9 @@ class Attractor:
 
     regime: int
     result: dict[str, Any]
+    contact: int
     starts: list[int] = field(default_factory=list)
     h: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    contact: int = 0
     period: int = 0
     jacobian: Array | None = None
     contraction: float = 0.0
@@ -45,7 +47,7 @@ class Attractor:
     twin: Array = field(default_factory=lambda: np.full((1, 2), np.nan))
     mirror: "Attractor | None" = None
     reference: Array | None = None
-    last: list[Array] = field(default_factory=list)
+    last: list[tuple[Array, int]] = field(default_factory=list)
     lumped: int = 0
     distance: float = 0.0
     pooled: int = 0
@@ -66,28 +68,28 @@ class Attractor:
         if self.reference is None:
             self.starts.append(start)
         else:
-            self.lump(start, float(found.distance[r]), int(found.flown_after[r]), found.state_after[r])
+            self.lump(start, float(found.distance[r]), found, r)
 
-    def lump(self, start: int, away: float, periods: int, state: Array) -> None:
+    def lump(self, start: int, away: float, found: "Found", r: int) -> None:
         """An initial state's motion was put to it by statistics, ``away`` standard errors from it."""
         self.starts.append(start)
-        self.last.append(state)
+        self.last.append(found.left(r))
         self.lumped += 1
         self.distance = max(self.distance, away)
-        self.pooled += int(periods)
+        self.pooled += int(found.flown_after[r])
 
 
 def attractor_of_orbit(oscillators: Oscillator, cell: int, found: "Found", r: int) -> Attractor:
     """The attractor that a motion has been proved to fall into: an orbit, or motion without impact."""
     orbits, regime = found.orbits, int(found.arrays["regime"][r])
-    new = Attractor(regime, found.result(r))
-    new.h, new.contact, new.period = orbits.h[r].copy(), int(orbits.contact[r, 0]), int(orbits.period[r])
+    new = Attractor(regime, found.result(r), int(found.contact[r]))
+    new.h, new.period = orbits.h[r].copy(), int(orbits.period[r])
     largest = float(orbits.exponents[r, 0])
     if regime == NO_IMPACT:
-        new.h, new.contact, new.period = np.zeros_like(new.h), 0, 1
+        new.h, new.period = np.zeros_like(new.h), 1
         rates = oscillators.gap.block[cell][:, COLUMN.slow]
         largest = -float(rates.min() * oscillators.period[cell])
-    states, jacobian = turn(oscillators, cell, new.h, new.contact, new.period, np.bool_(False))
+    states, _, jacobian = turn(oscillators, cell, new.h, new.contact, new.period, np.bool_(False))
     new.orbit = states[: new.period]
     if oscillators.symmetric[cell] > 0.0:
         new.twin = turn(oscillators, cell, new.h, new.contact, 1, np.bool_(True))[0][1]
@@ -96,16 +98,16 @@ def attractor_of_orbit(oscillators: Oscillator, cell: int, found: "Found", r: in
     return new
 
 
-def mirrored(oscillators: Oscillator, states: Array) -> Array:
-    """Physical states (N, 2n) on the mirror images of N motions through these ones."""
+def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) on the mirror images of N motions through these ones, with their contacts (N,)."""
     N, n = oscillators.gap_row.shape
     motions = motions_at(np.zeros((N, n, 2)))
     rows = np.arange(N)
     start_motions(oscillators, motions, states, rows)
     for r in range(N):
-        states_after, _ = turn(oscillators, r, motions.h[r], int(motions.contact[r, 0]), 1, np.bool_(True))
-        motions.h[r] = states_after[1]
-    return np.asarray(physical_states(oscillators, motions, rows))
+        after, motions.contact[r, 0], _ = turn(oscillators, r, motions.h[r], int(contact[r]), 1, np.bool_(True))
+        motions.h[r] = after[1]
+    return np.asarray(physical_states(oscillators, motions, rows)), motions.contact[:, 0]
 
 
 class Known:

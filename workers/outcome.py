@@ -22,6 +22,7 @@ from workers.kernel.motion import (
     OUT_OF_WORK,
     RUNNING,
     SPEEDS,
+    STARTED_BEYOND,
     STATUS,
     STUCK,
     UPPER,
@@ -33,21 +34,27 @@ from workers.model.oscillator import Oscillator, taken
 from workers.ranges import FOLLOWED, free_range, impact_range
 from workers.results import (
     APERIODIC,
+    BEYOND_STOP,
     CHAOTIC,
     COSTLY_PERIOD,
-    FAILED,
     GAVE_UP,
     NO_IMPACT,
     NO_REASON,
     PERIODIC,
     QUASIPERIODIC,
+    REASONS,
     UNDETERMINED,
     WORK_SPENT,
 )
 from workers.results import NOT_FINITE as NO_LONGER_FINITE
 from workers.stretch import batch_of, run
 
-REASON_OF = {MARCH_GAVE_UP: GAVE_UP, OUT_OF_WORK: COSTLY_PERIOD, NOT_FINITE: NO_LONGER_FINITE}
+REASON_OF = {
+    MARCH_GAVE_UP: GAVE_UP,
+    OUT_OF_WORK: COSTLY_PERIOD,
+    NOT_FINITE: NO_LONGER_FINITE,
+    STARTED_BEYOND: BEYOND_STOP,
+}
 """Why a motion cannot go on, by its status."""
 
 
@@ -59,7 +66,7 @@ def put(cells: Cells, rows: Rows, **values: Any) -> None:
 
 
 def put_stopped(cells: Cells, rows: Rows) -> Mask:
-    """Write the results of those cells whose motion cannot go on: failed, or undecided where its work is spent."""
+    """Write the results of those cells whose motion cannot go on: of their reason, or undecided, their work spent."""
     tally = cells.batch.motions.tally[rows]
     status = tally[:, STATUS].astype(np.int64)
     finite = np.isfinite(cells.batch.motions.h[rows]).all(axis=(1, 2))
@@ -68,8 +75,7 @@ def put_stopped(cells: Cells, rows: Rows) -> Mask:
     put_undecided(cells, rows[broke], WORK_SPENT)
     for code, reason in REASON_OF.items():
         failed = rows[status == code]
-        regime = UNDETERMINED if code == OUT_OF_WORK else FAILED
-        put(cells, failed, regime=regime, periods_used=cells.used[failed], reason=reason)
+        put(cells, failed, regime=REASONS[reason].regime, periods_used=cells.used[failed], reason=reason)
     return np.asarray((status != RUNNING) | broke)
 
 
@@ -249,6 +255,7 @@ def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, cont
     The next K states, those of an orbit of known ``period`` repeated. NaN from where the motion cannot be followed.
     """
     motions, every = motions_at(h, contact), np.arange(len(rows))
+    cells.contact[rows] = contact[:, 0]
     put(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples
     if K == 0:
