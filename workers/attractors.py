@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from workers.cells import Array, Rows
 from workers.identity import DIFFERENT, distance, on_orbit
 from workers.kernel.cells import scale_at
-from workers.known import Attractor, Known, attractor_of_orbit, mirrored
+from workers.known import Attractor, Known, attractor_of_orbit, mirrored, states_at
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System, find_system
 from workers.results import (
@@ -184,11 +184,11 @@ class Coexistence:
         scale = float(scale_at(metric, self.oscillators.swing[cell], new.h))
         alike = [a for a in stable if a.regime == new.regime and a.period == new.period]
         for old in alike:
-            if on_orbit(metric, old.orbit, new.h, scale):
+            if on_orbit(metric, old.orbit, states_at(self.oscillators, cell, new, old.shift, 0)[0], scale):
                 old.starts.append(start)
                 return
-        for old in alike:
-            if on_orbit(metric, old.orbit, new.twin, scale):
+        for old in alike if self.oscillators.symmetric[cell] > 0.0 else []:
+            if on_orbit(metric, old.orbit, states_at(self.oscillators, cell, new, old.shift, 1, half=True)[1], scale):
                 old.mirror, new.mirror = new, old
         new.starts.append(start)
         tally.attractors.append(new)
