@@ -42,8 +42,8 @@ LEAST_SPREAD = 1e-9
 class KnownOrbits(NamedTuple):
     """M orbits, those of cell c from first[c] on to before last[c].
 
-    h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn; norm (M, 2n, 2n) in which it
-    shrinks deviations.
+    h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn; norm (M, 2n, 2n) in
+    which that shrinks deviations.
     """
 
     first: Rows

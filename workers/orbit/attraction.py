@@ -1,12 +1,13 @@
 """Whether a motion near an orbit falls into it.
 
-A turn takes h* + d to h* + J d + r, r being what the linear map does not explain. The multipliers of J are at most |mu| < 1,
-but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm
+A turn takes h* + d to h* + J d + r, where r is what the linear map does not explain. The multipliers of J are at most
+|mu| < 1, but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm
 
     |d|_P^2 = d.P d = sum_{k < K} |A^k d|^2,    A = J / q,    q = (1 + |mu|) / 2,    K a power of two with |A^K| <= 1,
 
-for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion falls into the orbit where
-|r|_P < (1 - q) |d|_P: what is not explained is less than half of the contraction 1 - |mu|, and the nearer, the less it is.
+for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion falls into the orbit
+where |r|_P < (1 - q) |d|_P: what is not explained is less than half of the contraction 1 - |mu|. The nearer the motion
+comes, the less that is.
 """
 
 import math
@@ -39,7 +40,9 @@ def product(left, right, found):
 
 @kernel
 def shrinking_norm(metric, J, contraction):
-    """P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation, contraction = 1 - |mu|; NaN where none is found.
+    """P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN where none is found.
+
+    contraction = 1 - |mu|.
 
     The sum to 2K is P + (A^K)' P A^K: all terms are squares, so that nothing cancels.
     """

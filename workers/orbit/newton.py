@@ -1,8 +1,8 @@
 """Periodic orbits: near returns, Newton on the period map, what makes a fixed point the orbit that attracts, symmetry.
 
 Where the gap is symmetric an orbit of odd period m is first sought as one of the half-period map G, G o G = P: what
-closes after m steps of G is a symmetric orbit of period m. The maps are those of a section near which the motion meets no
-stop, see ``orbit.section``; the sections of the results are at t = k T.
+closes after m steps of G is a symmetric orbit of period m. The maps are those of a section near which the motion meets
+no stop, see ``orbit.section``; results are of the section t = k T.
 """
 
 import math
@@ -113,10 +113,9 @@ def newton(osc, start, contact, steps, half, scale, most):
 
 @piece
 def least_turn(osc, point, steps, half, scale):
-    """(steps, half) of the shortest turn that closes an orbit known to close after these, and half periods flown to see.
+    """(steps, half) of the shortest turn that closes an orbit which closes after these, and half periods flown to see.
 
-    Sections on either side of an impact return after several turns; so does what is symmetric, after an odd number of
-    steps under G, where no motion was shown to fall into it.
+    Motion returns after several turns of it where an impact is now on this, now on that side of the section t = k T.
     """
     spent = 0
     for fewer in range(1, steps + 1):
@@ -251,8 +250,8 @@ class Orbits(NamedTuple):
     """Periodic orbits of N cells: what of PeriodicOrbit a result needs, and the counts of one turn.
 
     h (N, n, 2), contact (N, 1) at t = k T, where an impact at that time counts as past; period (N,), symmetric (N,),
-    exponents (N, 2n) largest first, error (N,), tally (N, TALLIES): see Motion. shift (N,): of the section on which it was
-    proved, in periods. near (N,): whether the motion ever came near a stable orbit and left it again.
+    exponents (N, 2n) largest first, error (N,), tally (N, TALLIES): see Motion. shift (N,): of the section on which it
+    was proved, in periods. near (N,): whether the motion ever came near a stable orbit and left it again.
     """
 
     h: Array

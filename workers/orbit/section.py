@@ -1,8 +1,8 @@
-"""The section that an orbit is proved on: t = (k + shift) T, where the motion is far from every impact, rest and release.
+"""The section that an orbit is proved on: t = (k + shift) T, near which the motion meets no stop and leaves none.
 
-Results are of the section t = k T. There an orbit may impact exactly, by closed form for one; rounding then decides, from
-turn to turn, whether that is before or after the section, and the map of the section is not smooth. Its period, impacts
-and multipliers are the same on every section.
+Results are of the section t = k T. An orbit may impact there, as many closed forms do: then rounding decides, from turn
+to turn, whether that comes before or after the section, and the map of the section is not smooth. The period, impacts
+and multipliers of an orbit are the same on every section.
 """
 
 import math
@@ -33,9 +33,9 @@ def seen_later(osc, shift):
     """The oscillator as it is seen from the section t = shift T."""
     o = osc
     return borrowed(Oscillator(
-        o.gap, o.kick, o.kick1, o.cA2k, o.forced, o.swing, o.rest, o.to_physical, o.to_blocks, o.gap_row, o.upper, o.lower,
-        o.b_upper, o.b_lower, o.symmetric, o.R, o.gap_mass, o.time_unit, o.period, o.tau + 2.0 * math.pi * shift, o.trace,
-        o.held,
+        o.gap, o.kick, o.kick1, o.cA2k, o.forced, o.swing, o.rest, o.to_physical, o.to_blocks, o.gap_row,
+        o.upper, o.lower, o.b_upper, o.b_lower, o.symmetric, o.R, o.gap_mass, o.time_unit, o.period,
+        o.tau + 2.0 * math.pi * shift, o.trace, o.held,
     ))  # fmt: skip
 
 

@@ -51,9 +51,8 @@ def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, perio
 def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The orbit as its impacts are recorded in one turn from a physical section state; ValueError as above."""
     start = motion_from(osc, state)
-    shift, h, contact, _ = quiet_section(
-        osc, start.h, int(start.contact[0])
-    )  # no impact is lost or counted twice there
+    # From there on no impact is lost or counted twice.
+    shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
     there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
     motion = motion_at(h, contact, record=RECORD)
     rows = []
