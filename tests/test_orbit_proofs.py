@@ -8,21 +8,21 @@ import pytest
 
 from tests import naive
 from tests.oscillators import mass_spring
+from tests.test_attraction import naive_norm
 from tests.test_stroboscopic import KINDS
 from workers.identity import turn
 from workers.kernel.motion import FREE, motion_at, motions_at
 from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
-from workers.orbit.map import FixedPoint
 from workers.orbit.newton import (
     Orbits,
     far_from_closing,
     is_hopeless,
     no_orbits,
-    nonlinear_part,
     recurrence,
     settle_each,
 )
+from workers.orbit.section import SHIFT, moved
 from workers.stretch import run_periods
 
 
@@ -99,39 +99,35 @@ LINEAR = machine(b=5.0)
 def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_of_the_contraction(
     angle: float, missed: float, falls: bool
 ) -> None:
-    """Truth: |F(h) - h* - J (h - h*)| / ((1 - |mu|) |h - h*|), J from differences of the map, mu from numpy."""
-    h, w, e = attractor(WEAK), weights(WEAK), 1e-6
+    """Truth: |F(h) - h* - J (h - h*)| / ((1 - |mu|) |h - h*|) on the section of the proof: J from differences of the
+    map, mu from numpy, the norm as it is defined.
+    """
+    begin, w, e = attractor(WEAK), weights(WEAK), 1e-6
+    h = moved(WEAK, begin, FREE, SHIFT).h
+    there = WEAK._replace(tau=WEAK.tau + 2.0 * math.pi * SHIFT)
     steps = e * np.eye(2).reshape(2, 1, 2)
-    J = np.column_stack([(after(WEAK, h + d, 1) - after(WEAK, h - d, 1)).ravel() / (2.0 * e) for d in steps])
+    J = np.column_stack([(after(there, h + d, 1) - after(there, h - d, 1)).ravel() / (2.0 * e) for d in steps])
     contraction = 1.0 - np.abs(np.linalg.eigvals(J)).max()
+    P = naive_norm(WEAK.gap.metric, J, contraction)
 
     def beside(distance: float) -> np.ndarray:
-        return h + (distance * np.array([math.cos(angle), math.sin(angle)]) / w).reshape(1, 2)
+        return begin + (distance * np.array([math.cos(angle), math.sin(angle)]) / w).reshape(1, 2)
 
     def share(distance: float) -> float:
-        start = beside(distance)
-        rest = (after(WEAK, start, 1) - h).ravel() - J @ (start - h).ravel()
-        return float(np.linalg.norm(w * rest)) / (contraction * distance)
+        start = moved(WEAK, beside(distance), FREE, SHIFT).h
+        d = (start - h).ravel()
+        r = (after(there, start, 1) - h).ravel() - J @ d
+        return float(np.sqrt(r @ P @ r) / (contraction * np.sqrt(d @ P @ d)))
 
-    low, high = 0.01, 0.3
+    low, high = 0.003, 0.3
     for _ in range(30):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if share(middle) < missed else (low, middle)
     assert share(low) == pytest.approx(missed, abs=1e-6)
     seen = proof(WEAK, beside(low))
+    assert seen.orbits.shift[0] == (SHIFT if falls else 0.0)
     assert seen.found == falls
     assert seen.orbits.near[0] != falls
-
-
-def test_what_the_linear_map_leaves_is_measured_in_the_energy_norm() -> None:
-    rng = np.random.default_rng(0)
-    metric = np.array([0.3, 7.0])
-    h, image, fixed = rng.normal(size=(3, 2, 2))
-    J = rng.normal(size=(4, 4))
-    rest = (image - fixed).ravel() - J @ (h - fixed).ravel()
-    expected = math.sqrt(np.sum(np.array([0.3, 1.0, 7.0, 1.0]) * rest**2))
-    point = FixedPoint(fixed, fixed, 0, J, 0.0)
-    assert nonlinear_part(metric, h, image, point) == pytest.approx(expected, rel=1e-14)
 
 
 # Which orbit it is
@@ -139,13 +135,13 @@ def test_what_the_linear_map_leaves_is_measured_in_the_energy_norm() -> None:
 
 @pytest.mark.parametrize("lag", [2, 3, 4, 9])
 @pytest.mark.parametrize("lower", [math.inf, 0.3], ids=["one stop", "symmetric"])
-def test_an_orbit_is_not_proved_as_several_turns_of_itself(lower: float, lag: int) -> None:
+def test_an_orbit_that_is_seen_to_return_after_several_turns_is_proved_as_one(lower: float, lag: int) -> None:
     osc = machine(2.2, 0.3, 0.7, 0.05, lower)
     h = attractor(osc)
-    once = proof(osc, h)
-    assert once.found and once.orbits.period[0] == 1
-    assert once.orbits.symmetric[0] == math.isfinite(lower)
-    assert not proof(osc, h, lag).found
+    for turns in (1, lag):
+        seen = proof(osc, h, turns)
+        assert seen.found and seen.orbits.period[0] == 1
+        assert seen.orbits.symmetric[0] == math.isfinite(lower)
 
 
 def test_a_symmetric_machine_has_orbits_that_are_not_symmetric() -> None:
@@ -175,13 +171,15 @@ def test_near_a_symmetric_orbit_nothing_is_proved_that_is_not_symmetric() -> Non
     assert 100 < found < 500
 
 
-def test_an_orbit_that_rests_on_a_stop_at_the_section_is_found_there_and_not_off_it() -> None:
+def test_an_orbit_that_rests_on_a_stop_at_the_section_is_found_also_from_beside_the_stop() -> None:
+    """A motion that lies there but for rounding comes to rest before the section of the proof."""
     motion = motion_from(HELD, np.zeros(4))
     run_periods(HELD, motion, 500)
     side = int(motion.contact[0])
     assert side != FREE
-    assert proof(HELD, motion.h, contact=side).found
-    assert not proof(HELD, motion.h).found
+    for contact in (side, FREE):
+        seen = proof(HELD, motion.h, contact=contact)
+        assert seen.found and seen.orbits.contact[0, 0] == side
 
 
 # Near the limit of stability
@@ -224,27 +222,29 @@ def test_small_jacobians_leave_hope() -> None:
 
 
 def test_the_periods_of_a_proof_are_all_counted() -> None:
-    """On the fixed point of a linear map: one turn of Newton's, two of the frame, one for the error. Beside it one more
-    of Newton's and one of the motion; that two turns are no orbit is seen by one turn of Newton's and one of its own.
+    """On the fixed point of a linear map: one period to the section of the proof and back, one turn of Newton's, two of
+    the frame, one for the error. Beside it one more of Newton's and one of the motion; that two turns are one is seen
+    by a turn of Newton's, twice as long, and one of its own.
     """
     on, beside = np.zeros((1, 2)), np.full((1, 2), 1e-3)
-    assert proof(LINEAR, on).spent == 4
-    assert proof(LINEAR, beside).spent == 6
-    assert proof(LINEAR, on, 2).spent == 2 + 1
+    assert proof(LINEAR, on).spent == 5
+    assert proof(LINEAR, beside).spent == 7
+    assert proof(LINEAR, on, 2).spent == 2 + 1 + 5
 
 
 def test_a_proof_by_half_periods_is_counted_in_periods() -> None:
-    """The same four turns, and six, of half a period each."""
+    """The same period and four turns, or six, of half a period each."""
     symmetric = machine(b=5.0, lower=5.0)
-    assert proof(symmetric, np.zeros((1, 2))).spent == 2
-    assert proof(symmetric, np.full((1, 2), 1e-3)).spent == 3
+    assert proof(symmetric, np.zeros((1, 2))).spent == 1 + 2
+    assert proof(symmetric, np.full((1, 2), 1e-3)).spent == 1 + 3
 
 
 def test_a_proof_takes_no_more_than_its_budget_and_none_without_multipliers() -> None:
-    """Six turns are kept for the tests after Newton's method and the frame, which take two each."""
+    """Beside the period to the section and back six turns are kept for the tests after Newton's method and the frame,
+    which take two each."""
     seen = [proof(LINEAR, np.full((1, 2), 1e-3), budget=budget) for budget in range(5, 12)]
-    assert [s.spent for s in seen] == [0, 0, 1, 2, 2, 6, 6]
-    assert [s.found for s in seen] == [False] * 5 + [True] * 2
+    assert [s.spent for s in seen] == [0, 0, 1, 2, 3, 3, 7]
+    assert [s.found for s in seen] == [False] * 6 + [True]
 
 
 # Near returns

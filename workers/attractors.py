@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from workers.cells import Array, Rows
 from workers.identity import DIFFERENT, distance, on_orbit
 from workers.kernel.cells import scale_at
-from workers.known import Attractor, Known, attractor_of_orbit, mirrored
+from workers.known import Attractor, Known, attractor_of_orbit, mirrored, states_at
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System, find_system
 from workers.results import (
@@ -173,25 +173,32 @@ class Coexistence:
             self.tallies[cell].undecided.append(start)
 
     def _put_orbit(self, cell: int, start: int, found: Found, r: int) -> None:
-        tally = self.tallies[cell]
         new = attractor_of_orbit(self.oscillators, cell, found, r)
-        stable = [a for a in tally.attractors if a.regime in STABLE]
-        for old in stable:
-            if old.regime == new.regime == NO_IMPACT:
-                old.starts.append(start)
-                return
-        metric = self.oscillators.gap.metric[cell]
-        scale = float(scale_at(metric, self.oscillators.swing[cell], new.h))
-        alike = [a for a in stable if a.regime == new.regime and a.period == new.period]
-        for old in alike:
-            if on_orbit(metric, old.orbit, new.h, scale):
-                old.starts.append(start)
-                return
-        for old in alike:
-            if on_orbit(metric, old.orbit, new.twin, scale):
-                old.mirror, new.mirror = new, old
+        old = self.same(cell, new)
+        if old is not None:
+            old.starts.append(start)
+            return
+        tally = self.tallies[cell]
+        for each in tally.attractors if self.oscillators.symmetric[cell] > 0.0 else []:
+            if self._meets(cell, each, new, half=True):
+                each.mirror, new.mirror = new, each
         new.starts.append(start)
         tally.attractors.append(new)
+
+    def same(self, cell: int, new: Attractor) -> Attractor | None:
+        """The known attractor of a cell that an orbit, or motion without impact, is."""
+        known = self.tallies[cell].attractors
+        return next((each for each in known if self._meets(cell, each, new)), None)
+
+    def _meets(self, cell: int, old: Attractor, new: Attractor, half: bool = False) -> bool:
+        """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
+        if (old.regime, old.period) != (new.regime, new.period):
+            return False
+        if old.regime == NO_IMPACT and not half:
+            return True
+        state = states_at(self.oscillators, cell, new, old.shift, int(half), half)[-1]
+        metric = self.oscillators.gap.metric[cell]
+        return on_orbit(metric, old.orbit, state, float(scale_at(metric, self.oscillators.swing[cell], state)))
 
     def _put_statistical(self, tally: Tally, start: int, found: Found, r: int) -> None:
         reference = found.reference[r]

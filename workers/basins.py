@@ -17,7 +17,7 @@ from workers.attractors import STABLE, STATISTICAL, Coexistence
 from workers.cells import Array
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.motion import motions_at
-from workers.known import Attractor, Known
+from workers.known import Attractor, Known, attractor_of_orbit
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System, find_system
 from workers.results import (
@@ -137,6 +137,10 @@ def _label(table: Table, states: Array, found: dict[str, NDArray[Any]]) -> None:
     )
     for name, values in reached.arrays.items():
         found[name][:] = values
+    for r in np.flatnonzero((reached.label < 0) & np.isin(found[REGIME.name], STABLE)):  # proved anew
+        known = table.cells.same(0, attractor_of_orbit(table.oscillator, 0, reached, int(r)))
+        if known is not None:
+            reached.label[r] = table.attractors.index(known)
     for label, each in enumerate(table.attractors):
         rows = np.flatnonzero(reached.label == label)
         for name, value in each.result.items():

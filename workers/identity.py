@@ -2,8 +2,8 @@
 
 An orbit is known by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into it
 where a section state h of it lies near h* and what J does not explain of the next p periods is less than half of the
-contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|: the test by which an orbit itself is accepted, see
-``orbit.newton.settle``, without a new proof.
+contraction: the test by which an orbit itself is accepted, see ``orbit.attraction``, without a new proof. Whether two
+orbits that were proved are one is seen on the section of one of the proofs: at t = k T both may impact.
 
 Chaos and tori are known by batches of BATCH section states each: the means of the 2n block coordinates and of their
 squares. Two motions are told apart where one of these 4n means differs by more than DIFFERENT standard errors, of the
@@ -19,8 +19,8 @@ from workers.kernel.cells import scale_at
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, oscillator_of
 from workers.kernel.stroboscopic import step
-from workers.orbit.map import FixedPoint, jacobian_of, separation
-from workers.orbit.newton import nonlinear_part
+from workers.orbit.attraction import falls_into
+from workers.orbit.map import jacobian_of, separation
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -42,7 +42,8 @@ LEAST_SPREAD = 1e-9
 class KnownOrbits(NamedTuple):
     """M orbits, those of cell c from first[c] on to before last[c].
 
-    h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn.
+    h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn; norm (M, 2n, 2n) in
+    which that shrinks deviations.
     """
 
     first: Rows
@@ -51,6 +52,7 @@ class KnownOrbits(NamedTuple):
     period: Rows
     jacobian: Array
     contraction: Array
+    norm: Array
 
 
 @kernel
@@ -78,9 +80,8 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
             scale = scale_at(metric[r], swing[r], start)
             if not nearest <= NEAR_ORBIT * scale:
                 continue
-            point = FixedPoint(known.h[m], known.h[m], 0, known.jacobian[m], 0.0)
-            rest = nonlinear_part(metric[r], start, image, point)
-            if nearest <= 1e-9 * scale or rest < 0.5 * known.contraction[m] * nearest:
+            reached = falls_into(known.norm[m], known.jacobian[m], known.contraction[m], known.h[m], start, image)
+            if nearest <= 1e-9 * scale or reached:
                 found[e] = m
                 break
     return found

@@ -10,7 +10,9 @@ from workers.cells import Array, Cells, Rows
 from workers.identity import KnownOrbits, distance, orbits_reached, turn
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.motion import motions_at
-from workers.model.oscillator import COLUMN, Oscillator
+from workers.model.oscillator import COLUMN, Oscillator, many_of, one_of
+from workers.orbit.attraction import shrinking_norm
+from workers.orbit.section import moved
 from workers.results import NO_IMPACT
 
 if TYPE_CHECKING:
@@ -25,8 +27,9 @@ class Attractor:
     """An attractor of a cell: its results by variable, and the initial states, by number, that reach it.
 
     contact              that of the state among the results
-    h, period            of an orbit: the block coordinates of that state; jacobian, contraction of its turn
-    orbit                (p, n, 2) all its section states; twin: one of its mirror image, NaN where there is none
+    h, period            of an orbit: the block coordinates of that state; jacobian, contraction of its turn, norm in
+                         which that shrinks
+    orbit                (p, n, 2) its states at t = (k + shift) T, where it was proved
     reference            (k, 4n) of any other: its batches, see ``identity``
     last                 physical states, with their contacts, at which the motions of its initial states were left, in
                          their order
@@ -43,8 +46,9 @@ class Attractor:
     period: int = 0
     jacobian: Array | None = None
     contraction: float = 0.0
+    norm: Array | None = None
+    shift: float = 0.0
     orbit: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
-    twin: Array = field(default_factory=lambda: np.full((1, 2), np.nan))
     mirror: "Attractor | None" = None
     reference: Array | None = None
     last: list[tuple[Array, int]] = field(default_factory=list)
@@ -83,19 +87,31 @@ def attractor_of_orbit(oscillators: Oscillator, cell: int, found: "Found", r: in
     """The attractor that a motion has been proved to fall into: an orbit, or motion without impact."""
     orbits, regime = found.orbits, int(found.arrays["regime"][r])
     new = Attractor(regime, found.result(r), int(found.contact[r]))
-    new.h, new.period = orbits.h[r].copy(), int(orbits.period[r])
+    new.h, new.period, new.shift = orbits.h[r].copy(), int(orbits.period[r]), float(orbits.shift[r])
     largest = float(orbits.exponents[r, 0])
     if regime == NO_IMPACT:
-        new.h, new.period = np.zeros_like(new.h), 1
+        new.h, new.period, new.shift = np.zeros_like(new.h), 1, 0.0
         rates = oscillators.gap.block[cell][:, COLUMN.slow]
         largest = -float(rates.min() * oscillators.period[cell])
-    states, _, jacobian = turn(oscillators, cell, new.h, new.contact, new.period, np.bool_(False))
-    new.orbit = states[: new.period]
-    if oscillators.symmetric[cell] > 0.0:
-        new.twin = turn(oscillators, cell, new.h, new.contact, 1, np.bool_(True))[0][1]
+    new.orbit = states_at(oscillators, cell, new, new.shift, new.period)[: new.period]
     if largest < 0.0 and new.period <= MOST_TURN:
-        new.jacobian, new.contraction = jacobian, -float(np.expm1(largest * new.period))
+        _, _, jacobian = turn(oscillators, cell, new.h, new.contact, new.period, np.bool_(False))
+        contraction = -float(np.expm1(largest * new.period))
+        norm = shrinking_norm(oscillators.gap.metric[cell], jacobian, contraction)
+        if np.isfinite(norm).all():
+            new.jacobian, new.contraction, new.norm = jacobian, contraction, norm
     return new
+
+
+def states_at(
+    oscillators: Oscillator, cell: int, orbit: Attractor, shift: float, steps: int, half: bool = False
+) -> Array:
+    """Block states (steps + 1, n, 2) of an orbit at t = shift T, and after each step of the map from there."""
+    osc = one_of(oscillators, cell)
+    first = moved(osc, orbit.h, orbit.contact, shift)
+    there = many_of(osc._replace(tau=osc.tau + 2.0 * np.pi * shift))
+    states: Array = turn(there, 0, first.h, int(first.contact[0]), steps, np.bool_(half))[0]
+    return states
 
 
 def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
@@ -140,6 +156,7 @@ class Known:
             np.array([a.period for a in some], dtype=np.int64),
             np.array([a.jacobian for a in some]) if some else empty,
             np.array([a.contraction for a in some], dtype=np.float64),
+            np.array([a.norm for a in some]) if some else empty,
         )
 
     def reached(self, cells: Cells, rows: Rows, owner: Rows) -> Rows:

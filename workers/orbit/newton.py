@@ -1,7 +1,8 @@
 """Periodic orbits: near returns, Newton on the period map, what makes a fixed point the orbit that attracts, symmetry.
 
 Where the gap is symmetric an orbit of odd period m is first sought as one of the half-period map G, G o G = P: what
-closes after m steps of G is a symmetric orbit of period m.
+closes after m steps of G is a symmetric orbit of period m. The maps are those of a section near which the motion meets
+no stop, see ``orbit.section``; results are of the section t = k T.
 """
 
 import math
@@ -15,8 +16,10 @@ from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import kernel, piece
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
+from workers.orbit.attraction import falls_into, shrinking_norm
 from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
+from workers.orbit.section import back_at_section, quiet_section, seen_later
 
 Array = NDArray[np.float64]
 
@@ -53,19 +56,6 @@ class PeriodicOrbit(NamedTuple):
     exponents: Array
     residual: float
     error: float
-
-
-@kernel
-def nonlinear_part(metric, h, image, point):
-    """|F(h) - h* - J (h - h*)| in the energy norm: what the linear map at a fixed point does not explain."""
-    J = point.jacobian
-    total = 0.0
-    for row in range(len(J)):
-        rest = image[row // 2, row % 2] - point.h[row // 2, row % 2]
-        for k in range(len(J)):
-            rest -= J[row, k] * (h[k // 2, k % 2] - point.h[k // 2, k % 2])
-        total += rest * rest * (metric[row // 2] if row % 2 == 0 else 1.0)
-    return math.sqrt(total)
 
 
 @kernel
@@ -122,55 +112,65 @@ def newton(osc, start, contact, steps, half, scale, most):
 
 
 @piece
-def closes_earlier(osc, point, steps, half, scale):
-    """Whether fewer steps close the orbit already, or as many under G if these are of P; and the steps taken to see.
+def least_turn(osc, point, steps, half, scale):
+    """(steps, half) of the shortest turn that closes an orbit which closes after these, and half periods flown to see.
 
-    With an odd number of steps under G it is the symmetric orbit, whose turn under G was not accepted.
+    Motion returns after several turns of it where an impact is now on this, now on that side of the section t = k T.
     """
     spent = 0
-    mirrors = not half and steps % 2 == 1 and osc.symmetric > 0.0
     for fewer in range(1, steps + 1):
-        if steps % fewer == 0 and (fewer < steps or mirrors):
-            trial = iterate_alone(osc, point.h, point.contact, fewer, half or fewer == steps)
-            spent += fewer
+        for halved in (True, False):
+            own = halved == half and fewer < steps
+            mirrors = halved and not half and fewer % 2 == 1 and osc.symmetric > 0.0
+            if steps % fewer != 0 or not (own or mirrors):
+                continue
+            trial = iterate_alone(osc, point.h, point.contact, fewer, halved)
+            spent += fewer if halved else 2 * fewer
             if separation(osc.gap.metric, trial.h, point.h) < 1e-6 * scale:
-                return True, spent
-    return False, spent
+                return fewer, halved, spent
+    return steps, half, spent
 
 
 @piece
 def find_orbit(osc, h, contact, steps, half, scale, budget):
-    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, steps spent), with at most so many steps: see settle."""
-    metric = osc.gap.metric
-    turns_left = budget // steps - RESERVED_TURNS
-    point, tried = newton(osc, h, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
-    spent = tried * steps
-    orbit = PeriodicOrbit(point.h, contact, steps, half, nothing_left(h.size), point.residual, 0.0)
-    if point.residual == np.inf:
-        return NOTHING, orbit, spent
-    radius = spectral_radius(point.jacobian)
-    if radius > 1.001:
-        return NOTHING, orbit, spent
-    closed, tried_steps = closes_earlier(osc, point, steps, half, scale)
-    spent += tried_steps
-    if closed:
-        return NOTHING, orbit, spent
+    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
+
+    The orbit closes after so many steps, or is one that closes after fewer.
+    """
+    guess, spent = h, 0
+    while True:
+        unit = steps if half else 2 * steps
+        turns_left = (budget - spent) // unit - RESERVED_TURNS
+        point, tried = newton(osc, guess, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
+        spent += tried * unit
+        orbit = PeriodicOrbit(point.h, contact, steps, half, nothing_left(h.size), point.residual, 0.0)
+        if point.residual == np.inf:
+            return NOTHING, orbit, spent
+        radius = spectral_radius(point.jacobian)
+        if radius > 1.001:
+            return NOTHING, orbit, spent
+        fewer, halved, flown = least_turn(osc, point, steps, half, scale)
+        spent += flown
+        if fewer == steps and halved == half:
+            break
+        steps, half, guess = fewer, halved, point.h
     logs, rounding, turns = floquet(osc, point, steps, half, min(CYCLES, turns_left - tried))
-    spent += turns * steps
+    spent += turns * unit
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
-    distance = separation(metric, h, point.h)
-    if distance > 1e-9 * scale:
+    if separation(osc.gap.metric, h, point.h) > 1e-9 * scale:
         trial = iterate_alone(osc, h, contact, steps, half)
-        spent += steps
-        if not nonlinear_part(metric, h, trial.h, point) < 0.5 * -math.expm1(largest) * distance:
+        spent += unit
+        contraction = -math.expm1(largest)
+        norm = shrinking_norm(osc.gap.metric, point.jacobian, contraction)
+        if not falls_into(norm, point.jacobian, contraction, point.h, h, trial.h):
             return NEAR, orbit, spent
     again, J = map_with_jacobian(osc, point.image, contact, steps, half)
-    spent += steps
+    spent += unit
     if again.tally[STATUS] == RUNNING:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / max(radius, 1e-300) - 1.0))
-    periods = 0.5 * steps if half else 1.0 * steps
+    periods = 0.5 * unit
     orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
     # Else it is too near a bifurcation for these digits.
     return SETTLED if largest < -rounding else NOTHING, orbit, spent
@@ -216,40 +216,42 @@ def far_from_closing(metric, swing, h, sections, cells, returns, limit):
 
 @piece
 def settle(osc, motion, sections, near, longest, budget):
-    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, periods spent): the stable orbit that the motion falls into.
+    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent): the stable orbit that the motion falls into.
 
     NEAR: its sections recur near a stable orbit, but it is not shown to fall into that.
 
-    Shown: a fixed point (Newton), minimal (no divisor closes), all multipliers inside the unit circle, and
-    the motion either on it or so near that its deviation shrinks: what the linear map does not explain of
-    one turn is less than half of the contraction, |F(h) - h* - J (h - h*)| < (1 - |mu|) / 2 |h - h*|.
+    Shown: a fixed point (Newton) on the section t = (k + shift) T, minimal (no shorter turn closes), all multipliers
+    inside the unit circle, and the motion either on it or so near that its deviation shrinks: see ``orbit.attraction``.
     Sections recur where the last one has returned within ``near`` of the motion's scale, after ``longest`` periods at
     most. At most ``budget`` periods are spent.
     """
-    h, contact = motion.h, motion.contact[0]
-    scale = scale_of(osc, h)
-    symmetric_gap = osc.symmetric > 0.0
+    scale = scale_of(osc, motion.h)
+    returns = recurrence(osc.gap.metric, sections, near * scale, longest)
+    shift, h, contact, flown = 0.0, motion.h.copy(), motion.contact[0], 0
+    if len(returns) > 0 and budget > RESERVED_TURNS:
+        shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
+    there = borrowed(seen_later(osc, shift))
     none = PeriodicOrbit(h, contact, 1, False, nothing_left(h.size), np.inf, 0.0)
-    spent, nearest = 0, NOTHING
-    for p in recurrence(osc.gap.metric, sections, near * scale, longest):
+    spent, nearest = 2 * flown, NOTHING
+    for p in returns:
         for half in (True, False):
-            per_period = 2 if half else 1
-            left = (budget - spent) * per_period
-            if (half and not (symmetric_gap and p % 2 == 1)) or left // p <= RESERVED_TURNS:
+            left = 2 * budget - spent
+            if (half and not (osc.symmetric > 0.0 and p % 2 == 1)) or left // (p if half else 2 * p) <= RESERVED_TURNS:
                 continue
-            found, orbit, steps = find_orbit(osc, h, contact, p, half, scale, left)
-            spent += -(-steps // per_period)
+            found, orbit, half_periods = find_orbit(there, h, contact, p, half, scale, left)
+            spent += half_periods + half_periods % 2
             if found == SETTLED:
-                return SETTLED, orbit, spent
+                return SETTLED, orbit, shift, spent // 2
             nearest = max(nearest, found)
-    return nearest, none, spent
+    return nearest, none, shift, spent // 2
 
 
 class Orbits(NamedTuple):
     """Periodic orbits of N cells: what of PeriodicOrbit a result needs, and the counts of one turn.
 
-    h (N, n, 2), contact (N, 1), period (N,), symmetric (N,), exponents (N, 2n) largest first, error (N,),
-    tally (N, TALLIES): see Motion. near (N,): whether the motion ever came near a stable orbit and left it again.
+    h (N, n, 2), contact (N, 1) at t = k T, where an impact at that time counts as past; period (N,), symmetric (N,),
+    exponents (N, 2n) largest first, error (N,), tally (N, TALLIES): see Motion. shift (N,): of the section on which it
+    was proved, in periods. near (N,): whether the motion ever came near a stable orbit and left it again.
     """
 
     h: Array
@@ -259,6 +261,7 @@ class Orbits(NamedTuple):
     exponents: Array
     error: Array
     tally: Array
+    shift: Array
     near: NDArray[np.bool_]
 
 
@@ -272,6 +275,7 @@ def no_orbits(count: int, n: int) -> Orbits:
         exponents=np.zeros((count, 2 * n)),
         error=np.zeros(count),
         tally=np.zeros((count, TALLIES)),
+        shift=np.zeros(count),
         near=np.zeros(count, dtype=np.bool_),
     )
 
@@ -287,17 +291,19 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         r = cells[e]
         osc = borrowed(oscillator_of(oscillators, r))
         known = sections[r, sections.shape[1] - kept[r] :]
-        result, orbit, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
+        result, orbit, shift, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
         settled[e] = result == SETTLED
         orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
-        turn = iterate_alone(osc, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # no literal, as in run_batch
-        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = orbit.contact, orbit.steps, orbit.error
-        orbits.symmetric[r] = orbit.half
-        for j in range(orbit.h.shape[0]):
+        there = borrowed(seen_later(osc, shift))
+        turn = iterate_alone(there, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # no literal, as in run_batch
+        here = back_at_section(osc, shift, orbit.h, orbit.contact)
+        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
+        orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
+        for j in range(here.h.shape[0]):
             for k in range(2):
-                orbits.h[r, j, k] = orbit.h[j, k]
+                orbits.h[r, j, k] = here.h[j, k]
         for k in range(TALLIES):
             orbits.tally[r, k] = turn.tally[k]
         sort_down(orbit.exponents)

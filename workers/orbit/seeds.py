@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK
+from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
 from workers.kernel.stroboscopic import motion_from, propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System
@@ -16,11 +16,13 @@ from workers.orbit.equations import (
     at_impacts,
     block_state,
     impacts_of,
+    in_one_turn,
     stops,
     unknown_offset,
 )
 from workers.orbit.extended import Extended, solve
 from workers.orbit.linear import Family, family_of, linear_of
+from workers.orbit.section import AT_SECTION, quiet_section
 
 Array = NDArray[np.float64]
 
@@ -48,10 +50,14 @@ def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, perio
 
 def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The orbit as its impacts are recorded in one turn from a physical section state; ValueError as above."""
-    motion = motion_from(osc, state, record=RECORD)
+    start = motion_from(osc, state)
+    # From there on no impact is lost or counted twice.
+    shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
+    there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
+    motion = motion_at(h, contact, record=RECORD)
     rows = []
     for k in range(periods):
-        propagate(osc, motion, osc.period)
+        propagate(there, motion, osc.period)
         if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0:
             raise ValueError("the motion rests on a stop: it is no orbit of impacts alone")
         count = int(motion.tally[RECORDED])
@@ -60,11 +66,11 @@ def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Or
         rows.append(motion.impacts[:count] + np.array([k * osc.period, 0.0, 0.0]))
         motion.tally[RECORDED] = 0.0
     impacts = np.concatenate(rows) if rows else np.zeros((0, 3))
-    if symmetric:
-        impacts = impacts[impacts[:, 0] < 0.5 * periods * osc.period]
+    span = (0.5 if symmetric else 1.0) * periods * osc.period
+    impacts = impacts[impacts[:, 0] < span]
     sides = impacts[:, 1]
     itinerary = Itinerary(tuple(int(side) for side in sides), periods, symmetric)
-    return Orbit(itinerary, impacts[:, 0].copy(), sides * impacts[:, 2])
+    return in_one_turn(Orbit(itinerary, impacts[:, 0] + shift * osc.period, sides * impacts[:, 2]), span)
 
 
 def _offset(family: Family, orbit: Orbit, values: Array) -> float:
@@ -96,6 +102,7 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
 
     values   parameters (N,) by name; those left out have their defaults
     shift    of the section, in forcing periods: -states at 1/2 are those of the mirror images in a symmetric machine
+    An impact at a section counts as past, also one that rounding puts up to AT_SECTION T after it.
     """
     count, itinerary = len(orbits), orbits[0].itinerary
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
@@ -107,6 +114,8 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
         np.array([orbit.offset for orbit in orbits]),
     )
     period = 2.0 * np.pi / lin.omega[:, None]
+    since = np.mod(points.t / period - shift, 1.0)
+    points = points._replace(t=np.where(since <= AT_SECTION, points.t - AT_SECTION * period, points.t))
     parts = block_state(lin, itinerary, points, (np.arange(itinerary.periods) + shift) * period)
     angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.forced.shape[3] + 1.0)
     waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, None, None]

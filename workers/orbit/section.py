@@ -1,0 +1,80 @@
+"""The section that an orbit is proved on: t = (k + shift) T, near which the motion meets no stop and leaves none.
+
+Results are of the section t = k T. An orbit may impact there, as many closed forms do: then rounding decides, from turn
+to turn, whether that comes before or after the section, and the map of the section is not smooth. The period, impacts
+and multipliers of an orbit are the same on every section.
+"""
+
+import math
+
+import numpy as np
+
+from workers.kernel.borrow import borrowed
+from workers.kernel.jit import kernel
+from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
+from workers.kernel.stroboscopic import propagate
+from workers.model.oscillator import Oscillator
+
+SHIFT = 0.3819660112501051
+"""Of the first section that is tried, by the golden ratio; the next ones are multiples of it, less whole periods."""
+
+MARGIN = 1.0 / 1024.0
+"""Share of a period before and after a section in which nothing may happen."""
+
+TRIES = 4
+"""Sections tried; the last one is taken whatever happens there."""
+
+AT_SECTION = 1e-12
+"""Share of a period after the section t = k T within which an impact counts as past there."""
+
+
+@kernel
+def seen_later(osc, shift):
+    """The oscillator as it is seen from the section t = shift T."""
+    o = osc
+    return borrowed(Oscillator(
+        o.gap, o.kick, o.kick1, o.cA2k, o.forced, o.swing, o.rest, o.to_physical, o.to_blocks, o.gap_row,
+        o.upper, o.lower, o.b_upper, o.b_lower, o.symmetric, o.R, o.gap_mass, o.time_unit, o.period,
+        o.tau + 2.0 * math.pi * shift, o.trace, o.held,
+    ))  # fmt: skip
+
+
+@kernel
+def moved(osc, h, contact, shift):
+    """The motion that block state h (n, 2) has come to after ``shift`` < 1 periods."""
+    motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
+    propagate(osc, motion, shift * osc.period)
+    return motion
+
+
+@kernel
+def quiet_section(osc, h, contact):
+    """(shift, h (n, 2), contact, periods flown): a section on the way of a motion, near which nothing happens to it.
+
+    Given is its block state at t = 0, returned that at t = shift T.
+    """
+    shift, there, at, tries = 0.0, h.copy(), contact, 0
+    while tries < TRIES:
+        tries += 1
+        shift = tries * SHIFT - math.floor(tries * SHIFT)
+        motion = moved(osc, h, contact, shift - MARGIN)
+        before = motion.contact[0]
+        motion.tally[MAX_SPEED] = 0.0
+        propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.period)
+        there, at = motion.h.copy(), motion.contact[0]
+        propagate(seen_later(osc, shift), motion, MARGIN * osc.period)
+        same = before == at and at == motion.contact[0]
+        if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
+            break
+    return shift, there, at, tries
+
+
+@kernel
+def back_at_section(osc, shift, h, contact):
+    """The motion at the next section t = k T of block state h (n, 2) at t = (k - 1 + shift) T.
+
+    An impact at that section counts as past, also one that rounding puts up to AT_SECTION T after it.
+    """
+    motion = moved(seen_later(osc, shift), h, contact, 1.0 - shift)
+    after = moved(osc, motion.h, motion.contact[0], AT_SECTION)
+    return after if after.tally[MAX_SPEED] > 0.0 else motion
