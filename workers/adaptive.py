@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from workers.cells import NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
+from workers.cells import LONG_PERIOD, NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
 from workers.exponents import impact_count
 from workers.kernel.cells import impact_free
 from workers.model.oscillator import COLUMN, Oscillator
@@ -30,6 +30,7 @@ from workers.outcome import (
     put_impact_free,
     put_periodic,
     put_quasiperiodic,
+    put_resting,
     put_stopped,
     put_undecided,
 )
@@ -106,6 +107,7 @@ class Course:
     began      periods that its motion had gone through when the average under way began; first: when the first of
                those began that count
     watched    periods of watching
+    alive      periods that were survived before one mass rested, -1 while it has not
     weighted   the weighted average of its last stretch
     """
 
@@ -119,6 +121,7 @@ class Course:
         self.began = np.zeros(N, dtype=np.int64)
         self.first = np.zeros(N, dtype=np.int64)
         self.watched = np.zeros(N, dtype=np.int64)
+        self.alive = np.full(N, -1)
         self.weighted = np.full(N, math.nan)
 
     def take(self, ready: Rows) -> None:
@@ -163,9 +166,12 @@ class Course:
         settled = cells.settle(rest, self.settings.max_periods + self.settings.survival - cells.used, near)
         put_periodic(cells, rest[settled])
         rest = rest[~settled]
+        resting = cells.at_rest(rest) & (self.stage[rest] != SEARCHING)
+        still = self._rest_on(rest[resting])
+        rest = rest[~resting]
         searching, averaging, watching = (rest[self.stage[rest] == s] for s in (SEARCHING, AVERAGING, WATCHING))
         going = self._search_on(searching)
-        return np.concatenate([through[warm], going, self._judge(averaging), self._watch_on(watching)])
+        return np.concatenate([through[warm], still, going, self._judge(averaging), self._watch_on(watching)])
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
@@ -179,6 +185,9 @@ class Course:
 
     def _finish(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
+        rested = self.alive[rows] >= 0
+        put_resting(self.cells, rows[rested], self.alive[rows[rested]])
+        rows = rows[~rested]
         average = self.cells.whole_average(rows)
         clear = clearly_positive(average.mean, average.error, average.periods)
         relaxed = ~(self.first[rows] < self.memory[rows])
@@ -211,6 +220,7 @@ class Course:
             self._warm_up(rows)
         else:
             cells.restart(rows)
+            cells.forget_counts(rows)
             cells.averaging[rows] = True
             self.stage[rows] = WATCHING
             self._aim_watch(rows)
@@ -257,6 +267,25 @@ class Course:
         put_aperiodic(self.cells, rows[~missing])
         return rows[missing]
 
+    def _rest_on(self, rows: Rows) -> Rows:
+        """Cells whose one mass has rested are not chaotic: a rest repeats. Those that have to go on.
+
+        Where their orbit is not found they are watched on, for what else they may fall into.
+        """
+        cells = self.cells
+        settled = cells.settle_long(rows, self.settings.max_periods + self.settings.survival - cells.used)
+        put_periodic(cells, rows[settled])
+        rows = rows[~settled]
+        new = rows[self.alive[rows] < 0]
+        self.alive[new] = np.maximum(cells.flown[new] - cells.batch.done[new] - cells.since[new], 0)
+        if cells.vectors:
+            cells.rest(rows)
+        self.stage[rows] = WATCHING
+        over = self._to_watch(rows) <= 0
+        put_resting(cells, rows[over], self.alive[rows[over]])
+        self._aim_watch(rows[~over])
+        return rows[~over]
+
     # Averaging
 
     def _warm_up(self, rows: Rows) -> None:
@@ -272,6 +301,7 @@ class Course:
         self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
         alone = rows[cells.earlier.periods[rows] == 0.0]
         self.first[alone] = cells.flown[alone]
+        cells.forget_counts(alone)
         wanted = _periods_for(cells.earlier.periods[rows], cells.earlier.error[rows], self._half)
         self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * cells.earlier.periods[rows]), FIRST_AVERAGE)
 
@@ -351,7 +381,8 @@ class Course:
         put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
         rows = rows[~flat]
         mean, error, count = cells.growth(rows)
-        negative = rows[clearly_positive(-mean, error, count)]
+        late = (cells.batch.periods[rows] >= LONG_PERIOD) & (now[~flat] < -TORUS_LIMIT)
+        negative = rows[clearly_positive(-mean, error, count) | late]
         settled = cells.settle_long(negative, self.settings.max_periods + self.settings.survival - cells.used)
         put_periodic(cells, negative[settled])
         return np.setdiff1d(rows, negative[settled], assume_unique=True)

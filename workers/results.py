@@ -46,8 +46,8 @@ class Reason:
 (
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
-    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE,
-) = range(19)  # fmt: skip
+    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
+) = range(20)  # fmt: skip
 
 REASONS = (
     Reason(NO_REASON, "none", PENDING, ""),
@@ -74,6 +74,7 @@ REASONS = (
     Reason(NOT_RELAXED, "not_relaxed", CHAOTIC, "averages began before the motion had forgotten its initial state"),
     Reason(NOT_STATIONARY, "not_stationary", CHAOTIC, "averages of successive stretches differ; the error covers both"),
     Reason(UNSTABLE, "unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
+    Reason(RESTED, "rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
 )
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 

@@ -87,6 +87,7 @@ def _solve_fixed(cells: Cells, ready: Rows) -> None:
     ready = _through(cells, ready, settings.transient_periods)
     ready = ready[~put_stopped(cells, ready)]
     cells.restart(ready)
+    cells.forget_counts(ready)
     cells.averaging[ready], cells.since[ready] = True, cells.flown[ready]
     ready = _through(cells, ready, settings.periods)
     ready = ready[~put_stopped(cells, ready)]

@@ -25,6 +25,12 @@ def load_at_rest(side, v, a, cA2k):
 
 
 @inlined
+def chatter_time(load, w, R):
+    """The time that chatter takes under this load on the stop after a rebound at speed w, to leading order."""
+    return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
+
+
+@inlined
 def is_rebound(load, v, R, cA2k, scale, remaining):
     """Whether an impact at velocity v is certain to rebound, whatever the third derivative: see outcome."""
     w = R * abs(v)
@@ -53,7 +59,7 @@ def outcome(osc, h, side, v, a, scale, remaining):
     if w * w <= 200.0 * load * EPS * scale:
         return REST
     M3 = derivative_bounds(osc.gap, h)[2]
-    duration = 2.0 * w / (load * (1.0 - osc.R))
+    duration = chatter_time(load, w, osc.R)
     return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
 
 

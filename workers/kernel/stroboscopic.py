@@ -18,6 +18,7 @@ from workers.kernel.impact import (
     REBOUND,
     REST,
     add_column,
+    chatter_time,
     is_rebound,
     load_at_rest,
     load_on_stop,
@@ -215,11 +216,14 @@ def spend(tally, evaluations):
 
 
 @piece
-def leave_stop(osc, motion, phase, contact, remaining):
-    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
+def leave_stop(osc, motion, phase, contact, remaining, chatter):
+    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there.
+
+    The first part of it, ``chatter``, the mass spends hopping.
+    """
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
-    tally[STUCK] += s
+    tally[STUCK] += min(s, max(s - chatter, TINY))  # a rest counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
@@ -250,13 +254,13 @@ def propagate(osc, motion, duration):
     vectors, frame = V.shape[0] > 0, motion.growth.shape[0] > 0
     rate = spread_rate(block) if vectors else 0.0
     unit, loss = osc.time_unit, loss_spread(R)
-    own, kind = 0, ON_STOP_MOVING
+    own, kind, chatter = 0, ON_STOP_MOVING, 0.0
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
     t, phase = 0.0, osc.tau
     while True:
         if contact != FREE:
-            s, released = leave_stop(osc, motion, phase, contact, duration - t)
+            s, released = leave_stop(osc, motion, phase, contact, duration - t, chatter)
             if not released:
                 return
             t += s
@@ -295,7 +299,7 @@ def propagate(osc, motion, duration):
         own, kind, contact = side, ON_STOP_MOVING, FREE
         if following == REST:
             come_to_rest(osc, motion, v)
-            contact = side
+            contact, chatter = side, chatter_time(load_at_rest(side, v, a, cA2k), R * abs(v), R)
             continue
         record_impact(tally, impacts, t, side, abs(v), R)
         add_column(h, -(1.0 + R) * v, column)

@@ -27,6 +27,9 @@ NEWTON_STEPS = 12
 CYCLES = 60
 """Turns of the orbit that the Floquet frame may take to settle."""
 
+UNDERFLOWS = 1e-290
+"""Spectral radius below which the product of an orbit's Jacobians has lost its digits."""
+
 HOPELESS = 30.0
 """Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
 
@@ -168,8 +171,8 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
             return NEAR, orbit, spent
     again, J = map_with_jacobian(osc, point.image, contact, steps, half)
     spent += unit
-    if again.tally[STATUS] == RUNNING:
-        rounding = max(rounding, 4.0 * abs(spectral_radius(J) / max(radius, 1e-300) - 1.0))
+    if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
+        rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
     orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
     # Else it is too near a bifurcation for these digits.
