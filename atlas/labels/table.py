@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.errors import ChunkError
 from atlas.labels.attractors import Array, Attractors, Rows, attractors_of
 from atlas.labels.components import branches
 from atlas.labels.following import followed
-from atlas.store.groups import group_attributes
+from atlas.store.groups import read_group
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 from atlas.store.tables import LABELS, write_table
@@ -153,7 +154,12 @@ def _rows(found: Labels) -> dict[str, NDArray[Any]]:
 
 def stored_count(header: Header) -> Count | None:
     """What the stored labels say of themselves; None where there are none that would be found so again."""
-    known = group_attributes(header, LABELS)
-    if known is None or known.get("version") != VERSION or known.get("solver_version") != SOLVER_VERSION:
+    try:
+        stored = read_group(header, LABELS)
+    except ChunkError:
+        return None  # they are found anew
+    if stored is None:
         return None
-    return Count(**known["count"])
+    known = stored[1]
+    found_so = (known.get("version"), known.get("solver_version")) == (VERSION, SOLVER_VERSION)
+    return Count(**known["count"]) if found_so else None

@@ -18,9 +18,12 @@ from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.remote import zarr_store
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from atlas.store.store import Header
+from atlas.store.tables import ATTRACTORS, LABELS
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
+_TABLES = (ATTRACTORS, LABELS)
+"""Groups of arrays of one chunk, all of which are there."""
 _PATIENCE_SECONDS = 10.0
 
 
@@ -62,6 +65,8 @@ class GuardedStore(WrapperStore[Any]):
     async def _must_exist(self, array: str, index: str) -> bool:
         """Whether what is written after a chunk is there."""
         above, _, name = array.rpartition("/")
+        if above in _TABLES:
+            return True
         if name not in self._complete or name == REGIME.name:
             return False
         marks = (REGIME.name, REGIME_SHOWN.name) if above else (REGIME.name,)
@@ -72,6 +77,8 @@ class GuardedStore(WrapperStore[Any]):
 
     def _has_checksum(self, array: str) -> bool:
         above, _, name = array.rpartition("/")
+        if above in _TABLES:
+            return True
         return name in (self._complete if above.partition("/")[0] == OVERVIEWS else self._checked)
 
     def _error(self, key: str, fault: str) -> ChunkError:

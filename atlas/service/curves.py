@@ -151,7 +151,7 @@ class _Coordinator:
         if get_part(self.header, DIGEST) != self.digest.encode():
             drop_parts(self.header)
             put_part(self.header, DIGEST, self.digest.encode())
-        kept = set(part_names(self.header))
+        kept = {name for name in part_names(self.header) if get_part(self.header, name) is not None}
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
             self._do(jobs)

@@ -275,7 +275,8 @@ def noted_end(notes: Notes) -> str:
 
 def remove_half_made(store: Path) -> None:
     """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
-    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.*.partial"):
+    run_id = "[0-9a-f]" * 32
+    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
         shutil.rmtree(leftover, ignore_errors=True)
 
 

@@ -38,12 +38,16 @@ class Notes(Protocol):
 
 
 def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
-    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside."""
+    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside.
+
+    Of a store that is named by a link they are next to what the link leads to: a store has one claim.
+    """
     place = place_of(store)
     if isinstance(place, ObjectPlace):
         return notes_at_url(place)
     path = place.path if isinstance(place, ZipPlace) else place.local  # nobody claims a file, so there are none
     assert path is not None
+    path = Path(os.path.realpath(path))
     return Folder(path.parent / f".{path.name}.run")
 
 

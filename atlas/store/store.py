@@ -7,9 +7,9 @@ import shutil
 import tempfile
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,7 +19,7 @@ from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.build import build, consolidate, create_variable
 from atlas.store.digests import DIGESTS, TILES
 from atlas.store.location import LocalPlace, Place, place_of
-from atlas.store.machine import MACHINES, Machine
+from atlas.store.machine import MACHINES
 from atlas.store.schema import (
     ALLOWANCES,
     FORMAT,
@@ -252,31 +252,6 @@ def is_done(header: Header, index: tuple[int, ...]) -> bool:
 def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     """The key of a tile's chunk in a variable's array."""
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
-
-
-def record_machine(header: Header, machine: Machine) -> None:
-    """Put a machine on the list of those that solved this store's tiles."""
-    _recorded(header.place, header.run_id, machine)
-
-
-@lru_cache(maxsize=64)  # once a process and store is enough
-def _recorded(place: Place, run_id: str, machine: Machine) -> None:
-    import zarr
-    from zarr.errors import ContainsGroupError
-
-    path = f"{MACHINES}/{machine.name}"
-    if place.exists(f"{path}/{ROOT}"):
-        return
-    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
-        zarr.create_group(_zarr_store(place, "r+"), path=path, zarr_format=3, attributes=dict(machine.facts))
-
-
-def machines(header: Header) -> tuple[Machine, ...]:
-    """The machines that solved tiles of this store, in no order; empty where no tile is written yet."""
-    group: Any = open_group(header.place, "r")
-    if MACHINES not in group:
-        return ()
-    return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
 
 
 def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:

@@ -10,8 +10,9 @@ from atlas.errors import ChunkError, RunError, message_of
 from atlas.spec.spec import Slices
 from atlas.store.digests import COVERED, DIGESTS, digest_of
 from atlas.store.machine import this_machine
+from atlas.store.machines import record_machine
 from atlas.store.schema import ALLOWANCES, Allowance
-from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group, record_machine
+from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group
 from workers.results import Variable
 
 

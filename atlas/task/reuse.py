@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import place_of
+from atlas.store.machines import machines, record_machine
 from atlas.store.outage import LONG
 from atlas.store.schema import ALLOWANCES, extra_sizes
-from atlas.store.store import Header, is_done, machines, open_arrays, read_header, record_machine
+from atlas.store.store import Header, is_done, open_arrays, read_header
 from atlas.store.tiles import read_tile
 from atlas.task.solving import solve_block
 from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results
