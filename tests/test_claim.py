@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from atlas.errors import InputError, RunError
-from atlas.service.lease import CLAIM, Observer, Record, cancel, claimed, remove_half_made
+from atlas.service.lease import Observer, Record, cancel, claimed, remove_half_made
 from atlas.service.process import this_process
 from atlas.service.timing import Timing
-from atlas.store.sidecar import Folder, notes_of
+from atlas.store.sidecar import CLAIM, Folder, notes_of
 
 QUICK = Timing(beat=0.02)
 IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)

@@ -244,8 +244,8 @@ def _report(ctx: click.Context, summary: Summary) -> None:
     """Print how a run ended, and exit with 1 where a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
-        say(f"worker {worker} did no tile: {reason}")
+        say(f"worker {worker} got no more tiles: {reason}")
     for failure in summary.failures:
-        say(f"tile {failure.index} failed: {failure.message}")
+        say(str(failure))
     if summary.failures:
         ctx.exit(1)
