@@ -23,7 +23,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from atlas.errors import InputError, NetworkError, RunError
+from atlas.errors import InputError, NetworkError, RunError, one_line
 from atlas.service.process import is_name, is_running, this_process
 from atlas.service.timing import TIMING, Timing
 from atlas.store.location import Place
@@ -74,6 +74,12 @@ class Record:
         if isinstance(value, bool) or not isinstance(value, int | float):
             return 0
         return value if abs(value) < 2**63 else 0  # nor is NaN
+
+    @property
+    def trouble(self) -> str:
+        """Why the run comes to nothing, as its holder reports it; empty where it reports nothing."""
+        value = self.progress.get("trouble")
+        return one_line(value) if isinstance(value, str) else ""
 
     @property
     def is_alive(self) -> bool | None:

@@ -16,7 +16,7 @@ from atlas.service.dispatch import Workers, tile_outcomes
 from atlas.service.lease import Claim, claimed, remove_half_made
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.plan import Plan, check_disk, default_workers, make_plan
+from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
 from atlas.service.probe import CELLS, probe
 from atlas.service.progress import Progress
 from atlas.service.schedule import Order
@@ -99,7 +99,9 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
         client = joined(client, options, stack)
         plan = make_plan(target.spec, worker_count(client, options), header.tile if header else None)
         if target.place.local is not None:
-            check_disk(plan, target.place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
+            due = plan.tiling.count - (len(done_tiles(header)) if header else 0)
+            if shortage := disk_shortage(plan, target.place.local, due):
+                raise InputError(shortage)
         claim = stack.enter_context(claimed_place(target.place, options))
         return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
 

@@ -149,6 +149,7 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
         while not self._counting.done():
             on_wait(len(self._uncounted))
             wait([self._counting], timeout=WAIT_SECONDS)
+        self._counting.result()
         self._thread.submit(self._flush).result()
 
     def _count(self) -> None:
