@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from atlas.errors import InputError, RunError
 from atlas.service.timing import TIMING, Timing
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, Security
+    from distributed import Client, Security
 
 LOST = "the cluster was lost; the same command resumes from the stored tiles"
 
@@ -114,16 +114,6 @@ def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
     except OSError:
         raise RunError(LOST) from None
     return {name: (int(each.get("memory_limit") or 0), each.get("status") == "paused") for name, each in found.items()}
-
-
-def failed_on(client: "Client", future: "Future[Any]") -> str:
-    """The worker on which a task failed, empty where the scheduler does not know."""
-
-    def look(dask_scheduler: Any, key: Any) -> list[str]:  # travels as it is: the scheduler may not have this package
-        return sorted(getattr(dask_scheduler.tasks.get(key), "erred_on", None) or ())
-
-    known = client.run_on_scheduler(look, key=future.key)
-    return str(known[0]) if known else ""
 
 
 def count_threads(client: "Client", waiting: Callable[[], None], timing: Timing = TIMING) -> int:

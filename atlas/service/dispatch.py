@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from atlas.errors import NetworkError, RunError
-from atlas.service.cluster import LOST, failed_on, worker_memory, worker_threads
+from atlas.service.cluster import LOST, worker_memory, worker_threads
 from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
@@ -239,7 +239,7 @@ class _Window(Generic[J, R]):
             result = future.result()
             future.release()
         elif future.status == "error":
-            result = self.unloaded(future)
+            result = self.failure_of(future)
         else:
             raise RunError(LOST)
         if isinstance(result, Done):
@@ -270,8 +270,8 @@ class _Window(Generic[J, R]):
                 yield _given_up(attempt)
         self.doubtful.clear()
 
-    def unloaded(self, future: "Future[Done[R] | Refusal | Failure]") -> Failure:
-        """The failure of a job that came to no end of its own: its worker died, or could not load it."""
+    def failure_of(self, future: "Future[Done[R] | Refusal | Failure]") -> Failure:
+        """The failure of a job that came to no end of its own: all workers that had it died."""
         error = future.exception()
         assert error is not None
         if "deserialization of the task graph" in str(error):
@@ -279,10 +279,8 @@ class _Window(Generic[J, R]):
                 f"the scheduler cannot load this package ({type(error).__name__}); install the same impact-atlas on "
                 "every host, the scheduler's too"
             )
-        hint = "; is the same impact-atlas installed there?" if isinstance(error, ImportError) else ""
-        failure = Failure(failed_on(self.client, future), _in_words(error) + hint)
         future.release()
-        return failure
+        return Failure("", _in_words(error))
 
 
 def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, ...]:
