@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from distributed import Client
 import atlas
 from atlas import render
 from atlas.cli.main import main
-from atlas.errors import InputError
+from atlas.errors import InputError, RunError
 from atlas.query.basins import basin_entropy, table, uncertainty_exponent
+from atlas.store.store import read_header
+from atlas.task.basins import complete_basins
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
 from workers.basins import solve_basins
@@ -119,6 +122,18 @@ def test_labels_given_last_are_those_of_a_larger_reference_set_by_period(tmp_pat
 def test_a_store_of_basins_is_sound_to_the_bit(solved: Path) -> None:
     report = atlas.verify(solved, sample=3, seed=1)
     assert report.fine and report.comparison == "bits"
+
+
+def test_nothing_is_labelled_after_the_claim_of_the_store_is_lost(solved: Path, tmp_path: Path) -> None:
+    def lost() -> None:
+        raise RunError("another run has this store")
+
+    store = Path(shutil.copytree(solved, tmp_path / "basins.zarr"))
+    shutil.rmtree(store / "attractors")
+    before = {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}
+    with pytest.raises(RunError, match="another run has this store"):
+        complete_basins(read_header(store), lost)
+    assert {path: path.read_bytes() for path in store.rglob("*") if path.is_file()} == before
 
 
 def test_the_table_has_shares_mirror_images_and_section_points(solved: Path) -> None:

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from atlas.errors import InputError, RunError
-from atlas.service.lease import CLAIM, Observer, Record, cancel, claimed, remove_half_made
+from atlas.service.lease import Observer, Record, cancel, claimed, remove_half_made
 from atlas.service.process import this_process
 from atlas.service.timing import Timing
-from atlas.store.sidecar import Folder, notes_of
+from atlas.store.sidecar import CLAIM, Folder, notes_of
 
 QUICK = Timing(beat=0.02)
 IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)
@@ -184,6 +184,29 @@ def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
         seen = notes.read(CLAIM)
         until(lambda: notes.read(CLAIM) != seen)
         claim.check()
+
+
+@pytest.mark.parametrize("patience", [0.0, 1.0])
+def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itself(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch, patience: float
+) -> None:
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=patience) as claim:
+
+        def put(*_: object, **__: object) -> bool:
+            raise OSError(5, "Input/output error")
+
+        claim.check()
+        begin = time.monotonic()
+        with monkeypatch.context() as away:
+            away.setattr(Folder, "put", put)
+            with pytest.raises(
+                RunError, match=r"could not renew its claim of the store for \d+ s, so that another run"
+            ):
+                while True:
+                    claim.check()
+                    time.sleep(0.02)
+        assert time.monotonic() - begin >= max(patience, IMPATIENT.dead) - 2 * IMPATIENT.beat
+    assert notes.read(CLAIM) is None  # the store is free again
 
 
 def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:

@@ -12,6 +12,7 @@ from typing import TypeVar
 import click
 
 from atlas.errors import ChunkError, InputError, NetworkError, shown
+from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
 from workers import Settings
 from workers.model.system import DEFAULT
@@ -35,7 +36,9 @@ SETTING_MEANINGS = {
 
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
 workers_option = click.option(
-    "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
+    "--workers",
+    type=click.IntRange(1, MOST_WORKERS),
+    help="Worker processes on this machine; default: one a processor.",
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 window_option = click.option(

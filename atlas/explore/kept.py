@@ -14,8 +14,8 @@ from atlas.explore.sheets import SheetKey, Sheets, depth
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
-from atlas.service.lease import CLAIM, claimed
-from atlas.store.sidecar import notes_of
+from atlas.service.lease import claimed
+from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import write_tile
 from atlas.store.zoom import drop_sheet, note_seen, seen_sheets, sheet_bytes, sheets

@@ -15,7 +15,7 @@ from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
 from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import outcomes
+from atlas.service.dispatch import Workers, outcomes
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
@@ -157,6 +157,7 @@ class _Coordinator:
             self._do(jobs)
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
+        self.claim.confirm(self.header.place)
         write_curves(self.header, found)
         drop_parts(self.header)
         seconds = time.monotonic() - self.begin
@@ -165,8 +166,8 @@ class _Coordinator:
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         header, settings = self.header, self.search.settings
         index, store = (self.search.stage, number), str(header.place)
-        patience = self.options.patience
-        return CurveJob(index, name, task, settings, self.digest, store, header.run_id, SOLVER_VERSION, patience)
+        run, patience = (header.run_id, SOLVER_VERSION), self.options.patience
+        return CurveJob(index, name, task, settings, self.digest, store, *run, patience, self.claim.token)
 
     def _do(self, jobs: list[CurveJob]) -> None:
         if not jobs:
@@ -187,10 +188,11 @@ class _Coordinator:
         self.processor_seconds += receipt.processor_seconds
         self._report(self.search.doing)
 
-    def _tick(self, threads: int, refused: Mapping[str, str]) -> None:
+    def _tick(self, workers: Workers) -> None:
         self.claim.check()
-        self.workers = max(self.workers, threads)
-        self._report(self.search.doing if threads else "waiting for a worker: there is none left")
+        self.workers = max(self.workers, workers.threads)
+        doing = self.search.doing if workers.threads else "waiting for a worker: there is none left"
+        self._report(workers.trouble or doing)
 
     def _report(self, doing: str) -> None:
         """Tell how far it is; in a log once every few seconds."""

@@ -57,10 +57,11 @@ def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAUL
             return LabelSummary(str(header.place), stored)
         refuse_packed(header.place)
         begin = time.monotonic()
-        with claimed_place(header.place, options):
+        with claimed_place(header.place, options) as claim:
             options.report(Progress(warming()))
             compile_once(header.spec.settings)
             options.report(Progress("following orbits from cell to cell"))
             found = labels_of(header)
+            claim.confirm(header.place)
             write_labels(header, found)
         return LabelSummary(str(header.place), found.count, time.monotonic() - begin)

@@ -125,14 +125,15 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
-    """Raise InputError where the disk that is to hold ``target`` has no room for that many tiles, or for all."""
+def disk_shortage(plan: Plan, target: Path, tiles: int | None = None) -> str:
+    """What to say where the disk that is to hold ``target`` has no room for that many tiles, or for all; else empty."""
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
     bytes_needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
-    if bytes_needed > free:
-        needed, room = byte_size(bytes_needed), byte_size(free)
-        raise InputError(f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk")
+    if bytes_needed <= free:
+        return ""
+    needed, room = byte_size(bytes_needed), byte_size(free)
+    return f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk"
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:

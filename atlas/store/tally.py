@@ -152,10 +152,11 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
 
     On entry the entries of tiles that are to be solved are cleared: of unfinished ones and of ``again``. ``add`` takes
     the entry of a tile that is written; ``finish`` counts what an earlier run has left uncounted, and writes all.
+    ``held`` is called before each write, and raises where another run has the store.
     """
 
-    def __init__(self, header: Header, again: Iterable[Index] = ()) -> None:
-        self._header = header
+    def __init__(self, header: Header, again: Iterable[Index] = (), held: Callable[[], None] = lambda: None) -> None:
+        self._header, self._held = header, held
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._new: dict[Index, Entries] = {}
         settled = done_mask(header)
@@ -184,6 +185,7 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
         while not self._counting.done():
             on_wait(len(self._uncounted))
             wait([self._counting], timeout=WAIT_SECONDS)
+        self._counting.result()
         self._thread.submit(self._flush).result()
 
     def _count(self) -> None:
@@ -215,6 +217,7 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
             values = _read(self._array, block)
             for index in indices:
                 values[tuple(i - part.start for i, part in zip(index, block, strict=True))] = entries[index]
+            self._held()
             self._array[block] = values
 
     def __exit__(
