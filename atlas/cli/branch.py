@@ -166,7 +166,7 @@ def _print(found: Branches) -> None:
     for event in found.untried:
         kind, value = event.event.kind.replace("_", " "), event.event.point.values[0]
         click.echo(f"not followed: branch {event.branch}, {kind} at {value:.10g}: {event.why}")
-    click.echo(f"{plural(len(rows), 'event')} on {len(found.traced)} branch{'es' if len(found.traced) > 1 else ''}")
+    click.echo(f"{plural(len(rows), 'event')} on {plural(len(found.traced), 'branch', 'branches')}")
 
 
 def _name(each: dict[str, Any]) -> str:

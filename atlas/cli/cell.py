@@ -22,6 +22,7 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, text, to_json
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
+from atlas.spec.equation import equation_of
 from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
 from atlas.spec.system import checked_system
 from atlas.task.compile import warming
@@ -109,7 +110,7 @@ def example(name: str | None) -> None:
 def _print_system(record: System) -> None:
     """Title, equation, picture, parameters, source and usual axes."""
     click.echo(f"{record.name}: {record.title}")
-    for part in (record.equation, record.picture):
+    for part in (equation_of(record), record.picture):
         if part.strip():
             click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
     click.echo()

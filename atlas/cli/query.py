@@ -111,7 +111,7 @@ def query(
         else:
             _cells(ds, wanted, bounds, out, as_json)
     if not point and out is None and not as_json:
-        say(f"{reads.chunks} chunks read")
+        say(f"{plural(reads.chunks, 'chunk')} read from the store")
 
 
 def _cells(
