@@ -19,7 +19,8 @@ from atlas.cli.options import (
     settings_options,
     system_option,
 )
-from atlas.cli.output import print_table, text, to_json
+from atlas.cli.output import print_attractors, print_table, text, to_json
+from atlas.errors import InputError
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
 from atlas.spec.equation import equation_of
@@ -27,33 +28,51 @@ from atlas.spec.spec import checked_parameters, checked_settings, example_names,
 from atlas.spec.system import checked_system
 from atlas.task.compile import warming
 from workers.model.system import System, find_system, system_names
+from workers.starts import MOST_STARTS, Starts
 
 
 @click.command(
     epilog=examples(
         "atlas point --set omega=4 --set b=0.1 --exponents spectrum",
         "atlas point --system impact-damper --set omega=1 --json",
+        "atlas point --set omega=4 --set b=0.1 --attractors",
     )
 )
 @set_option
 @system_option
+@click.option("--attractors", "every", is_flag=True, help="All attractors that initial states reach, with shares.")
+@click.option(
+    "--starts",
+    type=click.IntRange(1, MOST_STARTS),
+    default=Starts.count,
+    show_default=True,
+    help="Initial states, with --attractors.",
+)
 @settings_options()
 @json_option
-def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> None:
-    """Solve one cell and print all its results."""
+def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
+    """Solve one cell and print all its results, or with --attractors all its attractors."""
+    from atlas.cell.attractors import attractors
     from atlas.cell.point import point as solve_point
 
+    if starts != Starts.count and not every:
+        raise InputError("--starts goes with --attractors: without it one initial state is solved")
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     record = checked_system(system)
     checked_parameters(record, pairs)
     if not as_json:
         say(f"{warming()}, solving")
-    found = solve_point(pairs, system=record, settings=settings)
+    if every:
+        found = attractors(pairs, system=record, settings=settings, starts=starts)
+    else:
+        found = solve_point(pairs, system=record, settings=settings)
     if as_json:
         click.echo(to_json(found))
-    else:
-        shown = found | {"system": record.name}
-        print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
+        return
+    shown = found | {"system": record.name}
+    several = shown.pop("coexisting", [])
+    print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
+    print_attractors(several)
 
 
 @click.command(epilog=examples("atlas portrait --set omega=3 --set b=0.2 -o cell.png"))
