@@ -3,7 +3,6 @@
 Registered with xarray by ``atlas.open``, or by importing this module.
 """
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,17 +14,15 @@ from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell
 from atlas.branches.table import Branches
 from atlas.curves import asking
-from atlas.errors import InputError
 from atlas.query import connected
 from atlas.query import queries as query
 from atlas.query.attractors import leading
 from atlas.query.basins import basins
+from atlas.query.cell import solved_cell
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window
 from atlas.render import LOOK, branch_figure, check_path, compared_figure, figure, portrait, side_by_side
-from atlas.spec.system import resolved_system
-from workers import Settings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -189,22 +186,12 @@ class AtlasAccessor:
     def portrait(self, path: str | Path | None = None, **options: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
 
+        Of an atlas of all attractors it is that of the attractor with the largest share, or of the one selected.
         A matplotlib Figure, shown by a notebook, also written to ``path`` if given. Size and type as in ``plot``:
         ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
         """
         look = {name: options.pop(name) for name in LOOK if name in options}
         if path is not None:
             check_path(path)
-        cell = query.at(self._ds, options)
-        try:
-            spec = json.loads(self._ds.attrs["spec"])
-            system, settings = resolved_system(spec), Settings(**spec["solve"])
-        except InputError:
-            raise
-        except (KeyError, TypeError, ValueError):
-            raise InputError("this dataset does not say how it was solved: it lacks the spec of its atlas") from None
-        known = [parameter.name for parameter in system.parameters]
-        given = {
-            name: float(cell[name] if name in cell else self._ds[name]) for name in known if name in self._ds.coords
-        }
-        return portrait(given, system=system, settings=settings, path=path, **look)
+        cell = solved_cell(self._ds, options)
+        return portrait(cell.parameters, system=cell.system, settings=cell.settings, path=path, **look)

@@ -2,14 +2,18 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from PIL import Image
 
-import atlas.accessor  # noqa: F401  registers it
+import atlas
+import atlas.accessor
 from atlas.cell.orbit import cell_orbit
+from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query import queries as query
 from tests.test_query import plane
@@ -146,6 +150,36 @@ def test_a_portrait_is_of_the_nearest_cell_with_the_settings_of_the_atlas(tmp_pa
     cell = cell_orbit({"omega": 4.0, "b": 0.6, "R": 0.8}, "two-mass", Settings(max_periods=123))
     with Image.open(tmp_path / "a.png") as image:
         assert image.info["Digest"] == cell.digest
+
+
+def test_the_command_draws_a_cell_of_a_store_with_the_settings_of_the_atlas(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[Any, ...]] = []
+
+    def draw(given: Any, *, system: Any, settings: Any, path: Path) -> None:
+        drawn.append((given, system.name, settings))
+
+    monkeypatch.setattr("atlas.cli.cell.draw_portrait", draw)
+    line = ["portrait", str(finished), "--at", "omega=2.3", "--at", "b=0.42", "-o", str(tmp_path / "cell.png")]
+    assert CliRunner().invoke(main, line).exit_code == 0
+    ((given, system, settings),) = drawn
+    cell = atlas.open(finished).atlas.at(omega=2.3, b=0.42)
+    assert (given["omega"], given["b"], given["R"]) == (cell["omega"], cell["b"], 0.8)
+    assert (system, settings) == ("two-mass", Settings(max_periods=500, tolerance=0.1, section_samples=2))
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["--at", "omega=3"], "--at is for a cell of a STORE"),
+        (["a.zarr", "--set", "omega=3"], "--set is for a cell without a STORE"),
+        (["a.zarr", "--max-periods", "900"], "--max-periods is for a cell without a STORE"),
+    ],
+)
+def test_options_of_cells_that_do_not_go_together_are_refused(args: list[str], says: str, tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["portrait", *args, "-o", str(tmp_path / "cell.png")])
+    assert (shown.exit_code, says in shown.output) == (2, True)
 
 
 def test_a_portrait_needs_to_know_how_the_atlas_was_solved() -> None:

@@ -99,8 +99,8 @@ def test_a_tile_that_kills_every_process_is_marked_failed_with_the_reason(
 ) -> None:
     run, ended = faulty
     assert (read_tile(read_header(run.store), (0, 1))["regime"] == FAILED).all()
-    reason = "its tile ends the process that solves it, each of 3 times (signal 9, SIGKILL)"
-    assert f"4 cells failed: {reason}" in ended.stdout
+    reason = "the process that solved its tile died, each of 3 times (signal 9, SIGKILL)"
+    assert f"4 failed cells: {reason}" in ended.stdout
 
 
 def test_every_other_tile_is_finished_and_right(faulty: tuple[Run, subprocess.CompletedProcess[str]]) -> None:

@@ -184,7 +184,7 @@ def test_the_summary_says_how_many_cells_are_invalid_and_why(tmp_path: Path, cli
     """Truth: with b from 0.1 to 0.5, the mass starts beyond a stop in the rows of b = 0.1 and 0.2."""
     summary = atlas.run(plane_of(x1=0.25), tmp_path / "out.zarr", client=client)
     assert summary.reasons == {"the initial state lies beyond a stop": 14}
-    assert "14 cells invalid: the initial state lies beyond a stop" in str(summary).splitlines()
+    assert "14 invalid cells: the initial state lies beyond a stop" in str(summary).splitlines()
 
 
 def test_an_interrupt_leaves_no_task_on_the_callers_cluster(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:

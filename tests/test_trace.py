@@ -74,7 +74,7 @@ def test_a_cell_without_a_motion_is_refused_in_one_line(changes: dict[str, float
 def test_a_motion_of_too_many_impacts_is_refused_in_one_line() -> None:
     """Truth: 730 impacts a period cost 2200 evaluations, and two million are allowed to so few periods."""
     many = {"omega": 0.5, "b": 0.002, "R": 0.97}
-    with pytest.raises(ValueError, match=r"^period 9\d\d: the evaluations that it may cost are spent$"):
+    with pytest.raises(ValueError, match=r"^period 9\d\d: its budget of evaluations of the motion is spent$"):
         trace("two-mass", many, 1000, Settings(exponents="none"))
 
 

@@ -10,6 +10,7 @@ from types import FrameType
 from typing import TypeVar
 
 import click
+from click.core import ParameterSource
 
 from atlas.errors import ChunkError, InputError, NetworkError, shown
 from atlas.service.options import MOST_WORKERS
@@ -112,6 +113,26 @@ def meanings(title: str, words: Mapping[str, str]) -> str:
 
 def _as_it_stands(title: str, lines: Iterable[str]) -> str:
     return "\b\n" + "\n".join([title, *(f"  {line}" for line in lines)])  # \b: not to be filled anew
+
+
+def at_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The option --at of a command on one cell, of a STORE or not."""
+    words = "With STORE: its cell nearest to a point; one value for each axis."
+    return click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help=words)(command)
+
+
+def check_cell_options(store: str | None) -> None:
+    """InputError where an option of the current command does not go with a cell of a STORE, or without one."""
+    context = click.get_current_context()
+    settings = {field.name for field in fields(Settings)}
+    wrong = {"point", "select"} if store is None else {"given", "system"} | settings
+    for each in context.command.params:
+        if each.name in wrong and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE:
+            if store is None:
+                raise InputError(
+                    f"{each.opts[-1]} is for a cell of a STORE, and none is given; without one, give --set"
+                )
+            raise InputError(f"{each.opts[-1]} is for a cell without a STORE; a cell of a STORE has its own, give --at")
 
 
 def say(text: str) -> None:

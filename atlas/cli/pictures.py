@@ -101,8 +101,7 @@ def render(
                 **look,
             )  # fmt: skip
     if reads.chunks:
-        cells = f"overview {reads.level}" if reads.level else "the cells themselves"
-        say(f"{reads.chunks} chunks read, of {cells}")
+        say(str(reads))
     click.echo(str(out))
 
 

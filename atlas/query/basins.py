@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.attractors import in_words
 from atlas.query.open import open_table
 from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import group_attributes

@@ -168,7 +168,7 @@ def mark_lost(ax: Axes, plane: Plane, lost: NDArray[np.bool_], colormap: Colorma
         return []
     ink = style.ink_on(colormap(0.0))
     axes.hatch(ax, plane.x, plane.y, lost, style.LOST_HATCH, ink)
-    return [style.swatch(colormap(0.0), r"$-\infty$: no direction is left", style.LOST_HATCH, ink)]
+    return [style.swatch(colormap(0.0), r"$-\infty$: rest on a stop erases disturbances", style.LOST_HATCH, ink)]
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> None:

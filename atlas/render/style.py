@@ -70,7 +70,7 @@ HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAI
 """The ink of those textures; what is not named is drawn in an ink that suits its cells."""
 
 LOST_HATCH = "||"
-"""The texture of exponents that are -inf: at rest on a stop no direction is left."""
+"""The texture of exponents that are -inf: rest on a stop erases disturbances."""
 
 
 def name_of(code: int) -> str:

@@ -64,11 +64,11 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
-    """A line for each reason why results are missing or uncertain: ``3 cells invalid: the initial state lies ...``."""
+    """A line for each reason why results are missing or uncertain: ``3 invalid cells: the initial state lies ...``."""
     regimes = {regime.code: regime.name for regime in REGIMES}
     # How a process died has words of its own.
     meant = {reason.text: regimes[reason.regime] for reason in REASONS}
-    return [f"{plural(count, 'cell')} {meant.get(text, regimes[FAILED])}: {text}" for text, count in reasons.items()]
+    return [f"{plural(count, f'{meant.get(text, regimes[FAILED])} cell')}: {text}" for text, count in reasons.items()]
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
