@@ -32,7 +32,7 @@ def names(ax: Axes, gid: str = "corner name") -> list[str]:
 
 def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
     with keeping(found):
-        figure: Figure = render.figure(plane(), kind, overlays="curves", **options)
+        figure: Figure = render.figure(plane(), kind, overlay="curves", **options)
     return figure
 
 
@@ -114,7 +114,7 @@ def test_curves_of_other_axes_are_refused() -> None:
 def test_an_atlas_without_curves_says_which_command_finds_them(finished: Path) -> None:
     ds = atlas.open(finished)
     with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; atlas curves"):
-        render.figure(ds, overlays="curves")
+        render.figure(ds, overlay="curves")
     with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; atlas curves"):
         render.figure(ds, "regions")
 

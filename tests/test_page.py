@@ -56,7 +56,7 @@ def draw(kind: str, **look: Any) -> Figure:
         page.fit(figure)
         return figure
     if kind in render.MAPS:
-        return render.figure(plane(), kind, overlays=render.MAP_OVERLAYS, **look)
+        return render.figure(plane(), kind, overlay=render.MAP_OVERLAYS, **look)
     return render.figure(line(), kind, **look)
 
 
@@ -183,7 +183,7 @@ def test_a_style_file_decides_what_the_options_do_not(tmp_path: Path) -> None:
 
 def test_a_map_is_drawn_into_axes_of_ones_own() -> None:
     figure, axes = plt.subplots(1, 2, layout="constrained")
-    assert render.figure(plane(), "combined", ax=axes[1], overlays="grazing") is axes[1]
+    assert render.figure(plane(), "combined", ax=axes[1], overlay="grazing") is axes[1]
     assert axes[1].images and not axes[0].images
     assert axes[1].get_legend() is not None
     figure.draw_without_rendering()
@@ -203,7 +203,7 @@ def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
 
 def test_one_overlay_may_be_given_as_a_text() -> None:
     one, several = (
-        render.figure(plane(), overlays=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])
+        render.figure(plane(), overlay=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])
     )
     assert one.get_text() == several.get_text() == r"grazing, $|Y| = b$"
 
