@@ -158,6 +158,16 @@ def test_sweeps_take_the_ends_of_the_axis_of_exponents() -> None:
     assert top.get_ylim() != (-1.0, 0.5)
 
 
+@pytest.mark.parametrize("width", ["85mm", "120mm", "180mm"])
+def test_a_legend_beside_a_map_is_not_printed_over_its_title(width: str) -> None:
+    long = plane().assign_coords(R=0.812345, zeta=0.0512345, mu_m=2.123456, mu_k=5.123456, f2=0.123456, tau=1.234567)
+    figure = render.figure(long, "period", overlay=["grazing", "boundaries"], width=width)
+    figure.draw_without_rendering()
+    title = next(each for each in figure.findobj(Text) if each.get_gid() == "title")
+    (legend,) = figure.legends
+    assert not legend.get_window_extent().overlaps(title.get_window_extent())
+
+
 def test_the_title_can_be_left_out() -> None:
     assert render.figure(plane(), title=False).axes[0].get_title(loc="left") == ""
     assert render.orbit_figure(orbit(), title=False).get_suptitle() == ""
