@@ -1,9 +1,12 @@
 """Claims about ``ds.atlas``: it answers as the functions do, of whatever selection it is asked."""
 
+import inspect
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 import xarray as xr
@@ -12,8 +15,11 @@ from PIL import Image
 
 import atlas
 import atlas.accessor
+from atlas.accessor import AtlasAccessor, DrawnBranches, DrawnComparison
 from atlas.cell.orbit import cell_orbit
+from atlas.cli.compare import compare
 from atlas.cli.main import main
+from atlas.cli.pictures import render
 from atlas.errors import InputError
 from atlas.query import queries as query
 from tests.test_query import plane
@@ -131,6 +137,42 @@ def test_the_forcing_frequency_has_to_be_known() -> None:
 
 
 # Pictures
+
+
+def options_of(command: click.Command, *without: str) -> set[str]:
+    return {str(each.name) for each in command.params} - {"out", *without}
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        (AtlasAccessor.plot, options_of(render, "stores", "select")),  # of which xarray picks the plane
+        (AtlasAccessor.portrait, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
+        (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "keep", "port"}),
+        (DrawnComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),
+        (DrawnBranches.plot, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
+    ],
+    ids=lambda value: getattr(value, "__qualname__", ""),
+)
+def test_methods_that_draw_have_the_options_of_their_command_as_keyword_arguments(
+    method: Callable[..., object], options: set[str]
+) -> None:
+    parameters = inspect.signature(method).parameters
+    assert options <= parameters.keys()
+    assert all(name in (method.__doc__ or "") for name in options)
+
+
+def test_an_unknown_option_is_refused_with_all_that_there_are() -> None:
+    ds = plane([1, 2], [0.1, 0.2])
+    possible = [name for name in inspect.signature(AtlasAccessor.plot).parameters if name != "self"]
+    with pytest.raises(InputError) as error:
+        ds.atlas.plot("exponent", overlays="grazing")
+    assert str(error.value) == f"unknown option 'overlays'; possible: {', '.join(possible)}"
+    assert {"overlay", "curves", "against", "ax", "width", "vmin"} <= set(possible)
+    with pytest.raises(InputError, match="unknown option 'widht'; possible: omega, b, path, width, "):
+        ds.atlas.portrait(omega=1, b=0.1, widht="85mm")
+    with pytest.raises(InputError, match="unknown option 'widht'; possible: others, kind, window, width, "):
+        ds.atlas.beside(ds, widht="85mm")
 
 
 def test_plot_draws_a_kind_in_a_window() -> None:

@@ -74,6 +74,7 @@ def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[...,
         "vmin": click.option("--vmin", type=float, help="Lower end of the scale, for several pictures on one."),
         "vmax": click.option("--vmax", type=float, help="Upper end of the scale."),
         "title": click.option("--title/--no-title", default=True, help="Whether the fixed parameters stand above."),
+        "legend": click.option("--legend/--no-legend", default=True, help="Whether there is a legend."),
         "style": click.option("--style", metavar="FILE", help="A matplotlib style, or the name of one."),
     }
 

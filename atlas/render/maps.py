@@ -50,11 +50,15 @@ class Options:
     overlays   names of lines over it
     page       what it is drawn on
     asked      size, (x, y), in pixels of the plot area that its cells are to fill, where it is not the page's
+    curves     kinds of exact curves that are drawn, of CURVES; None for all
+    names      whether names and levels stand on it
     """
 
     overlays: tuple[str, ...] = ()
     page: Page = STANDARD
     asked: tuple[int, int] | None = None
+    curves: tuple[str, ...] | None = None
+    names: bool = True
 
     @property
     def size(self) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib import style as mpl_style
@@ -18,6 +18,7 @@ from matplotlib.transforms import ScaledTranslation
 from atlas.errors import InputError
 from atlas.render.fit import fit
 from atlas.render.measures import length, number, positive
+from atlas.render.options import Look
 from atlas.render.style import DPI, house
 
 WIDTH = 7.0
@@ -33,29 +34,6 @@ _BESIDE = 5.0
 """Least width in inches of a page that has room for a legend beside its plot."""
 
 
-class Look(TypedDict, total=False):
-    """How a picture looks, for every function that draws one.
-
-    width      of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"
-    height     the same
-    font_size  points of the type
-    dpi        dots per inch
-    vmin       lower end of the scale of numbers, or of the axis of exponents in a sweep
-    vmax       its upper end
-    title      whether the fixed parameters stand above
-    style      a matplotlib style: a file, or the name of one of matplotlib's own
-    """
-
-    width: float | str | None
-    height: float | str | None
-    font_size: float | None
-    dpi: float | None
-    vmin: float | None
-    vmax: float | None
-    title: bool
-    style: str | Path | None
-
-
 class Picture(Figure):
     """A figure that a notebook shows by itself, with neither pyplot nor a magic line."""
 
@@ -69,7 +47,10 @@ class Picture(Figure):
 
 @dataclass(frozen=True)
 class Page:
-    """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure."""
+    """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure.
+
+    ``explained``: whether it has a legend.
+    """
 
     width: float = WIDTH
     height: float | None = None
@@ -78,6 +59,7 @@ class Page:
     vmin: float | None = None
     vmax: float | None = None
     title: bool = True
+    explained: bool = True
     rc: Mapping[str, Any] = field(default_factory=dict)
     given: tuple[Axes, ...] = ()
 
@@ -146,9 +128,9 @@ class Page:
     def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
         """A legend under the plots in as many columns as fit, or, where ``beside`` is a title (or ""), to the right.
 
-        A page too narrow for a legend beside has it below. None without entries.
+        A page too narrow for a legend beside has it below. None without entries, or where none is asked for.
         """
-        if not entries:
+        if not (entries and self.explained):
             return
         handles = list(entries)
         aside = beside is not None and (self.wide or bool(self.given))
@@ -234,6 +216,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
         vmin=number("vmin", look.get("vmin")),
         vmax=number("vmax", look.get("vmax")),
         title=look.get("title", True),
+        explained=look.get("legend", True),
         rc=rc,
         given=given,
     )

@@ -17,19 +17,19 @@ Class: TypeAlias = tuple[int, int | None, str]
 
 CLASSES: tuple[Class, ...] = (
     (1, 1, style.COLORS[PERIODIC]),
-    (2, 2, "#1330f7"),
-    (3, 3, "#be8eff"),
-    (4, 4, "#190432"),
-    (5, 5, "#79b896"),
-    (6, 6, "#7ea2ad"),
-    (7, 8, "#393980"),
-    (9, 16, "#f7c1ff"),
-    (17, None, "#005852"),
+    (2, 2, "#00b0a2"),
+    (3, 3, "#cf7fff"),
+    (4, 4, "#650b62"),
+    (5, 5, "#a0a979"),
+    (6, 6, "#8de2ff"),
+    (7, 8, "#304441"),
+    (9, 16, "#785d4f"),
+    (17, None, "#0000f1"),
 )
 """First and last period of each class and its colour, the same in every picture: cool ones, since warm ones are chaos.
 
-Chosen, with the colours of the regimes and of the chaos, for the greatest least difference between any two, also as
-seen without red or without green receptors; those of long periods lie farthest from those of 4 and 5.
+Chosen, with the colours of the regimes and of the chaos, for the greatest least difference (CIEDE2000) between any two:
+above 21 among periods, above 13 as seen without red, green or blue receptors.
 """
 
 

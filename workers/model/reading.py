@@ -63,9 +63,9 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
         TAU: Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
     }
     for name in coordinates:
-        built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", f"initial displacement {name}", 0.0)
+        built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0)
     for name, of in zip(velocities, coordinates, strict=True):
-        built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", f"initial velocity {name}", 0.0)
+        built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
     for name in (*coordinates, *velocities):
         for key in ("low", "high"):
             if isinstance(given.get(name), Mapping) and key in given[name]:
