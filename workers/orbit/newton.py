@@ -17,6 +17,7 @@ from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
+from workers.orbit.rest import is_followed
 
 Array = NDArray[np.float64]
 
@@ -283,6 +284,7 @@ def no_orbits(count: int, n: int) -> Orbits:
 def settle_each(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
     """settle for each of these cells, of which the last ``kept`` (N,) sections (N, K, n, 2) are known; near (N,).
 
+    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest.
     Fills in the rows of orbits and spent (N,) of these cells; returns which of them were found.
     """
     settled = np.zeros(len(cells), dtype=np.bool_)
@@ -292,6 +294,8 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         known = sections[r, sections.shape[1] - kept[r] :]
         result, orbit, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
         settled[e] = result == SETTLED
+        if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:
+            settled[e] = is_followed(osc, orbit.h, orbit.contact, orbit.steps)
         orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
