@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from workers.cells import Array, Cells, Mask, Rows, clearly_positive
 from workers.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.kernel.cells import physical_states, reset_frames
+from workers.kernel.impact import COMPLETION
 from workers.kernel.motion import (
     LOSS,
     LOST,
@@ -59,9 +60,9 @@ REASON_OF = {
 }
 """Why a motion cannot go on, by its status."""
 
-CHATTER_CUT = 1e-12
-"""What the jump to rest at the end of a chatter changes an exponent by, relative to one more than itself: at most half
-of it in 630 random orbits followed ten thousand times closer to rest."""
+CHATTER_CUT = COMPLETION**3
+"""What the jump to rest at the end of a chatter changes an exponent by, relative to one more than itself: of third
+order in what is cut. At most half of this in 630 random orbits followed ten thousand times closer to rest."""
 
 
 def put(cells: Cells, rows: Rows, **values: Any) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_of
-from workers.kernel.jit import kernel
+from workers.kernel.jit import kernel, piece
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.stroboscopic import advance
 from workers.orbit.map import separation
@@ -31,6 +31,38 @@ def growth_of(V):
     return math.sqrt(square)
 
 
+@piece
+def pass_period(osc, motion, rests):
+    """Take a motion on by a period: whether it rests at its end, and whether that is the first section after a rest.
+
+    ``rests`` says whether it did before. From a section after a rest on tangent vectors are the block axes again.
+    """
+    motion.tally[LOST] = 0.0
+    advance(osc, motion)
+    rests = rests or motion.tally[LOST] >= 2.0
+    released = rests and abs(motion.contact[0]) != HELD
+    if released:
+        fresh = axes(motion.h.shape[0])
+        for i in range(fresh.shape[0]):
+            for j in range(fresh.shape[1]):
+                motion.V[i, j, 0], motion.V[i, j, 1] = fresh[i, j, 0], fresh[i, j, 1]
+    return rests and not released, released
+
+
+@kernel
+def is_followed(osc, h, contact, periods):
+    """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
+    osc = borrowed(osc)
+    motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
+    rests = begun = False
+    for _ in range(2 * periods):
+        rests, released = pass_period(osc, borrowed(motion), rests)
+        begun = begun or released
+        if motion.tally[STATUS] != RUNNING or (begun and not growth_of(motion.V) < FOLLOWED):
+            return False
+    return True
+
+
 @kernel
 def rest_to_rest(oscillators, motions, cells, sections, kept):
     """Take these motions of one mass, in place, to a section after a release that they have met before.
@@ -51,17 +83,14 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
         known = count = 0
         rests = False
         while gone[r] < K - 1 and kept[r] == 0:
-            motion.tally[LOST] = 0.0
-            advance(osc, borrowed(motion))
+            rests, released = pass_period(osc, borrowed(motion), rests)
             gone[r] += 1
             if motion.tally[STATUS] != RUNNING:
                 break
             for j in range(n):
                 states[count, j, 0], states[count, j, 1] = motion.h[j, 0], motion.h[j, 1]
             contacts[count] = motion.contact[0]
-            rests = rests or motion.tally[LOST] >= 2.0
-            if rests and abs(motion.contact[0]) != HELD:
-                rests = False
+            if released:
                 for e in range(known):
                     k = releases[e]
                     near = separation(osc.gap.metric, states[k], states[count]) < SAME_RELEASE * scale
@@ -70,10 +99,6 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
                 if known < RELEASES:
                     releases[known] = count
                     known += 1
-                fresh = axes(n)
-                for i in range(2 * n):
-                    for j in range(n):
-                        motion.V[i, j, 0], motion.V[i, j, 1] = fresh[i, j, 0], fresh[i, j, 1]
             elif not growth_of(motion.V) < FOLLOWED:
                 known = count = 0
             count += int(known > 0)
