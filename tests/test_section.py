@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from atlas.branches.seed import seed_of_point
-from workers import Settings, Starts
+from workers import Settings
 from workers.attractors import solve_attractors
 from workers.kernel.motion import HELD, RECORDED, Motion
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
@@ -19,6 +19,7 @@ from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
 from workers.orbit import section_state
 from workers.results import PERIODIC
+from workers.starts import Starts
 from workers.tile import solve_cells
 
 SPECTRUM = Settings(exponents="spectrum", max_periods=4000, survival=2000, tolerance=0.1)
