@@ -10,10 +10,12 @@ from tests import naive
 from tests.oscillators import mass_spring
 from tests.test_attraction import naive_norm
 from tests.test_stroboscopic import KINDS
-from workers.identity import turn
+from workers.identity import KnownOrbits, orbits_reached, turn
 from workers.kernel.motion import FREE, motion_at, motions_at
 from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
+from workers.model.system import find_system
+from workers.orbit.attraction import shrinking_norm
 from workers.orbit.newton import (
     Orbits,
     far_from_closing,
@@ -24,6 +26,7 @@ from workers.orbit.newton import (
 )
 from workers.orbit.section import SHIFT, moved
 from workers.stretch import run_periods
+from workers.tile import solve_cells
 
 
 class Proof(NamedTuple):
@@ -114,10 +117,17 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
         return begin + (distance * np.array([math.cos(angle), math.sin(angle)]) / w).reshape(1, 2)
 
     def share(distance: float) -> float:
-        start = moved(WEAK, beside(distance), FREE, SHIFT).h
-        d = (start - h).ravel()
-        r = (after(there, start, 1) - h).ravel() - J @ d
-        return float(np.sqrt(r @ P @ r) / (contraction * np.sqrt(d @ P @ d)))
+        """The largest of the turns that it takes to come nearer."""
+        at = moved(WEAK, beside(distance), FREE, SHIFT).h
+        begun, worst = np.linalg.norm(w * (at - h).ravel()), 0.0
+        while True:
+            image = after(there, at, 1)
+            d = (at - h).ravel()
+            r = (image - h).ravel() - J @ d
+            worst = max(worst, float(np.sqrt(r @ P @ r) / (contraction * np.sqrt(d @ P @ d))))
+            if worst > 0.6 or np.linalg.norm(w * (image - h).ravel()) < begun:
+                return worst
+            at = image
 
     low, high = 0.003, 0.3
     for _ in range(30):
@@ -128,6 +138,44 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
     assert seen.orbits.shift[0] == (SHIFT if falls else 0.0)
     assert seen.found == falls
     assert seen.orbits.near[0] != falls
+
+
+BALL = {"A": 1.4793659576198743, "R": 0.7218461298343304, "v": 4.440624081034672}
+"""Falls into an orbit of period 4 with |mu| = .52, whose Jacobian has the energy norm 10 at the section."""
+
+
+def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
+    """Truth: each motion itself, 1600 periods later. Motions reach known orbits by the same test, on sections kept."""
+    ball = find_system("bouncing-ball")
+    osc = ball.build({p.name: BALL.get(p.name, p.default) for p in ball.parameters})
+    cell = solve_cells(ball, BALL).arrays
+    h, period = motion_from(osc, cell["state"]).h, int(cell["period"])
+    w, many = weights(osc), many_of(osc)
+    scale = float(np.linalg.norm(w * h.ravel()) + np.linalg.norm(w * osc.swing.ravel()))
+    J = turn(many, 0, h, FREE, period, np.bool_(False))[1]
+    contraction = 1.0 - np.abs(np.linalg.eigvals(J)).max()
+    assert (period, contraction) == (4, pytest.approx(0.479, abs=1e-3))
+    assert np.linalg.norm(w[:, None] * J / w, 2) > 10.0
+    norm = shrinking_norm(osc.gap.metric, J, contraction)
+    known = KnownOrbits(
+        np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64), h[None], np.array([period]), J[None],
+        np.array([contraction]), norm[None],
+    )  # fmt: skip
+    own, swing = np.zeros(1, dtype=np.int64), osc.swing[None]
+    seen = []
+    for distance in np.geomspace(1e-4, 0.03, 10):
+        for angle in np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False):
+            d = distance * scale * np.array([math.cos(angle), math.sin(angle)]) / w
+            start = h + d.reshape(1, 2)
+            sections = turn(many, 0, start, FREE, 3 * period, np.bool_(False))[0][None]
+            told = orbits_reached(osc.gap.metric[None], swing, sections, np.array([len(sections[0])]), own, own, known)
+            shown = proof(osc, start, period).found
+            falls = np.linalg.norm(w * (after(osc, start, 400 * period) - h).ravel()) < 1e-6 * scale
+            assert falls or not (shown or told[0] == 0)
+            seen.append((falls, shown, told[0] == 0))
+    assert sum(falls for falls, _, _ in seen) < len(seen) - 10
+    assert sum(shown for _, shown, _ in seen) > 100
+    assert sum(known for _, _, known in seen) > 100
 
 
 # Which orbit it is

@@ -1,7 +1,7 @@
 """Which known attractor a motion falls into: exactly where that is an orbit, by statistics where it is not.
 
 An orbit is known by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into it
-where a section state h of it lies near h* and what J does not explain of the next p periods is less than half of the
+where a section state h of it lies near h* and what J does not explain of its last turns is less than half of the
 contraction: the test by which an orbit itself is accepted, see ``orbit.attraction``, without a new proof. Whether two
 orbits that were proved are one is seen on the section of one of the proofs: at t = k T both may impact.
 
@@ -76,12 +76,18 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
                 here = separation(metric[r], sections[r, last - p - j], known.h[m])
                 if here < nearest:
                     at, nearest = j, here
-            start, image = sections[r, last - p - at], sections[r, last - at]
-            scale = scale_at(metric[r], swing[r], start)
+            scale = scale_at(metric[r], swing[r], sections[r, last - p - at])
             if not nearest <= NEAR_ORBIT * scale:
                 continue
-            reached = falls_into(known.norm[m], known.jacobian[m], known.contraction[m], known.h[m], start, image)
-            if nearest <= 1e-9 * scale or reached:
+            k, reached = last - at, nearest <= 1e-9 * scale
+            away = separation(metric[r], sections[r, k], known.h[m])
+            while not reached and k - p > last - kept[r]:
+                start, image = sections[r, k - p], sections[r, k]
+                if not falls_into(known.norm[m], known.jacobian[m], known.contraction[m], known.h[m], start, image):
+                    break
+                reached = away < separation(metric[r], start, known.h[m])
+                k -= p
+            if reached:
                 found[e] = m
                 break
     return found

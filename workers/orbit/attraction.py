@@ -6,8 +6,8 @@ A turn takes h* + d to h* + J d + r, where r is what the linear map does not exp
     |d|_P^2 = d.P d = sum_{k < K} |A^k d|^2,    A = J / q,    q = (1 + |mu|) / 2,    K a power of two with |A^K| <= 1,
 
 for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion falls into the orbit
-where |r|_P < (1 - q) |d|_P: what is not explained is less than half of the contraction 1 - |mu|. The nearer the motion
-comes, the less that is.
+where |r|_P < (1 - q) |d|_P, what is not explained is less than half of the contraction 1 - |mu|, in each turn until it
+is nearer, in the energy norm, than it was: a single turn says nothing of r in the directions into which J takes d.
 """
 
 import math
@@ -94,7 +94,7 @@ def squared(P, d):
 
 @kernel
 def falls_into(P, J, contraction, fixed, h, image):
-    """Whether a motion at block state h (n, 2), a turn later at ``image``, falls into the orbit through ``fixed``.
+    """Whether a turn from block state h (n, 2) to ``image`` is one of falling into the orbit through ``fixed``.
 
     |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """

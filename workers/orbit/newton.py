@@ -136,6 +136,24 @@ def least_turn(osc, point, steps, half, scale):
 
 
 @piece
+def approaches(osc, point, h, steps, half, contraction, most):
+    """Whether a motion at block state h falls into an orbit, seen in at most ``most`` turns; and these turns.
+
+    Every turn has to pass the test of ``orbit.attraction`` until the motion is nearer, in the energy norm, than it was.
+    """
+    metric, norm = osc.gap.metric, shrinking_norm(osc.gap.metric, point.jacobian, contraction)
+    begun, at = separation(metric, h, point.h), h
+    for turn in range(1, most + 1):
+        image = iterate_alone(osc, at, point.contact, steps, half).h
+        if not falls_into(norm, point.jacobian, contraction, point.h, at, image):
+            return False, turn
+        if separation(metric, image, point.h) < begun:
+            return True, turn
+        at = image
+    return False, most
+
+
+@piece
 def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
@@ -164,11 +182,10 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
     if separation(osc.gap.metric, h, point.h) > 1e-9 * scale:
-        trial = iterate_alone(osc, h, contact, steps, half)
-        spent += unit
-        contraction = -math.expm1(largest)
-        norm = shrinking_norm(osc.gap.metric, point.jacobian, contraction)
-        if not falls_into(norm, point.jacobian, contraction, point.h, h, trial.h):
+        most = min(CYCLES, turns_left - tried - turns + 1)
+        falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), most)
+        spent += flown * unit
+        if not falls:
             return NEAR, orbit, spent
     again, J = map_with_jacobian(osc, point.image, contact, steps, half)
     spent += unit
