@@ -123,7 +123,7 @@ def basin_entropy(
 
 def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[float, float, str]:
     """alpha, its error, and why there is none, NaN; an empty reason where there is one. See the module's text."""
-    shares = np.unique(labels[solved], return_counts=True)[1] / max(np.count_nonzero(solved), 1)
+    shares = np.unique(labels[solved], return_counts=True)[1] / max(int(np.count_nonzero(solved)), 1)
     limit = SATURATED * (1.0 - float(np.sum(shares ** (1 + 2 * labels.ndim))))
     found = [(e, *_uncertain(labels, solved, e)) for e in DISTANCES if e <= min(labels.shape) // 8]
     distance, part, counted = np.array(found, dtype=np.float64).reshape(-1, 3).T
