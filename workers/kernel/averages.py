@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.elementary import exp_minus
 from workers.kernel.jit import inlined, kernel
 
 LEVELS = 40
@@ -80,7 +81,7 @@ def add_growth(levels, weighted, growth, k, periods):
     which converges faster than any power of their number on a torus (Das et al. 2017).
     """
     u = (k + 0.5) / periods
-    weight = math.exp(-1.0 / (u * (1.0 - u)))
+    weight = exp_minus(1.0 / (u * (1.0 - u)))
     weighted[0] += weight * growth
     weighted[1] += weight
     add_to_blocks(levels, growth)

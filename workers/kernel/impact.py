@@ -3,6 +3,7 @@
 import numpy as np
 
 from workers.kernel.borrow import borrowed
+from workers.kernel.elementary import sin_cos
 from workers.kernel.flight import next_crossing
 from workers.kernel.flow import dot, dot_vector, flow, flow_with_tangent
 from workers.kernel.frame import graded_flow
@@ -127,8 +128,8 @@ def forced_state(response, phase, j, k):
     """Component k of the forced response of block j at a phase; see Oscillator.forced."""
     total = 0.0
     for harmonic in range(response.shape[2]):
-        angle = (harmonic + 1.0) * phase
-        total += response[j, k, harmonic, 0] * np.sin(angle) + response[j, k, harmonic, 1] * np.cos(angle)
+        sin, cos = sin_cos((harmonic + 1.0) * phase)
+        total += response[j, k, harmonic, 0] * sin + response[j, k, harmonic, 1] * cos
     return total
 
 
