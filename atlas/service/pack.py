@@ -13,11 +13,10 @@ from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
 from atlas.store.curves import GROUP as CURVES
-from atlas.store.digests import DIGESTS
 from atlas.store.groups import read_group
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
-from atlas.store.store import Header, chunk_key, done_tiles, open_digests, read_header
+from atlas.store.store import Header, chunk_key, done_tiles, read_header
 from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.text import byte_size, plural
 
@@ -122,9 +121,6 @@ def _refuse_lost(header: Header, tiles: set[tuple[int, ...]], keys: set[str]) ->
     """ChunkError where a chunk is not among the keys that has to be."""
     needed = [variable for variable in header.variables if not variable.sparse]
     lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
-    if open_digests(header) is not None:
-        digests = ("/".join([DIGESTS, "c", *map(str, index)]) for index in sorted(tiles))
-        lost += [key for key in digests if key not in keys]
     if lost:
         raise ChunkError(header.place, dict.fromkeys(lost[:SHOWN], "is missing"))
     for group in (CURVES, *[ATTRACTORS] * header.spec.basins, *[LABELS] * header.spec.coexistence):
