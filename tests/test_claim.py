@@ -344,11 +344,14 @@ def test_a_number_that_is_none_counts_as_not_reported(value: object) -> None:
     assert replace(elsewhere(), progress={"workers": value}).number("workers") == 0
 
 
+RUN = "0123456789abcdef" * 2
+
+
 def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
-    for name in (".out.zarr.0123.partial", ".other.zarr.0123.partial", "out.zarr"):
+    for name in (f".out.zarr.{RUN}.partial", f".other.zarr.{RUN}.partial", "out.zarr"):
         (tmp_path / name).mkdir()
     remove_half_made(tmp_path / "out.zarr")
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".other.zarr.0123.partial", "out.zarr"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f".other.zarr.{RUN}.partial", "out.zarr"]
 
 
 def test_notes_are_next_to_the_store(tmp_path: Path) -> None:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from atlas.errors import message_of
+from atlas.errors import ChunkError, message_of
 from atlas.overview.pyramid import Pyramid
 from atlas.spec.spec import resolved_digest
 from atlas.store.digests import DIGESTS, TILES
 from atlas.store.machine import MACHINES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
-from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_digests
+from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_digests, open_group
 from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.store.tiles import covered_variables
 
@@ -31,6 +31,8 @@ def metadata_faults(header: Header) -> list[str]:
         digests = open_digests(header), open_digests(header, consolidated=True)
     except OSError:
         raise
+    except ChunkError as error:
+        return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
     except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
         return [*faults, f"metadata are damaged: {message_of(error)}"]
     sizes, variables = extra_sizes(spec), header.variables
@@ -93,10 +95,18 @@ def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
 
 def lost_metadata(header: Header) -> dict[str, dict[str, Any]]:
     """The root's copies of the metadata of its arrays that cannot be read where they belong, by the keys of these."""
-    root = _json(header, ROOT) or {}
+    root, group = _json(header, ROOT) or {}, open_group(header.place, "r")
     nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
-    arrays = {f"{name}/{ROOT}": node for name, node in nodes.items() if "/" not in name or name == DIGESTS}
-    return {key: node for key, node in arrays.items() if node["node_type"] == "array" and _json(header, key) is None}
+    found = {}
+    for name, node in nodes.items():
+        if node["node_type"] == "array" and ("/" not in name or name == DIGESTS):
+            try:
+                _ = group[name]
+            except OSError:
+                raise
+            except Exception:  # what is no JSON, or no metadata, may raise anything
+                found[f"{name}/{ROOT}"] = node
+    return found
 
 
 def restore(header: Header, copies: Mapping[str, Mapping[str, Any]]) -> None:

@@ -31,7 +31,7 @@ def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     if not of_all(ds):
         raise InputError("attractor: this atlas has one attractor a cell; give [attractors] in its spec for all")
     kept = ds.sizes[ATTRACTOR]
-    if place != int(place) or not 0 <= place < kept:
+    if place not in range(kept):  # as no infinity and no NaN is
         raise InputError(f"attractor: found {place:g}, must be a whole number, 0 to {kept - 1}")
     made = ds.isel({ATTRACTOR: int(place)})
     made.encoding = dict(ds.encoding)

@@ -206,13 +206,20 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
     font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
     styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
     dpi = positive("dpi", look.get("dpi")) or styled
+    dpi = dpi if isinstance(dpi, float) else DPI
+    dots = float(font) * dpi / 72.0
+    if dots < _LEAST_DOTS:
+        raise InputError(
+            f"dpi: found {dpi:g}, with type of {float(font):g} points, makes letters of {dots:.2g} dots; must make "
+            f"them {_LEAST_DOTS:g} or more"
+        )
     if given and asked:
         rc |= {name: value for name, value in house(font / _FONT).items() if name in _SIZES}
     return Page(
         width=width,
         height=length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
         font=float(font),
-        dpi=dpi if isinstance(dpi, float) else DPI,
+        dpi=dpi,
         vmin=number("vmin", look.get("vmin")),
         vmax=number("vmax", look.get("vmax")),
         title=look.get("title", True),
@@ -227,6 +234,8 @@ def _usual_font(width: float) -> float:
     return _NARROW_FONT + (_FONT - _NARROW_FONT) * min(1.0, max(0.0, share))
 
 
+_LEAST_DOTS = 4.0
+"""Of the type: an index of an index is half as large, and has to have a dot."""
 _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
 """Of those settings, the ones that pictures in given axes have too."""
 _SIZES = tuple(name for name in house(1.0) if name.endswith("size"))

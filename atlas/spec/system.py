@@ -20,27 +20,11 @@ def checked_system(system: object, folder: Path | None = None) -> System:
     if folder is not None and isinstance(system, str) and system.endswith(".toml"):
         system = str(folder / system)
     try:
-        found = find_system(system)
+        return find_system(system)
     except KeyError as error:
         raise InputError(error.args[0]) from None
     except ValueError as error:
         raise InputError(str(error)) from None
-    if not found.packaged and not isinstance(system, System):
-        _check_symbols(found)
-    return found
-
-
-def _check_symbols(system: System) -> None:
-    """InputError for a symbol that a picture could not show."""
-    from matplotlib.mathtext import MathTextParser
-
-    parser = MathTextParser("path")
-    for parameter in (each for each in system.parameters if each.symbol):
-        try:
-            parser.parse(f"${parameter.symbol}$")
-        except ValueError:
-            where = f"system.parameters.{parameter.name}.symbol"
-            raise InputError(f"{where}: found {shown(parameter.symbol)}, must be mathtext such as \\mu_{{m}}") from None
 
 
 def resolved_system(resolved: Mapping[str, Any]) -> System:

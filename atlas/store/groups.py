@@ -6,7 +6,7 @@ absent. They have a checksum of all that the group holds. Groups made before the
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,11 @@ def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], a
         if values.size:
             array.with_config({"write_empty_chunks": True})[...] = values
     own = {**attributes, ARRAYS: list(arrays)}
-    whole = {"zarr_format": 3, "node_type": "group", "attributes": own | {CHECKSUM: _checksum(arrays, own)}}
+    whole = {
+        "zarr_format": 3,
+        "node_type": "group",
+        "attributes": own | {CHECKSUM: _checksum(header, group, arrays, own)},
+    }
     header.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
 
 
@@ -67,20 +71,20 @@ def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dic
     if attributes is None:
         return None
     names = attributes.get(ARRAYS) or _names(header, group)
-    arrays: dict[str, StoredArray] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     faults: dict[str, str] = {}
     for name in names:
         found = _read(header, f"{group}/{name}")
-        if isinstance(found, StoredArray):
+        if isinstance(found, np.ndarray):
             arrays[name] = found
         else:
             faults |= found
     own = {name: value for name, value in attributes.items() if name != CHECKSUM}
-    if not faults and attributes.get(CHECKSUM, "") not in ("", _checksum(arrays, own)):
+    if not faults and CHECKSUM in attributes and attributes[CHECKSUM] != _checksum(header, group, names, own):
         faults[f"{group}/{ROOT}"] = "is damaged, or not of these arrays"
     if faults:
         raise ChunkError(header.place, faults)
-    return {name: array.values for name, array in arrays.items()}, attributes
+    return arrays, attributes
 
 
 def values_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
@@ -100,17 +104,15 @@ def _names(header: Header, group: str) -> list[str]:
     return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
 
 
-def _read(header: Header, path: str) -> StoredArray | dict[str, str]:
+def _read(header: Header, path: str) -> NDArray[Any] | dict[str, str]:
     """An array of one chunk, or what is wrong with it, by key."""
     key = f"{path}/{ROOT}"
     try:
         array: Any = open_group(header.place, "r")[path]
-        dims = tuple(array.metadata.dimension_names or ())
-        described = dict(array.attrs)
         key = "/".join([path, "c", *("0" for _ in array.shape)])
         if array.size and not header.place.exists(key):
             return {key: "is missing"}
-        return StoredArray(np.asarray(array[...]), dims, described)
+        return np.asarray(array[...])
     except OSError:
         raise
     except KeyError:
@@ -119,8 +121,10 @@ def _read(header: Header, path: str) -> StoredArray | dict[str, str]:
         return {key: f"is damaged ({message_of(error)})"}
 
 
-def _checksum(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> str:
-    """A digest of a group: its attributes, and the dimensions, attributes, shape and values of each array."""
-    words = [attributes, *([name, array.dims, array.attributes] for name, array in sorted(arrays.items()))]
-    values = values_digest({name: np.asarray(array.values) for name, array in arrays.items()})
-    return hashlib.sha256(json.dumps([words, values], sort_keys=True).encode()).hexdigest()
+def _checksum(header: Header, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
+    """A digest of a group: of its attributes, and of all objects of its arrays."""
+    found = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
+    for name in names:
+        for key in sorted(header.place.list_keys(f"{group}/{name}/")):
+            found.update(f"{key} ".encode() + hashlib.sha256(header.place.get(key) or b"").digest())
+    return found.hexdigest()

@@ -17,6 +17,7 @@ from atlas.store.store import ROOT, ZOOM, Header
 from workers.results import REGIME
 
 _SEEN = "seen"
+_ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
 FILE_BLOCK = 4096
 """Bytes that an object takes at least, where nobody tells its size."""
 
@@ -33,8 +34,7 @@ def sheet_place(header: Header, plane: str, sheet: str) -> Place:
 
 def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, where there are none."""
-    about = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
-    for key, attributes in ((ZOOM, about), (f"{ZOOM}/{plane}", dict(described))):
+    for key, attributes in ((ZOOM, _ABOUT), (f"{ZOOM}/{plane}", dict(described))):
         group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
         if not header.place.exists(f"{key}/{ROOT}"):
             header.place.put_new(f"{key}/{ROOT}", json.dumps(group).encode())
@@ -99,9 +99,11 @@ def plane_faults(header: Header) -> dict[str, str]:
         key = "/".join([ZOOM, *parts, ROOT])
         try:
             group = json.loads(header.place.get(key) or b"")
-            if group["node_type"] != "group" or (len(parts) == 1 and group["attributes"]["digest"][:16] != parts[0]):
+            own = group["attributes"]
+            wrong = {0: own != _ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
+            if wrong or (group["zarr_format"], group["node_type"]) != (3, "group"):
                 found[key] = "is damaged"
-        except (ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             found[key] = "is missing or damaged"
     return found
 
