@@ -1,5 +1,6 @@
 """The command that opens the explorer."""
 
+import sys
 import threading
 import webbrowser
 
@@ -18,8 +19,7 @@ from atlas.cli.options import (
     timing_of,
     workers_option,
 )
-from atlas.task.compile import compile_once, warming
-from workers import Settings
+from atlas.service.progress import prepare_kernels, reporter
 
 PACKAGED = "omega-b"
 """What is explored where nothing is named."""
@@ -59,8 +59,8 @@ def explore(
     check_workers(scheduler, workers)
     chosen = read_pairs("--select", select, read_number)
     if scheduler is None:
-        say(warming())
-        compile_once(Settings())
+        with reporter(sys.stderr) as show:
+            prepare_kernels(show)
     try:
         with interruptible():
             running = start(

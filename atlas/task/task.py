@@ -22,6 +22,7 @@ from atlas.store.tiles import read_tile, write_tile
 from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
 from atlas.task.reuse import fill_tile
+from atlas.task.solving import kernels_of
 from workers import SOLVER_VERSION
 from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
 
@@ -86,7 +87,7 @@ def solve_and_write(job: Job) -> Receipt:
     with file_errors(job.store):
         header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
         spec, tile = header.spec, header.tiling.at(job.index)
-        compile_once(spec.settings, spec.attractors is not None)
+        compile_once(*kernels_of(spec))
         stored = stored_tile(header, job.index) if job.retry is not None else {}
         begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:
