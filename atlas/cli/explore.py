@@ -33,7 +33,13 @@ GB = 10**9
 @workers_option
 @click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
 @click.option("--keep/--no-keep", default=True, help="Keep explored cells in STORE, in its group zoom.")
-@click.option("--limit", type=click.FloatRange(min=0.0), default=2.0, show_default=True, help="GB to keep at most.")
+@click.option(
+    "--limit",
+    type=click.FloatRange(min=0.0),
+    default=0.25,
+    show_default=True,
+    help="GB to keep at most; then the oldest go.",
+)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page; default: any free one.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
 @click.pass_context
@@ -75,6 +81,8 @@ def explore(
                 timing=timing_of(ctx),
             )
             try:
+                if running.explorer.keeper.header is not None:
+                    say(f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none")
                 click.echo(running.url)
                 if browser:
                     webbrowser.open(running.url)
