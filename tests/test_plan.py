@@ -133,7 +133,7 @@ def compiled():
     }
 
 spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})
-warm_up(spec.settings)
+warm_up()
 before = compiled()
 rng = np.random.default_rng(1)
 cells = {

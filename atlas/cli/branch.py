@@ -1,5 +1,7 @@
 """The command that follows the orbit of a cell along one parameter."""
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,6 @@ from atlas.cli.options import (
     look_options,
     read_number,
     read_pairs,
-    say,
     select_option,
     set_option,
     settings_options,
@@ -29,8 +30,10 @@ from atlas.query.export import write_rows, written_whole
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.render import FORMATS, LOOK, branch_figure
-from atlas.spec.spec import checked_settings
-from atlas.task.compile import warming
+from atlas.service.progress import Progress, prepare_kernels, reporter
+from atlas.spec.spec import checked_parameters, checked_settings
+from atlas.spec.system import checked_system
+from atlas.task.compile import ORBITS
 from atlas.text import plural
 
 if TYPE_CHECKING:
@@ -89,9 +92,9 @@ def branch(
     """
     _check_out(out)
     look = {name: options.pop(name) for name in LOOK if name in options}
-    with input_errors():
-        seed = _seed(store, given, point, select, system, options)
-        say("following")
+    with input_errors(), reporter(sys.stderr) as show:
+        seed = _seed(show, store, given, point, select, system, options)
+        show(Progress("following"))
         found = Branches.of(tree_from(seed, along, (low, high), leaving, budget))
         if out is not None:
             _write(found, out, look)
@@ -122,6 +125,7 @@ def summary(found: Branches) -> dict[str, Any]:
 
 
 def _seed(
+    show: Callable[[Progress], None],
     store: str | None,
     given: tuple[str, ...],
     point: tuple[str, ...],
@@ -134,8 +138,11 @@ def _seed(
     pairs, at = read_pairs("--set", given, read_number), read_pairs("--at", point, read_number)
     if store is None:
         settings = checked_settings(options)
-        say(f"{warming()}, solving")
+        checked_parameters(checked_system(system), pairs)
+        prepare_kernels(show, ORBITS)
+        show(Progress("solving"))
         return seed_of_point(pairs, system, settings)
+    prepare_kernels(show, ORBITS)
     return seed_of_cell(selected(open_atlas(store), read_pairs("--select", select, read_number)), at)
 
 

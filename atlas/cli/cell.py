@@ -1,5 +1,6 @@
 """Commands about one cell, and about the systems and examples that there are."""
 
+import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from atlas.cli.options import (
     picture_option,
     read_number,
     read_pairs,
-    say,
     select_option,
     set_option,
     settings_options,
@@ -29,10 +29,11 @@ from atlas.query.open import open_atlas
 from atlas.query.window import select as select_plane
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
+from atlas.service.progress import Progress, prepare_kernels, reporter
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
 from atlas.spec.system import checked_system
-from atlas.task.compile import warming
+from atlas.task.compile import ATTRACTORS
 from workers.model.system import System, find_system, system_names
 from workers.starts import MOST_STARTS, Starts
 
@@ -66,12 +67,13 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     record = checked_system(system)
     checked_parameters(record, pairs)
-    if not as_json:
-        say(f"{warming()}, solving")
-    if every:
-        found = attractors(pairs, system=record, settings=settings, starts=starts)
-    else:
-        found = solve_point(pairs, system=record, settings=settings)
+    with reporter(sys.stderr) as show:
+        prepare_kernels(show, *((ATTRACTORS,) if every else ()))
+        show(Progress("solving"))
+        if every:
+            found = attractors(pairs, system=record, settings=settings, starts=starts)
+        else:
+            found = solve_point(pairs, system=record, settings=settings)
     if as_json:
         click.echo(to_json(found))
         return
@@ -111,7 +113,7 @@ def portrait(
     check_path(out)
     check_cell_options(store)
     look = {name: options.pop(name) for name in LOOK if name in options}
-    with input_errors():
+    with input_errors(), reporter(sys.stderr) as show:
         if store is None:
             record = checked_system(system)
             values = read_pairs("--set", given, read_number)
@@ -120,7 +122,8 @@ def portrait(
         else:
             ds = select_plane(open_atlas(store), read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))
-        say(f"{warming()}, solving, drawing")
+        prepare_kernels(show)
+        show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))
 

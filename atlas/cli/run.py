@@ -38,8 +38,8 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
-from atlas.task.compile import compile_once, warming
 from atlas.task.retry import RETRIABLE, checked_retry
+from atlas.task.solving import kernels_of
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
@@ -66,9 +66,10 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
     if place.local is not None and (shortage := disk_shortage(made, place.local)):
         say(f"atlas run will refuse this: {shortage}")
     if probe:
-        say(f"{warming(read.attractors is not None)}, probing a few cells")
-        compile_once(read.settings, read.attractors is not None)
-        made = replace(made, probe=measure(read, made.tiling.tile))
+        with progress.reporter(sys.stderr) as show:
+            progress.prepare_kernels(show, *kernels_of(read))
+            show(progress.Progress("probing a few cells"))
+            made = replace(made, probe=measure(read, made.tiling.tile))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 

@@ -20,8 +20,10 @@ from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import write_tile
 from atlas.store.zoom import drop_sheet, note_seen, seen_sheets, sheet_bytes, sheets
 
-MOST_BYTES = 2 * 2**30
-"""Bytes that the zoom levels of a store may take on its disk."""
+MOST_BYTES = 250_000_000
+"""Bytes that the zoom levels of a store may take on its disk. A file takes a whole block, a tile about twenty files: so
+these are 61,000 files at most, a few screens full of cells.
+"""
 TOGETHER = 64
 """Tiles written in one turn, so that others get theirs."""
 PAUSE = 1.0

@@ -19,14 +19,14 @@ from atlas.service.dispatch import Workers, outcomes
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.progress import LOG_INTERVAL, Progress
+from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.run import check_client, claimed_place, joined, worker_count
 from atlas.service.summary import TileFailure
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.curves import drop_parts, get_part, part_names, put_part
 from atlas.store.location import place_of, waiting
 from atlas.store.store import Header, read_header
-from atlas.task.compile import compile_once, warming
+from atlas.task.compile import ORBITS
 from atlas.text import duration, plural
 from workers import SOLVER_VERSION
 
@@ -173,8 +173,7 @@ class _Coordinator:
         if not jobs:
             return
         if self.client is None:
-            self.options.report(Progress(warming()))
-            compile_once(self.header.spec.settings)
+            prepare_kernels(self.options.report, ORBITS)
             self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.workers))
             self.begin = time.monotonic()

@@ -18,7 +18,7 @@ from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
 from atlas.service.probe import CELLS, probe
-from atlas.service.progress import Progress
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, Totals
 from atlas.spec.spec import Spec
@@ -29,8 +29,8 @@ from atlas.store.store import Header, add_allowances, create, done_tiles, find
 from atlas.store.tally import TallyKeeper, done_mask
 from atlas.store.tiles import finish_replacement, read_tile, replacements
 from atlas.task.basins import complete_basins
-from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
+from atlas.task.solving import kernels_of
 from atlas.task.task import Job, Receipt
 from atlas.text import plural
 
@@ -276,8 +276,7 @@ def _retried(header: Header, plan: Plan, done: np.ndarray, retry: Retry) -> _Wor
 def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOptions) -> _Work:
     """The work after the kernels are compiled, where this machine needs them, and its cost probed, where asked for."""
     if client is None or options.probe:
-        options.report(Progress(warming(spec.attractors is not None)))
-        compile_once(spec.settings, spec.attractors is not None)
+        prepare_kernels(options.report, *kernels_of(spec))
     if not options.probe or work.plan.tiling.cells <= CELLS:  # a probe would solve them all
         return work
     options.report(Progress("probing a few cells"))

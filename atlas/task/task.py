@@ -23,6 +23,7 @@ from atlas.store.tiles import finish_replacement, read_tile, write_tile
 from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
 from atlas.task.reuse import known_cells, solve_unknown
+from atlas.task.solving import kernels_of
 from workers import SOLVER_VERSION
 from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
 
@@ -93,7 +94,7 @@ def solve_and_write(job: Job) -> Receipt:
             stored, unknown = known_cells(header, tile.slices)
         else:
             stored = finished_tile(header, job)
-    compile_once(spec.settings, spec.attractors is not None)  # its own disk may be full, which is not the store's
+    compile_once(*kernels_of(spec))  # its own disk may be full, which is not the store's
     begin, busy = time.perf_counter(), time.thread_time()
     if job.retry is None:
         arrays, solved = solve_unknown(spec, tile.slices, stored, unknown), unknown
