@@ -178,7 +178,8 @@ class AtlasAccessor:
         """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
 
         ``plot("period", width="85mm", overlay="grazing")``. ``kind`` is one of ``atlas.render.KINDS``, by default the
-        first that fits the axes: ``atlas render --help`` says what each shows. Options have the command's names.
+        first that fits the axes: ``atlas render --help`` says what each shows. ``window`` gives for any axis the
+        (low, high) ends of the part to draw. Options have the command's names.
         """
         return figure(self._whole, kind, window=window, **options)
 

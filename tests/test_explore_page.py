@@ -205,6 +205,8 @@ def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
         assert across > share * width and left + across <= width
         assert top >= 0 and top + down <= 720 and 0.3 < down / across < 1.6
         assert tab.page.evaluate("() => document.documentElement.scrollWidth") <= width
+        tall = tab.page.evaluate("() => document.documentElement.scrollHeight")
+        assert tall > 800 if width < 1280 else tall <= 720  # what lies below the plane can be scrolled to
         assert tab.complaints == []
 
 

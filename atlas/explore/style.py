@@ -10,7 +10,10 @@ STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
 body > div {{ height: 100%; }}
-@media {STACKED} {{ html, body {{ overflow: hidden auto; }} body > div {{ height: auto; }} }}
+@media {STACKED} {{
+  html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
+  body > div {{ height: auto; }}
+}}
 """
 
 WHOLE = f"""

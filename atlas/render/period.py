@@ -17,19 +17,19 @@ Class: TypeAlias = tuple[int, int | None, str]
 
 CLASSES: tuple[Class, ...] = (
     (1, 1, style.COLORS[PERIODIC]),
-    (2, 2, "#00b0a2"),
-    (3, 3, "#cf7fff"),
-    (4, 4, "#650b62"),
-    (5, 5, "#a0a979"),
-    (6, 6, "#8de2ff"),
-    (7, 8, "#304441"),
-    (9, 16, "#785d4f"),
-    (17, None, "#0000f1"),
+    (2, 2, "#38ad83"),
+    (3, 3, "#a467ff"),
+    (4, 4, "#06493b"),
+    (5, 5, "#5bedff"),
+    (6, 6, "#b5a3b7"),
+    (7, 8, "#594e6e"),
+    (9, 16, "#8faefc"),
+    (17, None, "#0314cf"),
 )
 """First and last period of each class and its colour, the same in every picture: cool ones, since warm ones are chaos.
 
 Chosen, with the colours of the regimes and of the chaos, for the greatest least difference (CIEDE2000) between any two:
-above 21 among periods, above 13 as seen without red, green or blue receptors.
+above 20 among periods, above 12 as seen without red, green or blue receptors.
 """
 
 

@@ -90,17 +90,25 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
     if legend is None:
         return 0.0
     handles: Any = legend.legend_handles
-    made = drawn.legend(
-        handles=handles,
-        labels=[text.get_text() for text in legend.get_texts()],
-        title=legend.get_title().get_text() or None,
-        alignment="left",
-        loc="lower left",
-        bbox_to_anchor=(left, 0.0),
-        borderaxespad=0.3,
-    )
+    size = mpl.rcParams["legend.fontsize"]
+    while True:
+        made = drawn.legend(
+            handles=handles,
+            labels=[text.get_text() for text in legend.get_texts()],
+            title=legend.get_title().get_text() or None,
+            alignment="left",
+            loc="lower left",
+            bbox_to_anchor=(left, 0.0),
+            borderaxespad=0.3,
+            fontsize=size,
+        )
+        share = float(made.get_window_extent().height / drawn.bbox.height)
+        if share <= 1.0:
+            break
+        made.remove()
+        size *= 0.97 / share  # no entry may be lost above
     legend.remove()
-    return float(made.get_window_extent().height / drawn.bbox.height)
+    return share
 
 
 def _bare(ax: Axes, ds: xr.Dataset) -> None:
