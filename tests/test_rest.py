@@ -93,7 +93,7 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     assert found["sticks"] and math.isnan(found["impacts_per_period"]) and math.isnan(found["sum_law_defect"])
     assert found["stuck_fraction"] == pytest.approx(3.0 / (250.0 * cells.oscillators.period[0]), rel=1e-12)
     assert found["spectrum"][2:].tolist() == [-math.inf, -math.inf]
-    assert found["largest"] == found["spectrum"][0] > 0.0
+    assert found["largest"] == pytest.approx(found["spectrum"][0], rel=1e-12) and found["largest"] > 0.0
 
 
 def test_the_time_at_rest_begins_where_the_chatter_ends() -> None:

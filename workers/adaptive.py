@@ -328,12 +328,12 @@ class Course:
         return np.concatenate([rows[chaotic], self._find_order(rows[~chaotic])])
 
     def _judge_second(self, rows: Rows) -> Rows:
-        """Both averages together are to have the accuracy asked for, and chaos to have survived."""
+        """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived."""
         whole = self.cells.whole_average(rows)
         _, error, _ = self.cells.growth(rows)
         wanted = _periods_for(whole.periods, whole.error, self.settings.tolerance) - whole.periods
         watch = self._to_watch(rows)
-        precise = (whole.error <= self.settings.tolerance) & (error <= 2.0 * self._half)
+        precise = (self._changed(rows) | (whole.error <= self.settings.tolerance)) & (error <= 2.0 * self._half)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
         return np.concatenate([rows[~enough], self._compare(rows[enough])])
@@ -346,12 +346,10 @@ class Course:
     def _compare(self, rows: Rows) -> Rows:
         """Finish cells whose two averages agree; where motion has changed the later one counts. Those that go on."""
         cells = self.cells
-        mean, error, count = cells.growth(rows)
-        before, deviation = cells.earlier.mean[rows], cells.earlier.error[rows]
-        changed = np.abs(mean - before) > CHANGED * np.hypot(error, deviation)
+        changed = self._changed(rows)
         self._finish(rows[~changed])
-        rows, before = rows[changed], before[changed]
-        mean, error, count = mean[changed], error[changed], count[changed]
+        rows = rows[changed]
+        before, (mean, error, count) = cells.earlier.mean[rows], cells.growth(rows)
         cells.forget(rows)
         self.first[rows] = self.began[rows]
         out = self._left(rows) <= 0
@@ -365,6 +363,13 @@ class Course:
         self._watch(again)
         self.stretch[rows[~out & ~positive]] = count[~out & ~positive]
         return rows[~out]
+
+    def _changed(self, rows: Rows) -> Mask:
+        """Of which of these cells the two averages differ."""
+        mean, error, _ = self.cells.growth(rows)
+        before, deviation = self.cells.earlier.mean[rows], self.cells.earlier.error[rows]
+        found: Mask = np.abs(mean - before) > CHANGED * np.hypot(error, deviation)
+        return found
 
     def _find_order(self, rows: Rows) -> Rows:
         """Look for tori and, where the exponent is clearly negative, for long orbits; those that have to go on."""

@@ -232,7 +232,11 @@ class Cells:
         self.earlier.mean[cells], self.earlier.error[cells], self.earlier.growth[cells] = -np.inf, 0.0, -np.inf
 
     def whole_average(self, cells: Rows) -> Average:
-        """The earlier average of these cells and the one under way as one."""
+        """The earlier average of these cells and the one under way as one.
+
+        Its error is at least what the difference of the two says: they are far apart in time, and may each be too short
+        to see how slowly the motion changes.
+        """
         mean, error, count = self.growth(cells)
         e, motions = taken(self.earlier, cells), self.batch.motions
         under_way = (count > 0.0) & (np.isfinite(error) | (e.periods == 0.0))  # or too short to have an error
@@ -241,9 +245,11 @@ class Cells:
         total = e.periods + count
         growth = np.where(under_way[:, None], motions.growth[cells], 0.0) + e.growth
         tally = together(np.where(under_way[:, None], motions.tally[cells], 0.0), e.tally)
+        both = (count > 0.0) & (e.periods > 0.0)
+        apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods), 0.0)
         return Average(
             mean=(e.mean * e.periods + mean * count) / total,
-            error=np.hypot(e.error * e.periods, error * count) / total,
+            error=np.maximum(np.hypot(e.error * e.periods, error * count), apart) / total,
             periods=total,
             growth=growth,
             tally=tally,
