@@ -331,9 +331,10 @@ class Course:
         """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived."""
         whole = self.cells.whole_average(rows)
         _, error, _ = self.cells.growth(rows)
-        wanted = _periods_for(whole.periods, whole.error, self.settings.tolerance) - whole.periods
+        deviation = np.maximum(whole.error, whole.apart)
+        wanted = _periods_for(whole.periods, deviation, self.settings.tolerance) - whole.periods
         watch = self._to_watch(rows)
-        precise = (self._changed(rows) | (whole.error <= self.settings.tolerance)) & (error <= 2.0 * self._half)
+        precise = (self._changed(rows) | (deviation <= self.settings.tolerance)) & (error <= 2.0 * self._half)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
         return np.concatenate([rows[~enough], self._compare(rows[enough])])
