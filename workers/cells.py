@@ -228,11 +228,10 @@ class Cells:
             field[cells] = 0.0
         self.forget_counts(cells)
 
-    def rest(self, cells: Rows) -> None:
-        """Take the averages of these cells, of which no direction is left, for what follows: -inf, all of them."""
-        first = cells[self.earlier.periods[cells] == 0.0]
-        self.close(first)
-        self.framed[cells] = self.averaging[cells] = False
+    def lose_all(self, cells: Rows) -> None:
+        """Take the averages of these cells for what follows when no direction is left: -inf, all of them."""
+        self.close(cells[self.averaging[cells] & (self.earlier.periods[cells] == 0.0)])
+        self.averaging[cells] = False
         self.earlier.mean[cells], self.earlier.error[cells], self.earlier.growth[cells] = -np.inf, 0.0, -np.inf
 
     def whole_average(self, cells: Rows) -> Average:

@@ -287,6 +287,8 @@ def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
 
 def put_resting(cells: Cells, rows: Rows, survived: Rows) -> None:
     """Write the results of cells whose one mass has rested after so many periods, and repeats nobody knows when."""
+    if cells.vectors:
+        cells.lose_all(rows)
     put_averaged(cells, rows)
     put(cells, rows, regime=UNDETERMINED, reason=RESTED, survived=survived)
 
