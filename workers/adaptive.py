@@ -107,7 +107,6 @@ class Course:
     began      periods that its motion had gone through when the average under way began; first: when the first of
                those began that count
     watched    periods of watching
-    alive      periods that were survived before one mass rested, -1 while it has not
     weighted   the weighted average of its last stretch
     """
 
@@ -121,7 +120,6 @@ class Course:
         self.began = np.zeros(N, dtype=np.int64)
         self.first = np.zeros(N, dtype=np.int64)
         self.watched = np.zeros(N, dtype=np.int64)
-        self.alive = np.full(N, -1)
         self.weighted = np.full(N, math.nan)
 
     def take(self, ready: Rows) -> None:
@@ -167,11 +165,11 @@ class Course:
         put_periodic(cells, rest[settled])
         rest = rest[~settled]
         resting = cells.at_rest(rest) & (self.stage[rest] != SEARCHING)
-        still = self._rest_on(rest[resting])
+        self._end_at_rest(rest[resting])
         rest = rest[~resting]
         searching, averaging, watching = (rest[self.stage[rest] == s] for s in (SEARCHING, AVERAGING, WATCHING))
         going = self._search_on(searching)
-        return np.concatenate([through[warm], still, going, self._judge(averaging), self._watch_on(watching)])
+        return np.concatenate([through[warm], going, self._judge(averaging), self._watch_on(watching)])
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
@@ -185,9 +183,6 @@ class Course:
 
     def _finish(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
-        rested = self.alive[rows] >= 0
-        put_resting(self.cells, rows[rested], self.alive[rows[rested]])
-        rows = rows[~rested]
         average = self.cells.whole_average(rows)
         clear = clearly_positive(average.mean, average.error, average.periods)
         relaxed = ~(self.first[rows] < self.memory[rows])
@@ -267,24 +262,14 @@ class Course:
         put_aperiodic(self.cells, rows[~missing])
         return rows[missing]
 
-    def _rest_on(self, rows: Rows) -> Rows:
-        """Cells whose one mass has rested are not chaotic: a rest repeats. Those that have to go on.
-
-        Where their orbit is not found they are watched on, for what else they may fall into.
-        """
+    def _end_at_rest(self, rows: Rows) -> None:
+        """Write the results of cells whose one mass has rested: those of its orbit, or that it is not chaotic."""
         cells = self.cells
         settled = cells.settle_long(rows, self.settings.max_periods + self.settings.survival - cells.used)
         put_periodic(cells, rows[settled])
         rows = rows[~settled]
-        new = rows[self.alive[rows] < 0]
-        self.alive[new] = np.maximum(cells.flown[new] - cells.batch.done[new] - cells.since[new], 0)
-        if cells.vectors:
-            cells.rest(rows)
-        self.stage[rows] = WATCHING
-        over = self._to_watch(rows) <= 0
-        put_resting(cells, rows[over], self.alive[rows[over]])
-        self._aim_watch(rows[~over])
-        return rows[~over]
+        survived = cells.flown[rows] - cells.batch.done[rows] - cells.since[rows]
+        put_resting(cells, rows, np.maximum(survived, 0))
 
     # Averaging
 
@@ -331,9 +316,10 @@ class Course:
         """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived."""
         whole = self.cells.whole_average(rows)
         _, error, _ = self.cells.growth(rows)
-        wanted = _periods_for(whole.periods, whole.error, self.settings.tolerance) - whole.periods
+        deviation = np.maximum(whole.error, whole.apart)
+        wanted = _periods_for(whole.periods, deviation, self.settings.tolerance) - whole.periods
         watch = self._to_watch(rows)
-        precise = (self._changed(rows) | (whole.error <= self.settings.tolerance)) & (error <= 2.0 * self._half)
+        precise = (self._changed(rows) | (deviation <= self.settings.tolerance)) & (error <= 2.0 * self._half)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
         return np.concatenate([rows[~enough], self._compare(rows[enough])])

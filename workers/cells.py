@@ -37,7 +37,9 @@ LONG_PERIOD, LONG_AT_ONCE = 1000, 64
 class Average(NamedTuple):
     """What was averaged of N cells: mean growth of the first vector and its standard error (N,), over ``periods`` (N,).
 
-    growth (N, m) sums of all vectors, tally (N, TALLIES) counts over the same periods.
+    growth (N, m) sums of all vectors, tally (N, TALLIES) counts over the same periods. apart (N,): the standard error
+    by the difference of the two averages that it consists of, 0 where it is one: far apart in time, each may
+    be too short to see how slowly the motion changes.
     """
 
     mean: Array
@@ -45,6 +47,7 @@ class Average(NamedTuple):
     periods: Array
     growth: Array
     tally: Array
+    apart: Array
 
 
 class Cells:
@@ -71,7 +74,9 @@ class Cells:
         self.since = np.zeros(N, dtype=np.int64)
         self.contact = np.zeros(N, dtype=np.int64)
         self.orbits = no_orbits(N, n)
-        self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, vectors)), np.zeros((N, TALLIES)))
+        self.earlier = Average(
+            np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, vectors)), np.zeros((N, TALLIES)), np.zeros(N)
+        )
         self.tallied = np.zeros((N, TALLIES))
         self.counted = np.zeros(N, dtype=np.int64)
         self._restarted = np.zeros(N, dtype=np.int64)
@@ -224,19 +229,14 @@ class Cells:
             field[cells] = 0.0
         self.forget_counts(cells)
 
-    def rest(self, cells: Rows) -> None:
-        """Take the averages of these cells, of which no direction is left, for what follows: -inf, all of them."""
-        first = cells[self.earlier.periods[cells] == 0.0]
-        self.close(first)
-        self.framed[cells] = self.averaging[cells] = False
+    def lose_all(self, cells: Rows) -> None:
+        """Take the averages of these cells for what follows when no direction is left: -inf, all of them."""
+        self.close(cells[self.averaging[cells] & (self.earlier.periods[cells] == 0.0)])
+        self.averaging[cells] = False
         self.earlier.mean[cells], self.earlier.error[cells], self.earlier.growth[cells] = -np.inf, 0.0, -np.inf
 
     def whole_average(self, cells: Rows) -> Average:
-        """The earlier average of these cells and the one under way as one.
-
-        Its error is at least what the difference of the two says: they are far apart in time, and may each be too short
-        to see how slowly the motion changes.
-        """
+        """The earlier average of these cells and the one under way as one."""
         mean, error, count = self.growth(cells)
         e, motions = taken(self.earlier, cells), self.batch.motions
         under_way = (count > 0.0) & (np.isfinite(error) | (e.periods == 0.0))  # or too short to have an error
@@ -246,13 +246,13 @@ class Cells:
         growth = np.where(under_way[:, None], motions.growth[cells], 0.0) + e.growth
         tally = together(np.where(under_way[:, None], motions.tally[cells], 0.0), e.tally)
         both = (count > 0.0) & (e.periods > 0.0)
-        apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods), 0.0)
         return Average(
             mean=(e.mean * e.periods + mean * count) / total,
-            error=np.maximum(np.hypot(e.error * e.periods, error * count), apart) / total,
+            error=np.hypot(e.error * e.periods, error * count) / total,
             periods=total,
             growth=growth,
             tally=tally,
+            apart=np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0),
         )
 
 

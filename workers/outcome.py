@@ -225,7 +225,15 @@ def put_speeds(cells: Cells, rows: Rows, tally: Array, periods: Array | Rows) ->
 
 
 def put_growth(
-    cells: Cells, rows: Rows, whole: Array, mean: Array, error: Array, count: Array, growth: Array, tally: Array
+    cells: Cells,
+    rows: Rows,
+    whole: Array,
+    mean: Array,
+    error: Array,
+    count: Array,
+    growth: Array,
+    tally: Array,
+    apart: Array,
 ) -> None:
     """Write the exponents that an average shows of these cells; see Average.
 
@@ -234,7 +242,13 @@ def put_growth(
     spectrum = -np.sort(-growth / count[:, None], axis=1)
     size = 2 * cells.oscillators.gap_row.shape[1]
     spectrum[np.arange(spectrum.shape[1]) >= size - whole[:, LOST, None]] = -math.inf
-    put(cells, rows, largest=mean, error=error, average=spectrum if cells.settings.exponents == "spectrum" else mean)
+    put(
+        cells,
+        rows,
+        largest=mean,
+        error=np.maximum(error, apart),
+        average=spectrum if cells.settings.exponents == "spectrum" else mean,
+    )
     total = np.sum(growth, axis=1) / count
     hits = impact_count(tally) / count
     if cells.settings.exponents == "spectrum":
@@ -279,6 +293,8 @@ def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
 
 def put_resting(cells: Cells, rows: Rows, survived: Rows) -> None:
     """Write the results of cells whose one mass has rested after so many periods, and repeats nobody knows when."""
+    if cells.vectors:
+        cells.lose_all(rows)
     put_averaged(cells, rows)
     put(cells, rows, regime=UNDETERMINED, reason=RESTED, survived=survived)
 

@@ -23,7 +23,7 @@ class Settings:
                        "adaptive")
     survival           forcing periods, beyond those, for which what looks chaotic may be watched; 0 to 500 million
                        (method "adaptive"). Beside a known stable orbit it is watched until it has survived for all of
-                       it, otherwise for an eighth of it.
+                       it, otherwise for a 32nd of it at least.
     method             "adaptive", or "fixed": the schedule of Li & Tan (2011), transient then average
     transient_periods  periods dropped before the average (method "fixed"); 0 to 500 million
     periods            periods averaged (method "fixed"); 1 to 500 million

@@ -55,9 +55,9 @@ def add_to_blocks(levels, x):
 def standard_error(levels):
     """Standard error of the mean with correlations: the largest from blocks that are long enough.
 
-    Blocks of B = 2^k values give e_k, going from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long enough from the
-    first with B^3 > 2 N (e_k / e_0)^4 on (Lee et al. 2011). Longer ones show correlations that are weak beside the noise
-    of single periods, such as those of motion that now and then misses its stops for long. NaN with fewer than
+    Blocks of B = 2^k values give e_k, going from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long enough from
+    the first with B^3 > 2 N (e_k / e_0)^4 on (Lee et al. 2011). Longer ones show correlations that are weak beside the
+    noise of single periods, such as those of motion that now and then misses its stops for long. NaN with fewer than
     FEWEST_BLOCKS values; with no such k, the largest e_k of the levels that have as many blocks.
     """
     error, first, count, enough = np.nan, np.nan, levels[0, COUNT], False
