@@ -209,11 +209,13 @@ def test_a_symmetric_orbit_that_impacts_at_the_section_starts_a_branch_as_one() 
 def test_motions_that_reach_an_orbit_on_either_side_of_its_impact_reach_one_attractor() -> None:
     """Truth: the attractors of the same ball and the same initial states, seen from half a radian later."""
     starts, settings = Starts(16), Settings(exponents="largest", max_periods=2000, survival=1000)
-    counts = [
-        solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts).arrays["attractors"]
+    found = [
+        solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts).arrays
         for late in (0.0, 1e-14, 0.5)
     ]
-    assert counts[0] == counts[1] == counts[2] == 1
+    assert [int(each["attractors"]) for each in found] == [2, 2, 2]
+    assert all(each["regime"][:2].tolist() == [PERIODIC, PERIODIC] for each in found)
+    assert all(each["sticks"][:2].tolist() == [True, False] for each in found)
 
 
 @pytest.mark.slow
