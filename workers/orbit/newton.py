@@ -30,6 +30,9 @@ CYCLES = 60
 HOPELESS = 30.0
 """Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
 
+ON_ORBIT = 1e-9
+"""Distance from an orbit, relative to the motion's scale, up to which a motion is on it."""
+
 RESERVED_TURNS = 7
 """Turns that the other tests of an orbit take: divisors (less than three, or less than two and one under G), two of the
 motion, one for the error of the multipliers, one last count."""
@@ -132,10 +135,11 @@ def least_turn(osc, point, steps, half, scale):
 
 
 @piece
-def approaches(osc, point, h, steps, half, contraction, most):
+def approaches(osc, point, h, steps, half, contraction, scale, most):
     """Whether a motion at block state h falls into an orbit, seen in at most ``most`` turns; and these turns.
 
-    Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more.
+    Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more unless it
+    is on the orbit.
     """
     metric, norm = osc.gap.metric, shrinking_norm(osc.gap.metric, point.jacobian, contraction)
     begun, at, nearer = separation(metric, h, point.h), h, False
@@ -143,7 +147,7 @@ def approaches(osc, point, h, steps, half, contraction, most):
         image = iterate_alone(osc, at, point.contact, steps, half).h
         if not falls_into(norm, point.jacobian, contraction, point.h, at, image):
             return False, turn
-        if nearer:
+        if nearer or separation(metric, image, point.h) <= ON_ORBIT * scale:
             return True, turn
         nearer = stays_nearer(metric, norm, point.jacobian, point.h, image, begun)
         at = image
@@ -178,9 +182,9 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
-    if separation(osc.gap.metric, h, point.h) > 1e-9 * scale:
+    if separation(osc.gap.metric, h, point.h) > ON_ORBIT * scale:
         most = min(CYCLES, turns_left - tried - turns + 2)
-        falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), most)
+        falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), scale, most)
         spent += flown * unit
         if not falls:
             return NEAR, orbit, spent
