@@ -138,7 +138,7 @@ def least_turn(osc, point, steps, half, scale):
 def approaches(osc, point, h, steps, half, contraction, scale, most):
     """Whether a motion at block state h falls into an orbit, seen in at most ``most`` turns; and these turns.
 
-    Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more unless it
+    Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more, or
     is on the orbit.
     """
     metric, norm = osc.gap.metric, shrinking_norm(osc.gap.metric, point.jacobian, contraction)
