@@ -6,8 +6,8 @@ from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one 
 a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
 a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
 branch from cell to cell.
-Without a store: ``point`` solves one cell, ``portrait`` draws its motion, ``branch`` follows its orbit along a
-parameter, ``solve_tile`` takes arrays of parameters.
+Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``portrait`` draws its motion,
+``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of parameters.
 ``errors`` has what they raise.
 """
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         RunOptions,
         Settings,
         Spec,
+        attractors,
         branch,
         extend,
         open,
@@ -44,6 +45,7 @@ __all__ = [
     "Settings",
     "Spec",
     "__version__",
+    "attractors",
     "branch",
     "errors",
     "extend",

@@ -3,9 +3,8 @@
 Registered with xarray by ``atlas.open``, or by importing this module.
 """
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -20,15 +19,16 @@ from atlas.query import connected
 from atlas.query import queries as query
 from atlas.query.attractors import leading
 from atlas.query.basins import basins
+from atlas.query.cell import solved_cell
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
-from atlas.query.window import Window
-from atlas.render import LOOK, branch_figure, check_path, compared_figure, figure, portrait, side_by_side
-from atlas.spec.system import resolved_system
-from workers import Settings
+from atlas.query.window import Window, axis_names
+from atlas.render import branch_figure, check_path, compared_figure, figure, portrait, side_by_side
+from atlas.render.options import Look, MapLook, Sheet, takes
 
 if TYPE_CHECKING:
     import pandas as pd
+    from distributed import Client
     from matplotlib.figure import Figure
 
     from atlas.explore.session import Exploration
@@ -37,10 +37,11 @@ if TYPE_CHECKING:
 class DrawnComparison(Comparison):
     """A comparison that can draw itself."""
 
-    def plot(self, path: str | Path | None = None, **look: Any) -> "Figure":
+    @takes(Look)
+    def plot(self, path: str | Path | None = None, **look: Unpack[Look]) -> "Figure":
         """A matplotlib Figure of both maps: differences of exponents, and where regimes differ.
 
-        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``. See ``render.compared_figure``.
+        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
         """
         return compared_figure(self, path, **look)
 
@@ -48,10 +49,11 @@ class DrawnComparison(Comparison):
 class DrawnBranches(Branches):
     """Branches that can draw themselves."""
 
-    def plot(self, path: str | Path | None = None, **look: Any) -> "Figure":
+    @takes(Sheet)
+    def plot(self, path: str | Path | None = None, **look: Unpack[Sheet]) -> "Figure":
         """A matplotlib Figure of section values over the parameter, stable parts solid and unstable ones dashed.
 
-        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``. See ``render.branch_figure``.
+        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
         """
         return branch_figure(self, path, **look)
 
@@ -161,50 +163,66 @@ class AtlasAccessor:
         """
         return DrawnBranches.of(tree_from(seed_of_cell(self._ds, point), along, window, leaving, budget))
 
+    @takes(Look)
     def beside(
-        self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Any
+        self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Unpack[Look]
     ) -> "Figure":
         """Maps of this atlas and of others side by side on one scale, ``beside(other, width="85mm")``.
 
-        See ``atlas.render.side_by_side``.
+        ``kind`` is "exponent" or "period", by default the first that all of them hold.
         """
         return side_by_side([self._ds, *others], kind, window, **look)
 
-    def plot(self, kind: str | None = None, window: Window | None = None, **options: Any) -> Any:
+    @takes(MapLook)
+    def plot(self, kind: str | None = None, window: Window | None = None, **options: Unpack[MapLook]) -> Any:
         """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
 
-        ``plot("period", width="85mm", overlays="grazing")``. See ``atlas.render.figure``.
+        ``plot("period", width="85mm", overlay="grazing")``. ``kind`` is one of ``atlas.render.KINDS``, by default the
+        first that fits the axes: ``atlas render --help`` says what each shows. ``window`` gives for any axis the
+        (low, high) ends of the part to draw. Options have the command's names.
         """
         return figure(self._whole, kind, window=window, **options)
 
-    def explore(self, **options: Any) -> "Exploration":
-        """A page on this atlas to look anywhere in it, at any depth; a notebook shows it in place.
+    def explore(
+        self,
+        *,
+        client: "Client | None" = None,
+        scheduler: str | None = None,
+        workers: int | None = None,
+        tolerance: float | None = None,
+        keep: bool = True,
+        folder: Path | None = None,
+        port: int = 0,
+    ) -> "Exploration":
+        """A page on this atlas to look anywhere in it, at any depth; a notebook shows it in place, ``stop()`` ends it.
 
-        Options ``client``, ``workers``, ``tolerance``, ``keep``: see ``session.explore``. ``stop()`` ends it.
+        Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
+        of this machine, by default one a processor; ``tolerance`` is that of their exponents, by default 0.05. With
+        ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the working
+        directory. ``port`` is that of the page, by default any free one.
         """
         from atlas.explore.session import explore_dataset
+        from atlas.explore.subject import TOLERANCE
 
-        return explore_dataset(self._ds, **options)
+        return explore_dataset(
+            self._ds, client=client, scheduler=scheduler, workers=workers, tolerance=tolerance or TOLERANCE, keep=keep,
+            folder=folder, port=port,
+        )  # fmt: skip
 
-    def portrait(self, path: str | Path | None = None, **options: Any) -> "Figure":
+    @takes(Sheet, others=True)
+    def portrait(self, path: str | Path | None = None, **point: Any) -> "Figure":
         """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
 
-        A matplotlib Figure, shown by a notebook, also written to ``path`` if given. Size and type as in ``plot``:
+        Of an atlas of all attractors it is that of the attractor with the largest share, or of the one selected.
+        A matplotlib Figure, shown by a notebook, also written to ``path`` if given:
         ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
         """
-        look = {name: options.pop(name) for name in LOOK if name in options}
+        look: Any = {name: point.pop(name) for name in Sheet.__annotations__ if name in point}
+        for name in point:
+            if name not in self._ds.coords:
+                possible = ", ".join([*axis_names(self._ds), "path", *Sheet.__annotations__])
+                raise InputError(f"unknown option {name!r}; possible: {possible}")
         if path is not None:
             check_path(path)
-        cell = query.at(self._ds, options)
-        try:
-            spec = json.loads(self._ds.attrs["spec"])
-            system, settings = resolved_system(spec), Settings(**spec["solve"])
-        except InputError:
-            raise
-        except (KeyError, TypeError, ValueError):
-            raise InputError("this dataset does not say how it was solved: it lacks the spec of its atlas") from None
-        known = [parameter.name for parameter in system.parameters]
-        given = {
-            name: float(cell[name] if name in cell else self._ds[name]) for name in known if name in self._ds.coords
-        }
-        return portrait(given, system=system, settings=settings, path=path, **look)
+        cell = solved_cell(self._ds, point)
+        return portrait(cell.parameters, system=cell.system, settings=cell.settings, path=path, **look)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from atlas import errors
 from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_point
+from atlas.cell.attractors import attractors
 from atlas.cell.point import point
 from atlas.check.verify import verify
 from atlas.curves.settings import CurveSettings
@@ -32,6 +33,7 @@ __all__ = [
     "RunOptions",
     "Settings",
     "Spec",
+    "attractors",
     "branch",
     "errors",
     "extend",

@@ -8,6 +8,9 @@ from workers.model.parameter import unknown_name
 LONGEST_LINE = 500
 """Characters of a message; of a longer one the middle is left out."""
 
+MADE_BY = {"curves": "atlas curves", "labels": "atlas label"}
+"""The commands that make a group of a store anew that is damaged, of those that a run does not make."""
+
 _short = reprlib.Repr()
 _short.maxstring = _short.maxlong = _short.maxother = 60
 
@@ -55,6 +58,9 @@ class ChunkError(RunError):
         found = "; ".join(f"{key} {fault}" for key, fault in self.faults.items())
         if self.store.lower().endswith(".zip"):
             return f"{self.store}: {found}: pack the atlas again"
+        groups = {key.partition("/")[0] for key in self.faults}
+        if len(groups) == 1 and groups <= MADE_BY.keys():
+            return f"{self.store}: {found}: {MADE_BY[groups.pop()]} {self.store} makes it anew"
         return f"{self.store}: {found}: atlas verify --repair {self.store}, then run it again"
 
 

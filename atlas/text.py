@@ -15,9 +15,9 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
-def plural(count: int, noun: str) -> str:
-    """A count with its noun: 1 tile, 2 tiles."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+def plural(count: int, noun: str, many: str = "") -> str:
+    """A count with its noun: 1 tile, 2 tiles; ``many`` is the plural where an s does not make it."""
+    return f"{count} {noun if count == 1 else many or f'{noun}s'}"
 
 
 def byte_size(count: int) -> str:

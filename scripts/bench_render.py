@@ -97,7 +97,7 @@ def ask(*command: str) -> dict[str, Any]:
         text = output.read()
     if ended.returncode:
         raise SystemExit(f"atlas {' '.join(command)}: {text}")
-    chunks = re.search(r"(\d+) chunks read", text)
+    chunks = re.search(r"(\d+) chunks? read", text)
     peak = re.search(r"VmHWM:\s+(\d+) kB", text)  # of this process alone, which its exit status would not give
     return {
         "seconds": seconds,

@@ -61,9 +61,9 @@ class Scale:
         return f"{self.summary.tiles:>6} {each:>8.2f} {self.coordinator / 1e6:>16.1f} {self.scheduler / 1e6:>14.1f}"
 
 
-def nothing(act: Callable[[Job], Receipt], job: Job) -> Receipt:
+def nothing(act: Callable[[Job], Receipt], job: Job) -> fanout.Done[Receipt]:
     """A worker's work without the work; it stores nothing, so that there is nothing to make overviews of."""
-    return Receipt(job.index, 1, {"periodic": 1}, {}, 0.0, 0.0, 1, 0)
+    return fanout.Done("", Receipt(job.index, 1, {"periodic": 1}, {}, 0.0, 0.0, 1, 0))
 
 
 def no_overview(*_: object) -> None:

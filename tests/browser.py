@@ -47,6 +47,17 @@ class Tab:
         )
         return found if found is None else list(found)
 
+    def mark(self) -> tuple[float, float] | None:
+        """Where the page marks a cell, (x, y); None while it marks none."""
+        found = self.page.evaluate(
+            """() => {
+                for (const model of Bokeh.documents[0]._all_models.values())
+                    if (model.type === "ColumnDataSource" && Object.keys(model.data).join() === "x,y")
+                        return [...model.data.x, ...model.data.y]
+            }"""
+        )
+        return (float(found[0]), float(found[1])) if found else None
+
     def text(self) -> str:
         """All that stands on the page."""
         return str(

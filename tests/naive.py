@@ -136,15 +136,15 @@ def through_one_impact(params: Mapping[str, float], state: Array, near: tuple[fl
 
 
 def blocking_error(values: Array, fewest: int) -> float:
-    """Standard error of the mean of a correlated series, from blocks of B = 1, 2, 4, ... values (Lee et al. 2011).
+    """Standard error of the mean of a correlated series, from at least ``fewest`` blocks of B = 1, 2, 4, ... values.
 
-    The error from the shortest with B^3 > 2 N (e_B / e_1)^4, else the largest of all that have ``fewest`` blocks.
+    The largest from the shortest blocks with B^3 > 2 N (e_B / e_1)^4 on (Lee et al. 2011), else of all.
     """
-    errors, count, length = [], len(values), 1
+    errors, count, length, start = [], len(values), 1, None
     while len(values) >= fewest:
         errors.append(float(np.std(values, ddof=1) / math.sqrt(len(values))))
-        if length**3 > 2 * count * (errors[-1] / errors[0]) ** 4:
-            return errors[-1]
+        if start is None and length**3 > 2 * count * (errors[-1] / errors[0]) ** 4:
+            start = len(errors) - 1
         values = values[: len(values) // 2 * 2].reshape(-1, 2).mean(axis=1)
         length *= 2
-    return max(errors, default=math.nan)
+    return max(errors[start or 0 :], default=math.nan)

@@ -27,7 +27,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         kind: (lambda kind=kind: render.figure(plane(), kind))  # type: ignore[misc]
         for kind in render.MAPS
     },
-    "exponent": lambda: render.figure(plane(), "exponent", overlays=LINES),
+    "exponent": lambda: render.figure(plane(), "exponent", overlay=LINES),
     "regions": regions,
     "sweep": lambda: render.figure(line()),
     "spectrum": lambda: render.figure(line(), "spectrum"),

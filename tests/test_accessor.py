@@ -1,15 +1,25 @@
 """Claims about ``ds.atlas``: it answers as the functions do, of whatever selection it is asked."""
 
+import inspect
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from PIL import Image
 
-import atlas.accessor  # noqa: F401  registers it
+import atlas
+import atlas.accessor
+from atlas.accessor import AtlasAccessor, DrawnBranches, DrawnComparison
 from atlas.cell.orbit import cell_orbit
+from atlas.cli.compare import compare
+from atlas.cli.main import main
+from atlas.cli.pictures import render
 from atlas.errors import InputError
 from atlas.query import queries as query
 from tests.test_query import plane
@@ -129,6 +139,42 @@ def test_the_forcing_frequency_has_to_be_known() -> None:
 # Pictures
 
 
+def options_of(command: click.Command, *without: str) -> set[str]:
+    return {str(each.name) for each in command.params} - {"out", *without}
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        (AtlasAccessor.plot, options_of(render, "stores", "select")),  # of which xarray picks the plane
+        (AtlasAccessor.portrait, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
+        (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "keep", "port"}),
+        (DrawnComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),
+        (DrawnBranches.plot, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
+    ],
+    ids=lambda value: getattr(value, "__qualname__", ""),
+)
+def test_methods_that_draw_have_the_options_of_their_command_as_keyword_arguments(
+    method: Callable[..., object], options: set[str]
+) -> None:
+    parameters = inspect.signature(method).parameters
+    assert options <= parameters.keys()
+    assert all(name in (method.__doc__ or "") for name in options)
+
+
+def test_an_unknown_option_is_refused_with_all_that_there_are() -> None:
+    ds = plane([1, 2], [0.1, 0.2])
+    possible = [name for name in inspect.signature(AtlasAccessor.plot).parameters if name != "self"]
+    with pytest.raises(InputError) as error:
+        ds.atlas.plot("exponent", overlays="grazing")
+    assert str(error.value) == f"unknown option 'overlays'; possible: {', '.join(possible)}"
+    assert {"overlay", "curves", "against", "ax", "width", "vmin"} <= set(possible)
+    with pytest.raises(InputError, match="unknown option 'widht'; possible: omega, b, path, width, "):
+        ds.atlas.portrait(omega=1, b=0.1, widht="85mm")
+    with pytest.raises(InputError, match="unknown option 'widht'; possible: others, kind, window, width, "):
+        ds.atlas.beside(ds, widht="85mm")
+
+
 def test_plot_draws_a_kind_in_a_window() -> None:
     ds = plane([1, 2, 3, 4], [0.1, 0.2])
     assert ds.atlas.plot("exponent", window={"omega": (2, 3)}).axes[0].get_xlim() == (1.5, 3.5)
@@ -146,6 +192,36 @@ def test_a_portrait_is_of_the_nearest_cell_with_the_settings_of_the_atlas(tmp_pa
     cell = cell_orbit({"omega": 4.0, "b": 0.6, "R": 0.8}, "two-mass", Settings(max_periods=123))
     with Image.open(tmp_path / "a.png") as image:
         assert image.info["Digest"] == cell.digest
+
+
+def test_the_command_draws_a_cell_of_a_store_with_the_settings_of_the_atlas(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[Any, ...]] = []
+
+    def draw(given: Any, *, system: Any, settings: Any, path: Path, **look: Any) -> None:
+        drawn.append((given, system.name, settings))
+
+    monkeypatch.setattr("atlas.cli.cell.draw_portrait", draw)
+    line = ["portrait", str(finished), "--at", "omega=2.3", "--at", "b=0.42", "-o", str(tmp_path / "cell.png")]
+    assert CliRunner().invoke(main, line).exit_code == 0
+    ((given, system, settings),) = drawn
+    cell = atlas.open(finished).atlas.at(omega=2.3, b=0.42)
+    assert (given["omega"], given["b"], given["R"]) == (cell["omega"], cell["b"], 0.8)
+    assert (system, settings) == ("two-mass", Settings(max_periods=500, tolerance=0.1, section_samples=2))
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["--at", "omega=3"], "--at is for a cell of a STORE"),
+        (["a.zarr", "--set", "omega=3"], "--set is for a cell without a STORE"),
+        (["a.zarr", "--max-periods", "900"], "--max-periods is for a cell without a STORE"),
+    ],
+)
+def test_options_of_cells_that_do_not_go_together_are_refused(args: list[str], says: str, tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["portrait", *args, "-o", str(tmp_path / "cell.png")])
+    assert (shown.exit_code, says in shown.output) == (2, True)
 
 
 def test_a_portrait_needs_to_know_how_the_atlas_was_solved() -> None:

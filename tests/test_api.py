@@ -13,6 +13,7 @@ from workers.results import FAILED, UNDETERMINED
 
 ROOT = Path(__file__).parent.parent
 PUBLIC = ["Retry", "RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point"]
+PUBLIC += ["attractors"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
 
 

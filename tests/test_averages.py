@@ -126,3 +126,13 @@ def test_a_stretch_ends_with_its_last_sections() -> None:
     run_periods(osc, other, 10, no_averages(), expected)
     assert kept == pytest.approx(expected, abs=1e-15)
     assert kept[-1] == pytest.approx(one.h, abs=0)
+
+
+def test_the_error_bar_sees_weak_but_slow_changes_behind_the_noise_of_single_periods() -> None:
+    """(mean - true mean) / error over 300 series: blocks that are just long enough for the noise give 1.8."""
+    rng = np.random.default_rng(5)
+    z = []
+    for _ in range(300):
+        values = rng.normal(size=8192) + 0.3 * correlated(rng, 1.0 - 2.0 / 300.0, 8192)
+        z.append(values.mean() / standard_error(blocking(values)))
+    assert math.sqrt(np.mean(np.square(z))) < 1.6

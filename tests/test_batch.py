@@ -216,7 +216,7 @@ def test_a_mass_at_rest_but_for_rounding_is_given_up_for_its_cost_not_failed() -
     }  # fmt: skip
     solution = solve_cells("two-mass", cell, Settings(max_periods=400))
     assert solution.arrays["regime"] == UNDETERMINED
-    assert list(solution.reasons) == ["one period takes more than a million evaluations"]
+    assert list(solution.reasons) == ["one forcing period takes more than a million evaluations of the motion"]
 
 
 def test_a_tile_has_the_bits_of_its_cells_alone() -> None:

@@ -43,7 +43,7 @@ def found() -> DrawnBranches:
 @pytest.fixture(scope="module")
 def over(swept: xr.Dataset) -> Axes:
     """The bifurcation diagram of these cells with its branches."""
-    ax: Axes = render.figure(swept, overlays="branches").axes[0]
+    ax: Axes = render.figure(swept, overlay="branches").axes[0]
     return ax
 
 
@@ -104,18 +104,18 @@ def test_cells_on_known_branches_add_none(swept: xr.Dataset) -> None:
 
 @pytest.mark.slow
 def test_two_sweeps_together_take_branches_too(swept: xr.Dataset) -> None:
-    figure = render.figure(swept, against=swept, overlays="branches")
+    figure = render.figure(swept, against=swept, overlay="branches")
     assert len(drawn_lines(figure.axes[0], False)) == 1
     assert "unstable orbit" in labels(figure)
 
 
 def test_branches_over_a_map_or_a_sweep_without_sections_are_refused() -> None:
     with pytest.raises(InputError, match="overlay 'branches' is drawn over a sweep, found two axes"):
-        render.figure(plane(), overlays="branches")
+        render.figure(plane(), overlay="branches")
     with pytest.raises(InputError, match="drawn over section values, and this atlas holds none; see section_samples"):
-        render.figure(line().drop_vars("section"), overlays="branches")
+        render.figure(line().drop_vars("section"), overlay="branches")
 
 
 def test_branches_of_an_atlas_without_states_are_refused() -> None:
     with pytest.raises(InputError, match="branches start from the variable 'impacts_upper' of cells"):
-        render.figure(line(), overlays="branches")
+        render.figure(line(), overlay="branches")

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from atlas.errors import InputError, RunError
-from atlas.service.lease import CLAIM, Observer, Record, cancel, claimed, remove_half_made
+from atlas.service.lease import Observer, Record, cancel, claimed, remove_half_made
 from atlas.service.process import this_process
 from atlas.service.timing import Timing
-from atlas.store.sidecar import Folder, notes_of
+from atlas.store.sidecar import CLAIM, Folder, notes_of
 
 QUICK = Timing(beat=0.02)
 IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)
@@ -186,6 +186,29 @@ def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
         claim.check()
 
 
+@pytest.mark.parametrize("patience", [0.0, 1.0])
+def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itself(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch, patience: float
+) -> None:
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=patience) as claim:
+
+        def put(*_: object, **__: object) -> bool:
+            raise OSError(5, "Input/output error")
+
+        claim.check()
+        begin = time.monotonic()
+        with monkeypatch.context() as away:
+            away.setattr(Folder, "put", put)
+            with pytest.raises(
+                RunError, match=r"could not renew its claim of the store for \d+ s, so that another run"
+            ):
+                while True:
+                    claim.check()
+                    time.sleep(0.02)
+        assert time.monotonic() - begin >= max(patience, IMPATIENT.dead) - 2 * IMPATIENT.beat
+    assert notes.read(CLAIM) is None  # the store is free again
+
+
 def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
     with claimed(notes, "out.zarr", timing=QUICK) as claim:
         claim.report({"workers": 3})
@@ -321,11 +344,14 @@ def test_a_number_that_is_none_counts_as_not_reported(value: object) -> None:
     assert replace(elsewhere(), progress={"workers": value}).number("workers") == 0
 
 
+RUN = "0123456789abcdef" * 2
+
+
 def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
-    for name in (".out.zarr.0123.partial", ".other.zarr.0123.partial", "out.zarr"):
+    for name in (f".out.zarr.{RUN}.partial", f".other.zarr.{RUN}.partial", "out.zarr"):
         (tmp_path / name).mkdir()
     remove_half_made(tmp_path / "out.zarr")
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".other.zarr.0123.partial", "out.zarr"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f".other.zarr.{RUN}.partial", "out.zarr"]
 
 
 def test_notes_are_next_to_the_store(tmp_path: Path) -> None:

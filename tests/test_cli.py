@@ -133,13 +133,13 @@ def test_a_window_without_a_cell_is_refused_and_nothing_written(folder: Path, tm
 
 def test_query_reports_how_many_chunks_it_read(folder: Path) -> None:
     # Of the tally, once for the shares and once for the reasons.
-    assert call("query", folder / "out.zarr").stderr == "2 chunks read\n"
+    assert call("query", folder / "out.zarr").stderr == "2 chunks read from the store\n"
 
 
 def test_render_takes_a_window_and_reports_how_many_chunks_it_read(folder: Path, tmp_path: Path) -> None:
     shown = call("render", folder / "out.zarr", "-o", tmp_path / "a.png", "--window", "omega=2:2.5")
     assert shown.exit_code == 0
-    assert "8 chunks read, of the cells themselves" in shown.stderr
+    assert "8 chunks read from the store, at full resolution" in shown.stderr
 
 
 def test_render_writes_the_picture_and_names_it(folder: Path) -> None:

@@ -18,9 +18,10 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.overview.upkeep import Overviews
 from atlas.query.attractors import leading
+from atlas.query.cell import solved_cell
 from atlas.store.store import read_header
 from atlas.store.tiles import drop_tile, read_tile
-from workers import Settings
+from workers import Settings, solve_tile
 from workers.attractors import solve_attractors
 from workers.results import CHAOTIC, FAILED, PENDING
 from workers.starts import Starts
@@ -261,3 +262,48 @@ def test_a_packed_store_reads_as_the_store_does(solved: Path, tmp_path: Path) ->
     atlas.pack(solved, tmp_path / "out.zip")
     one, other = atlas.open(solved), atlas.open(tmp_path / "out.zip")
     assert one["share"].values.tobytes() == other["share"].values.tobytes()
+
+
+def test_all_attractors_of_one_cell_are_those_of_an_atlas_of_it(solved: Path) -> None:
+    """Truth: the same cell of the store, whose initial states are fewer of the same box, and which keeps three."""
+    cell = atlas.open(solved).atlas.at(omega=4.0, R=0.8)
+    settings = Settings(max_periods=2000, survival=2000, tolerance=0.1)
+    found = atlas.attractors({"omega": cell["omega"], "R": cell["R"], "b": 0.1}, settings=settings, starts=16)
+    assert found["attractors"] == len(found["coexisting"]) == cell["attractors"] > 1
+    assert sum(each["share"] for each in found["coexisting"]) + found["undecided"] / found["starts"] == pytest.approx(1)
+    patterns = [
+        {(each["regime"], each["period"], each["impacts_upper"], each["impacts_lower"]) for each in of["coexisting"]}
+        for of in (found, cell)
+    ]
+    assert patterns[0] >= patterns[1]
+    assert found["search"]["starts"] == 16
+
+
+def test_the_command_lists_all_attractors_of_one_cell() -> None:
+    """At b = 0.6 the motion from rest has no impact; all that is printed is in the JSON too."""
+    line = ["point", "--set", "omega=4", "--set", "b=0.6", "--attractors", "--starts", "4", "--max-periods", "500"]
+    found = json.loads(CliRunner().invoke(main, [*line, "--json"]).stdout)
+    assert [(each["regime"], each["share"]) for each in found["coexisting"]] == [("no_impact", 1.0)]
+    shown = CliRunner().invoke(main, line)
+    assert "share_low" in shown.stdout and "unseen_share" in shown.stdout
+    refused = CliRunner().invoke(main, ["point", "--starts", "4"])
+    assert (refused.exit_code, "--starts goes with --attractors" in refused.output) == (2, True)
+
+
+def test_a_cell_without_motion_lists_no_attractor_and_says_why() -> None:
+    found = atlas.attractors({"x1": 5.0}, starts=1)
+    assert (found["coexisting"], found["regime"]) == ([], "invalid")
+    assert found["reason"] == "the initial state lies beyond a stop"
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_cell_is_solved_again_on_the_attractor_selected(solved: Path, place: int) -> None:
+    """Truth: the stored pattern of that attractor, where another one has another pattern."""
+    ds = atlas.open(solved).load()
+    names = ["regime", "period", "impacts_upper", "impacts_lower"]
+    pattern = np.stack([ds[name].values for name in names], axis=-1)
+    differs = (pattern[:, :, 0] != pattern[:, :, 1]).any(axis=-1) & np.isin(pattern[:, :, :2, 0], [0, 1]).all(axis=-1)
+    i, j = np.argwhere(differs)[0]
+    cell = solved_cell(ds.isel(attractor=place), {"R": float(ds.R[i]), "omega": float(ds.omega[j])})
+    again = solve_tile(cell.system, cell.parameters, cell.settings)
+    assert [again[name].item() for name in names] == pattern[i, j, place].tolist()

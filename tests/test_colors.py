@@ -16,6 +16,10 @@ SIGHT = {
     "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
     "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
 }
+# The same for eyes without blue receptors, which the choice of all other palettes leaves out.
+EVERY_SIGHT = SIGHT | {
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
+}
 _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "periodic")}
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
@@ -58,3 +62,55 @@ def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str)
     seen = {name: lab(color, SIGHT[sight]) for name, color in PALETTES[palette].items()}
     closest = min((float(np.linalg.norm(seen[a] - seen[b])), a, b) for a, b in itertools.combinations(seen, 2))
     assert closest[0] > 14.0, closest
+
+
+def ciede2000(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """The colour difference of CIE 142-2001 between two colours in L*a*b*."""
+    mean = (np.hypot(*one[1:]) + np.hypot(*other[1:])) / 2
+    stretch = 1.5 - 0.5 * np.sqrt(mean**7 / (mean**7 + 25.0**7))
+    (L1, a1, b1), (L2, a2, b2) = one * [1, stretch, 1], other * [1, stretch, 1]
+    C1, C2 = np.hypot(a1, b1), np.hypot(a2, b2)
+    h1, h2 = (np.degrees(np.arctan2(b, a)) % 360 for a, b in ((a1, b1), (a2, b2)))
+    turn = (h2 - h1 + 180) % 360 - 180
+    L, C, h = (L1 + L2) / 2, (C1 + C2) / 2, np.radians(h1 + turn / 2)
+    dL, dC, dH = L2 - L1, C2 - C1, 2 * np.sqrt(C1 * C2) * np.sin(np.radians(turn) / 2)
+    T = 1 - 0.17 * np.cos(h - np.radians(30)) + 0.24 * np.cos(2 * h)
+    T += 0.32 * np.cos(3 * h + np.radians(6)) - 0.2 * np.cos(4 * h - np.radians(63))
+    dL /= 1 + 0.015 * (L - 50) ** 2 / np.sqrt(20 + (L - 50) ** 2)
+    dC, dH = dC / (1 + 0.045 * C), dH / (1 + 0.015 * C * T)
+    angle = np.radians(60) * np.exp(-(((np.degrees(h) % 360 - 275) / 25) ** 2))
+    mixed = -2 * np.sqrt(C**7 / (C**7 + 25.0**7)) * np.sin(angle)
+    return float(np.sqrt(dL**2 + dC**2 + dH**2 + mixed * dC * dH))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "difference"),
+    [
+        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
+        ((50, 2.5, 0), (73, 25, -18), 27.1492),
+        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+        ((22.7233, 20.0904, -46.694), (23.0331, 14.973, -42.5619), 2.0373),
+        ((90.9257, -0.5406, -0.9208), (88.6381, -0.8985, -0.7239), 1.5381),
+    ],
+)
+def test_the_difference_of_colours_is_that_of_the_published_pairs(
+    one: object, other: object, difference: float
+) -> None:
+    """Sharma, Wu & Dalal (2005), Color Res. Appl. 30, 21: table 1."""
+    assert ciede2000(np.array(one, float), np.array(other, float)) == pytest.approx(difference, abs=1e-4)
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_any_two_classes_of_periods_are_told_apart(sight: str) -> None:
+    """Above 10 two colours are seen as different at a glance; with all receptors twice as much is asked for."""
+    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in period.CLASSES]
+    closest = min(ciede2000(one, other) for one, other in itertools.combinations(seen, 2))
+    assert closest > (20.0 if sight == "normal" else 12.0)
+
+
+def test_one_period_at_most_is_blue_or_nearly_black_to_the_eye() -> None:
+    """Of the first eight periods: hues of blue lie between 240 and 300 degrees in L*a*b*, and black has L* near 0."""
+    colors = [lab(color, SIGHT["normal"]) for first, _, color in period.CLASSES if first <= 7]
+    hues = [np.degrees(np.arctan2(b, a)) % 360 for L, a, b in colors if np.hypot(a, b) > 12]
+    assert sum(240 < hue < 300 for hue in hues) == 1
+    assert min(L for L, _, _ in colors) > 20

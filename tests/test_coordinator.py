@@ -17,8 +17,8 @@ from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service import submit as submitting
-from atlas.service.dispatch import Refusal
-from atlas.service.lease import CLAIM, Record, noted_end
+from atlas.service.fitness import Refusal
+from atlas.service.lease import Record, noted_end
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.process import process_name
 from atlas.service.run import Target, complete
@@ -26,7 +26,7 @@ from atlas.service.status import read_status
 from atlas.service.submit import Submission, check_coordinator, coordinate, submit
 from atlas.service.timing import Timing
 from atlas.store.location import place_of
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, read_header
 from atlas.task.task import RefusedError
 from tests.planes import plane_of

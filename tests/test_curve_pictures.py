@@ -32,7 +32,7 @@ def names(ax: Axes, gid: str = "corner name") -> list[str]:
 
 def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
     with keeping(found):
-        figure: Figure = render.figure(plane(), kind, overlays="curves", **options)
+        figure: Figure = render.figure(plane(), kind, overlay="curves", **options)
     return figure
 
 
@@ -92,6 +92,45 @@ def test_points_of_codimension_two_are_named_in_words(kind: str, name: str) -> N
     assert corner_name(kind) == name
 
 
+def test_the_kinds_of_curves_that_are_drawn_can_be_chosen() -> None:
+    figure = drawn(curves(), curves="fold,graze")
+    assert {each.get_gid() for each in figure.axes[0].collections} >= {"fold", "graze"}
+    assert labels(figure)[-2:] == ["fold", "graze"]
+    assert names(figure.axes[0]) == []
+
+
+def test_points_of_codimension_two_are_drawn_where_they_are_chosen() -> None:
+    figure = drawn(curves(), curves=["graze", "codimension_two"])
+    assert labels(figure)[-2:] == ["graze", "codimension two"]
+    assert names(figure.axes[0]) == ["graze–\nperiod doubling"]
+
+
+def test_kinds_of_curves_ask_for_the_overlay_by_themselves() -> None:
+    with keeping(curves()):
+        assert labels(render.figure(plane(), "period", curves="fold"))[-1] == "fold"
+
+
+def test_an_unknown_kind_of_curve_is_refused_with_all_that_there_are() -> None:
+    with pytest.raises(InputError) as error:
+        drawn(curves(), curves="fold,grazing")
+    assert str(error.value) == f"unknown kind of curve 'grazing'; possible: {', '.join(render.CURVES)}"
+    assert (*LOOKS, "codimension_two") == render.CURVES
+
+
+def test_curves_can_be_drawn_without_names_and_without_a_legend() -> None:
+    figure = drawn(curves(), names=False, legend=False)
+    ax = figure.axes[0]
+    assert [each for each in ax.lines if each.get_gid() == "corner"]
+    assert (names(ax), labels(figure)) == ([], [])
+
+
+def test_a_region_chart_takes_kinds_and_leaves_names_out() -> None:
+    with keeping(curves()):
+        figure = render.figure(plane(), "regions", curves="fold", names=False)
+    assert {each.get_gid() for each in figure.axes[0].collections} == {"fold"}
+    assert not figure.axes[0].texts
+
+
 def test_names_of_crowded_points_keep_off_each_other() -> None:
     x = np.linspace(1.0, 5.0, 21)
     corners = tuple(Corner("graze_period_doubling", 2.9 + 0.02 * k, 0.3, 10) for k in range(5))
@@ -114,7 +153,7 @@ def test_curves_of_other_axes_are_refused() -> None:
 def test_an_atlas_without_curves_says_which_command_finds_them(finished: Path) -> None:
     ds = atlas.open(finished)
     with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; atlas curves"):
-        render.figure(ds, overlays="curves")
+        render.figure(ds, overlay="curves")
     with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; atlas curves"):
         render.figure(ds, "regions")
 

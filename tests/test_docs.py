@@ -77,6 +77,33 @@ def test_the_readme_is_at_most_150_lines() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
 
 
+def test_the_readme_says_how_the_command_is_found_before_it_uses_it() -> None:
+    lines = [line for block in blocks(ROOT / "README.md", "sh") for line in block.splitlines()]
+    used = next(number for number, line in enumerate(lines) if line.startswith("atlas "))
+    assert "source .venv/bin/activate" in [line.partition("#")[0].strip() for line in lines[:used]]
+
+
+def stores_made(page: Path) -> dict[str, set[str]]:
+    """The specs that a page runs into each store, by the store's path as it is written there."""
+    made: dict[str, set[str]] = {}
+    for block in blocks(page, "sh"):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            runs = words[:2] in (["atlas", "run"], ["atlas", "basins"]) and "-o" in words
+            if runs and "--points" not in words:  # a table of points replaces a spec's axes
+                made.setdefault(words[words.index("-o") + 1], set()).add(words[2])
+    for block in blocks(page, "python"):
+        for spec, store in re.findall(r"atlas\.run\((.+), \"([^\"]+)\"", block):
+            read = re.match(r'atlas\.Spec\.from_toml\("(.+)"\)', spec)
+            made.setdefault(store, set()).add(read[1] if read else spec)
+    return made
+
+
+@each_page
+def test_a_page_runs_no_two_specs_into_one_store(page: Path) -> None:
+    assert not {store: specs for store, specs in stores_made(page).items() if len(specs) > 1}
+
+
 def entries(page: Path) -> set[Path]:
     """The pages in the tables of contents of a page."""
     listed = [line for block in blocks(page, r"\{toctree\}") for line in block.splitlines() if line and line[0] != ":"]

@@ -1,14 +1,17 @@
 """exp, log, sin and cos of the vector loops, against 40-digit arithmetic."""
 
+import ast
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mpmath import mp
 
 from tests.oscillators import mass_spring
-from workers.kernel.elementary import cosc_sinc, exp_minus, log, sin_cos
+from workers.kernel import elementary
+from workers.kernel.elementary import cosc_sinc, exp, exp_minus, log, sin_cos
 from workers.model.oscillator import COLUMN, LARGEST_ANGLE, make_blocks
 
 EPS = 2.0**-52
@@ -41,6 +44,30 @@ def test_the_exponential_is_right_to_an_ulp() -> None:
     with mp.workdps(40):
         for x in [0.0, *np.linspace(0.0, 700.0, 3001).tolist(), *np.geomspace(1e-20, 1.0, 200).tolist()]:
             assert abs(exp_minus(x) / mp.exp(-x) - 1) <= 1.2 * EPS
+
+
+def test_the_exponential_of_either_sign_is_right_to_two_ulps() -> None:
+    with mp.workdps(40):
+        for x in [0.0, *np.linspace(-700.0, 700.0, 3001).tolist(), -1e-20, 1e-20]:
+            assert abs(exp(x) / mp.exp(x) - 1) <= 2.0 * EPS
+    assert (exp(-math.inf), exp(math.inf)) == (0.0, math.inf) and math.isnan(exp(math.nan))
+
+
+def test_kernels_call_the_c_library_for_lengths_of_pairs_alone() -> None:
+    """hypot bounds turning points and multipliers; square roots are correctly rounded by the processor.
+
+    Truth: the syntax of workers/kernel, whose only exponentials, logarithms, sines and cosines are its own.
+    """
+    exact = {"sqrt", "floor", "isfinite", "isnan", "copysign"}
+    found = set()
+    for source in sorted(Path(elementary.__file__).parent.rglob("*.py")):
+        functions = [each for each in ast.parse(source.read_text()).body if isinstance(each, ast.FunctionDef)]
+        for node in (node for function in functions for node in ast.walk(function)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                module, name = getattr(node.func.value, "id", ""), node.func.attr
+                if module in ("math", "cmath") or (module == "np" and isinstance(getattr(np, name), np.ufunc)):
+                    found |= {name} - exact
+    assert found <= {"hypot", "sign"}
 
 
 def test_the_exponential_ends_in_zero() -> None:

@@ -194,6 +194,66 @@ def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab:
     assert tab.address() == address and "kind=period" in address and "R=0.75" in address
 
 
+@pytest.mark.parametrize(("width", "share"), [(1440, 0.4), (1000, 0.7), (940, 0.7), (700, 0.6), (390, 0.7)])
+def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
+    running: Exploration, browser: Any, width: int, share: float
+) -> None:
+    """At 940 pixels, the width of a notebook, columns beside the plane left it 135; at 390 they covered it."""
+    with opened(browser, f"{running.url}?{WINDOW}", width, 720) as tab:
+        tab.until(tab.image)
+        left, top, across, down = tab.plot()
+        assert across > share * width and left + across <= width
+        assert top >= 0 and top + down <= 720 and 0.3 < down / across < 1.6
+        assert tab.page.evaluate("() => document.documentElement.scrollWidth") <= width
+        tall = tab.page.evaluate("() => document.documentElement.scrollHeight")
+        assert tall > 800 if width < 1280 else tall <= 720  # what lies below the plane can be scrolled to
+        assert tab.complaints == []
+
+
+def test_a_phone_has_the_controls_folded_until_they_are_asked_for(running: Exploration, browser: Any) -> None:
+    with opened(browser, f"{running.url}?{WINDOW}", 390, 844) as tab:
+        tab.until(tab.image)
+        scale = tab.page.get_by_role("button", name="fit the scale to the view")
+        assert not scale.is_visible()
+        tab.page.get_by_role("button", name="controls").click()
+        tab.until(scale.is_visible)
+
+
+@pytest.mark.parametrize("width", [1440, 940, 390])
+def test_a_reload_shows_the_map_also_where_a_line_over_it_cannot_be_drawn(
+    running: Exploration, browser: Any, width: int
+) -> None:
+    """The store has no curves: asking for them must not cost the map."""
+    with opened(browser, f"{running.url}?{WINDOW}&overlay=curves,boundaries", width, 720) as tab:
+        tab.until(tab.image)
+        tab.until(lambda: "has no curves yet" in tab.text())
+        tab.page.reload()
+        tab.until(tab.image)
+        assert "overlay=curves,boundaries" in tab.address()
+
+
+def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
+    assert tab.mark() is None
+    click(tab, 0.6, 0.4)
+    script = "() => [...Bokeh.documents[0]._all_models.values()].filter((m) => m.type === 'TextInput')[0].value"
+    words = dict(word.split("=") for word in tab.page.evaluate(script).split() if word.startswith(("omega=", "b=")))
+    assert tab.mark() == (float(words["omega"]), float(words["b"]))
+    tab.page.locator(".noUi-handle").first.focus()
+    tab.page.keyboard.press("ArrowLeft")
+    tab.until(lambda: tab.mark() is None)
+    tab.page.keyboard.press("ArrowRight")
+    tab.until(tab.mark)
+
+
+def test_curves_of_another_plane_are_said_to_be_lacking(running: Exploration, browser: Any) -> None:
+    for words in ("overlay=curves", "kind=regions"):
+        with opened(browser, f"{running.url}?{WINDOW}&R=0.7&{words}") as tab:
+            tab.until(
+                lambda tab=tab: "no curves at R = 0.7: a store has curves of its own plane alone, R = 0.8" in tab.text()
+            )
+            assert bool(tab.until(tab.image) if words.startswith("overlay") else not tab.image())
+
+
 def test_two_pages_at_once_show_different_windows(running: Exploration, tab: Tab) -> None:
     other = Tab(tab.page.context.new_page())
     other.page.goto(running.url + "?omega=2.0:3.0&b=0.1:0.3")

@@ -23,8 +23,9 @@ from atlas.render.screen import screen
 from atlas.spec.axis import Axis
 from atlas.spec.toml_text import spec_toml
 from atlas.store.store import read_header
+from tests.pictures import atlas as atlas_of
 from tests.pictures import curves
-from workers.results import PENDING, REGIME, empty_results, result_variables
+from workers.results import PENDING, PERIODIC, REGIME, empty_results, result_variables
 
 LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
 LOG = Lattice(Axis("b", tuple(np.geomspace(0.01, 1.0, 51).tolist()), "log"))
@@ -308,3 +309,13 @@ def test_the_command_refuses_in_one_line_what_cannot_be_explored(words: list[str
 
     shown = CliRunner().invoke(main, ["explore", "--no-browser", *words])
     assert shown.exit_code == 2 and message in shown.stderr.splitlines()[-1]
+
+
+def test_a_low_picture_loses_no_entry_of_its_legend(subject: Subject) -> None:
+    """Nine entries need 160 pixels: where there are fewer they are written smaller, and the first is still there."""
+    periods, shape = np.array([[1, 2, 3, 4, 5, 6, 8, 16, 17]], np.int32), (1, 9)
+    ds = atlas_of({"omega": np.arange(1.0, 10.0), "b": [0.1]}, regime=np.full(shape, PERIODIC, np.int8), period=periods)
+    for height in (400, 120):
+        key = screen(ds, "period", (300, height), 165).key
+        assert np.any(np.all(key[..., :3] == (0x44, 0x77, 0xAA), axis=-1)), height
+        assert np.any(np.all(key[..., :3] == (0x03, 0x14, 0xCF), axis=-1)), height

@@ -16,8 +16,9 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.extend import extend, keep_values, refined
 from atlas.spec.axis import Axis
-from atlas.store.machine import Machine
-from atlas.store.store import create, done_tiles, machines, read_header, record_machine
+from atlas.store.machine import machine_of
+from atlas.store.machines import machines, record_machine
+from atlas.store.store import create, done_tiles, read_header
 from atlas.task.retry import checked_retry
 from tests.synthetic import set_attribute
 from workers import tile as solving
@@ -201,9 +202,12 @@ def test_an_extension_can_be_extended(old: Path, tmp_path: Path, client: Client)
 
 
 def test_a_grown_store_lists_the_machines_of_its_origin(old: Path, tmp_path: Path, client: Client) -> None:
-    record_machine(read_header(old), Machine("another", {"processor": "Z80"}))
+    another = machine_of({"processor": "Z80"})
+    record_machine(read_header(old), another)
     extend(old, tmp_path / "new.zarr", refine=2, client=client)
-    assert {machine.name for machine in machines(read_header(tmp_path / "new.zarr"))} > {"another"}
+    assert {machine.name for machine in machines(read_header(tmp_path / "new.zarr"))} > {
+        machine_of({"processor": "Z80"}).name
+    }
 
 
 def test_the_old_store_stays_as_it_is(old: Path, tmp_path: Path, client: Client) -> None:

@@ -120,12 +120,12 @@ def test_where_a_mode_has_no_stiffness_there_is_no_grazing_line() -> None:
     ball = find_system("bouncing-ball")
     ds = periodic_plane(ball, {"omega": [1, 2], "R": [0.2, 0.4]})
     with pytest.raises(InputError, match="a mode of bouncing-ball has no stiffness"):
-        render.figure(ds, "impacts", overlays="grazing")
+        render.figure(ds, "impacts", overlay="grazing")
 
 
 def test_a_grazing_line_of_unequal_stops_is_not_called_an_amplitude() -> None:
     ds = periodic_plane(SINGLE, {"omega": [0.5, 0.8, 1], "b": [0.5, 1, 2]})
-    assert labels(render.figure(ds, "impacts", overlays="grazing"))[-1] == "impact-free motion\ngrazes a stop"
+    assert labels(render.figure(ds, "impacts", overlay="grazing"))[-1] == "impact-free motion\ngrazes a stop"
 
 
 # Mirror images

@@ -17,9 +17,9 @@ import atlas
 from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.labels.attractors import attractors_of
+from atlas.labels.attractors import Attractors, attractors_of
 from atlas.labels.components import branches
-from atlas.labels.following import followed
+from atlas.labels.following import Links, _Follower, followed
 from atlas.labels.table import labels_of
 from atlas.service.labels import label_attractors
 from atlas.store.store import read_header
@@ -57,12 +57,14 @@ def labelled(unlabelled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 # Components
 
+NO_IMAGES = np.full(200, -1)
+
 
 def test_links_without_conflict_make_the_connected_components() -> None:
     """Truth: scipy's components of a random graph whose vertices are all in cells of their own."""
     rng = np.random.default_rng(3)
     pairs = rng.integers(0, 200, (150, 2))
-    found, cut = branches(200, pairs, rng.random(150), np.arange(200))
+    found, cut = branches(200, pairs, rng.random(150), np.arange(200), NO_IMAGES)
     _, expected = connected_components(coo_array((np.ones(150), pairs.T), shape=(200, 200)), directed=False)
     assert cut == 0
     assert len({*zip(found.tolist(), expected.tolist(), strict=True)}) == found.max() + 1 == expected.max() + 1
@@ -71,7 +73,7 @@ def test_links_without_conflict_make_the_connected_components() -> None:
 def test_two_attractors_of_a_cell_are_never_on_one_branch() -> None:
     rng = np.random.default_rng(4)
     cell, pairs = rng.integers(0, 60, 200), rng.integers(0, 200, (400, 2))
-    found, cut = branches(200, pairs, rng.random(400), cell)
+    found, cut = branches(200, pairs, rng.random(400), cell, NO_IMAGES)
     assert cut > 0
     assert len({*zip(found.tolist(), cell.tolist(), strict=True)}) == 200
 
@@ -79,8 +81,24 @@ def test_two_attractors_of_a_cell_are_never_on_one_branch() -> None:
 def test_a_chain_between_two_attractors_of_a_cell_is_cut_where_the_orbit_changes_most() -> None:
     """A ring of cells 0 to 4 around a cusp: attractors 0 and 5 are the two sheets in cell 0."""
     pairs = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]])
-    found, cut = branches(6, pairs, np.array([0.1, 0.2, 0.9, 0.3, 0.1]), np.array([0, 1, 2, 3, 4, 0]))
+    change, cell = np.array([0.1, 0.2, 0.9, 0.3, 0.1]), np.array([0, 1, 2, 3, 4, 0])
+    found, cut = branches(6, pairs, change, cell, NO_IMAGES[:6])
     assert (found.tolist(), cut) == ([0, 0, 0, 1, 1, 1], 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_mirror_image_of_a_branch_is_a_branch(seed: int) -> None:
+    """Random links with their mirror images, of equal change and in any order, between twins and symmetric orbits."""
+    rng = np.random.default_rng(seed)
+    image = np.concatenate([np.arange(120).reshape(60, 2)[:, ::-1].ravel(), np.arange(120, 150)])
+    cell = np.empty(150, dtype=np.int64)
+    cell[:120], cell[120:] = np.repeat(rng.integers(0, 25, 60), 2), rng.integers(0, 25, 30)
+    pairs, change = rng.integers(0, 150, (90, 2)), rng.random(90)
+    order = rng.permutation(180)
+    both = np.concatenate([pairs, image[pairs]])[order]
+    found, cut = branches(150, both, np.tile(change, 2)[order], cell, image)
+    assert cut > 0 and len({*zip(found.tolist(), cell.tolist(), strict=True)}) == 150
+    assert len({*zip(found.tolist(), found[image].tolist(), strict=True)}) == found.max() + 1
 
 
 # Labels
@@ -135,19 +153,74 @@ def test_motion_without_impact_is_one_branch(labelled: Path) -> None:
 def test_labels_do_not_depend_on_which_way_an_axis_is_gone_through(unlabelled: Path) -> None:
     every, _ = attractors_of(read_header(unlabelled))
     links = followed(every)
-    turned, _ = branches(len(every), links.pairs[::-1, ::-1], links.change[::-1], every.cell)
-    there, _ = branches(len(every), links.pairs, links.change, every.cell)
+    turned, _ = branches(len(links.cell), links.pairs[::-1, ::-1], links.change[::-1], links.cell, links.image)
+    there, _ = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     assert np.array_equal(turned, there)
+
+
+def equivariant(links: Links) -> bool:
+    """Whether all links between orbits with mirror images are links between these too."""
+    pairs = {*map(tuple, np.sort(links.pairs, axis=1).tolist())}
+    images = links.image[links.pairs]
+    return {*map(tuple, np.sort(images[(images >= 0).all(axis=1)], axis=1).tolist())} <= pairs
+
+
+def test_twins_are_linked_alike_where_newtons_method_finds_the_link_of_one_of_them_alone(
+    unlabelled: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every, _ = attractors_of(read_header(unlabelled))
+    rng, reach = np.random.default_rng(5), _Follower.reach
+
+    def unsure(self: _Follower, pairs: np.ndarray, away: int) -> tuple[np.ndarray, np.ndarray]:
+        reached, change = reach(self, pairs, away)
+        return reached & (rng.random(len(pairs)) < 0.7), change
+
+    monkeypatch.setattr(_Follower, "reach", unsure)
+    links = followed(every)
+    assert len(links.pairs) > 10 and equivariant(links)
+
+
+def test_an_orbit_is_linked_through_cells_that_saw_its_twin_alone(unlabelled: Path) -> None:
+    """Each second cell along omega has lost one twin: the lone twin's links and their mirror images join the others."""
+    every, _ = attractors_of(read_header(unlabelled))
+    twins = (every.twin >= 0) & (every.twin != np.arange(len(every)))
+    lost = twins & (every.twin < np.arange(len(every))) & (every.cell % 2 == 1)
+    assert lost.any()
+    links, whole = followed(kept(every, ~lost)), followed(every)
+    assert equivariant(links)
+    full, _ = branches(len(whole.cell), whole.pairs, whole.change, whole.cell, whole.image)
+    fewer, _ = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
+    alike = {*zip(full[: len(every)][~lost].tolist(), fewer[: np.sum(~lost)].tolist(), strict=True)}
+    assert len(alike) == len({a for a, _ in alike}) == len({b for _, b in alike})
+
+
+def test_mirror_images_of_linked_orbits_are_linked(tmp_path: Path, client: Client) -> None:
+    """Cells of the line of 300 in docs/attractors.md: in each pair Newton's method finds one link of two."""
+    omega = np.linspace(2.0, 4.5, 300)[[87, 88, 126, 127, 230, 231]].tolist()
+    solve = {"section_samples": 48, "tolerance": 0.05, "survival": 4000}
+    given = {"axes": {"omega": {"values": omega}}, "parameters": {"b": 0.1}, "solve": solve}
+    atlas.run(atlas.Spec("two-mass", **given, attractors={"starts": 24}), tmp_path / "out.zarr", client=client)
+    every, _ = attractors_of(read_header(tmp_path / "out.zarr"))
+    assert equivariant(followed(every))
+    mirror = labels_of(read_header(tmp_path / "out.zarr")).mirror
+    known = mirror >= 0
+    assert np.array_equal(mirror[mirror[known]], np.flatnonzero(known))
+
+
+def kept(every: Attractors, rows: np.ndarray) -> Attractors:
+    """Some of the orbits of an atlas, as if the others had not been found."""
+    names = ("cell", "place", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share")
+    place = np.where(rows, np.cumsum(rows) - 1, -1)
+    twin = np.where(every.twin[rows] >= 0, place[every.twin[rows]], -1)
+    return replace(every, twin=twin, **{name: getattr(every, name)[rows] for name in names})
 
 
 def test_orbits_that_some_cells_have_missed_break_no_branch(unlabelled: Path) -> None:
     every, _ = attractors_of(read_header(unlabelled))
     found = every.values[every.cell, 1] != OMEGA[1]
-    names = ("cell", "place", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share")
-    rows = {name: getattr(every, name)[found] for name in names}
-    fewer = replace(every, **rows)
+    fewer = kept(every, found)
     links = followed(fewer)
-    branch_of, _ = branches(len(fewer), links.pairs, links.change, fewer.cell)
+    branch_of = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)[0][: len(fewer)]
     omega = fewer.values[fewer.cell, 1]
     before, after = ({*branch_of[(omega == OMEGA[k]) & (fewer.period == 1)].tolist()} for k in (0, 2))
     assert len(before) >= 2 and before == after

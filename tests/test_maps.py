@@ -75,7 +75,7 @@ def test_an_atlas_of_nothing_but_pending_cells_is_drawn(tmp_path: Path, kind: st
     for name in ("largest", "error", "stuck_fraction"):
         ds[name] = ds[name] * NAN
     assert labels(render.figure(ds, kind)) == ["pending"]
-    assert render.render(ds, tmp_path / "map.svg", kind, overlays=render.MAP_OVERLAYS).exists()
+    assert render.render(ds, tmp_path / "map.svg", kind, overlay=render.MAP_OVERLAYS).exists()
 
 
 @pytest.mark.parametrize("kind", ["exponent", "error", "sticking"])
@@ -281,7 +281,7 @@ def test_a_log_scale_spans_a_decade_at_least() -> None:
 
 def test_the_grazing_line_lies_where_the_impact_free_response_reaches_the_stops() -> None:
     """Truth: |Y| from the transfer matrix, written out here."""
-    axes_of = render.figure(plane(), overlays=["grazing"]).axes[0]
+    axes_of = render.figure(plane(), overlay=["grazing"]).axes[0]
     line = next(each for each in axes_of.collections if each.get_zorder() == 3)
     points = np.concatenate([path.vertices for path in line.get_paths()])
     assert len(points) > 20
@@ -312,7 +312,7 @@ def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
 
 def test_a_grazing_line_out_of_view_is_said_to_be() -> None:
     ds = plane().assign_coords(b=plane()["b"] * 1e4)
-    assert labels(render.figure(ds, overlays=["grazing"]))[-1] == "grazing, $|Y| = b$: not in this window"
+    assert labels(render.figure(ds, overlay=["grazing"]))[-1] == "grazing, $|Y| = b$: not in this window"
 
 
 def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:
@@ -322,7 +322,7 @@ def test_the_grazing_line_exists_where_neither_axis_is_the_clearance() -> None:
         regime=np.full((n, n), PERIODIC, np.int8),
         largest=-np.ones((n, n)),
     )
-    axes_of = render.figure(ds, overlays=["grazing"]).axes[0]
+    axes_of = render.figure(ds, overlay=["grazing"]).axes[0]
     assert any(each.get_zorder() == 3 and each.get_paths() for each in axes_of.collections)
 
 
@@ -345,7 +345,7 @@ def test_boundaries_are_drawn_around_every_cell_that_the_query_finds() -> None:
     regime[7, 30] = CHAOTIC
     ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(0.1, 0.2, n)}, regime=regime, largest=-np.ones((n, n)))
     (island,) = boundary(ds, "chaotic")
-    edges = np.concatenate(render.figure(ds, overlays="boundaries").axes[0].collections[0].get_segments())
+    edges = np.concatenate(render.figure(ds, overlay="boundaries").axes[0].collections[0].get_segments())
     assert (edges.min(axis=0), edges.max(axis=0)) == (
         pytest.approx(island.min(axis=0)),
         pytest.approx(island.max(axis=0)),
@@ -359,7 +359,7 @@ def test_two_grazing_lines_side_by_side_are_solid_and_one_alone_is_dashed() -> N
         regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
     ).assign_coords(zeta=0.0005)  # fmt: skip
     _, crowded, alone = (
-        each for each in render.figure(ds, overlays="grazing").axes[0].collections if each.get_zorder() == 3
+        each for each in render.figure(ds, overlay="grazing").axes[0].collections if each.get_zorder() == 3
     )
     found = [np.concatenate(each.get_segments()) for each in (crowded, alone)]
     assert np.abs(found[0][:, 0] - 1.75).max() < 0.3  # beside the narrow resonance
@@ -386,7 +386,7 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
     omega, b = np.linspace(0.05, 1.0, n), np.linspace(0.05, 1.0, n)
     values = -np.hypot(*np.meshgrid(omega, b))
     regime = np.full((n, n), PERIODIC, np.int8)
-    axes_of = render.figure(atlas({"omega": omega, "b": b}, regime=regime, largest=values), overlays=["isolines"]).axes[
+    axes_of = render.figure(atlas({"omega": omega, "b": b}, regime=regime, largest=values), overlay=["isolines"]).axes[
         0
     ]
     lines = next(each for each in axes_of.collections if each.get_zorder() == 2.5)
@@ -401,7 +401,7 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
 
 
 def test_the_legend_names_the_overlays() -> None:
-    found = labels(render.figure(plane(), "period", overlays=render.MAP_OVERLAYS))
+    found = labels(render.figure(plane(), "period", overlay=render.MAP_OVERLAYS))
     assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
     assert found[-4:] == ["fold", "period doubling", "graze", "codimension two"]
 
@@ -415,18 +415,18 @@ def test_exponents_without_a_slope_have_no_isolines() -> None:
     regime = np.full((n, n), PERIODIC, np.int8)
     ds = atlas({"omega": np.arange(1, 7), "b": np.arange(1, 7)}, regime=regime, largest=np.full((n, n), -0.3))
     assert not [
-        each for each in render.figure(ds, overlays=["isolines"]).axes[0].collections if each.get_zorder() == 2.5
+        each for each in render.figure(ds, overlay=["isolines"]).axes[0].collections if each.get_zorder() == 2.5
     ]
 
 
 def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
     with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines, cur"):
-        render.figure(plane(), overlays=["grid"])
+        render.figure(plane(), overlay=["grid"])
 
 
 def test_isolines_of_an_atlas_without_exponents_are_refused() -> None:
     with pytest.raises(InputError, match="'largest', which this atlas does not hold"):
-        render.figure(plane().drop_vars("largest"), "period", overlays=["isolines"])
+        render.figure(plane().drop_vars("largest"), "period", overlay=["isolines"])
 
 
 # Cells too small to be seen

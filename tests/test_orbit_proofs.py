@@ -204,7 +204,7 @@ def test_a_symmetric_machine_has_orbits_that_are_not_symmetric() -> None:
     h = attractor(osc)
     seen = proof(osc, h)
     assert seen.found and seen.orbits.period[0] == 1 and not seen.orbits.symmetric[0]
-    states, _ = turn(many_of(osc), 0, h, FREE, 2, np.bool_(True))
+    states, _, _ = turn(many_of(osc), 0, h, FREE, 2, np.bool_(True))
     assert np.abs(states[1] - h).max() > 0.01
     assert states[2] == pytest.approx(h, abs=1e-12)
     twin = proof(osc, states[1])

@@ -180,6 +180,13 @@ def test_moduli_of_eigenvalues_are_those_of_lapack_in_any_units(size: int) -> No
         assert np.sort(moduli(matrix)) == pytest.approx(expected, abs=1e-12 * expected[-1])
 
 
+@pytest.mark.parametrize("power", [-1000, -600, 600, 1000])
+def test_moduli_of_tiny_and_of_huge_matrices_are_those_of_the_matrix_in_the_range_of_one(power: int) -> None:
+    """To the bit: a power of two changes no digit."""
+    matrix = np.random.default_rng(1).normal(size=(4, 4))
+    assert moduli(np.ldexp(matrix, power)).tolist() == np.ldexp(moduli(matrix), power).tolist()
+
+
 def test_moduli_of_special_matrices_are_exact() -> None:
     """Rotations, shifts and defective matrices, on which a QR method without care goes round in circles."""
     cycle = np.roll(np.eye(5), 1, axis=0)

@@ -2,19 +2,22 @@
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from distributed import Client
+from obstore.exceptions import GenericError
 
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
+from atlas.store import outage
 from atlas.store.location import ObjectPlace
 from atlas.store.notes import notes_at_url
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, done_tiles, find, open_arrays, read_header
 from atlas.task.attempt import run_job
 from atlas.task.task import Job, RefusedError
@@ -140,6 +143,43 @@ def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(serv
     assert len(server.requests) == before + 1  # waiting would not mend it
     with pytest.raises(InputError, match=rf"{URL}: cannot be read: "):
         read_header(URL)
+
+
+def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A request that was under way for longer than the patience is made again when it fails."""
+    now, asked = [0.0], []
+
+    def upload() -> str:
+        asked.append(now[0])
+        now[0] += 60.0
+        if len(asked) == 1:
+            raise GenericError("HTTP error: error sending request")
+        return "done"
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    monkeypatch.setattr(outage.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(outage.time, "sleep", sleep)
+    assert outage.persist(upload, URL, patience=30.0) == "done"
+    assert len(asked) == 2
+
+
+def test_a_job_at_a_url_asks_once_more_for_the_claim_of_its_run(server: ObjectStore) -> None:
+    header = create(ObjectPlace(URL), plane_of(), (2, 3))
+    job = Job((0, 0), URL, header.run_id, header.solver_version)
+
+    def requests(job: Job) -> list[tuple[str, str]]:
+        before = len(server.requests)
+        run_job(job)
+        return [(request.method, request.key) for request in server.requests[before:]]
+
+    requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
+    plain = requests(job)
+    notes_of(URL).put(CLAIM, b'{"token": "ours"}', expected=None)
+    fenced = requests(replace(job, index=(0, 1), claim="ours"))
+    assert len(fenced) == len(plain) + 1
+    assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == 1
 
 
 def test_nobody_listening_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

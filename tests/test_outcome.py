@@ -72,7 +72,7 @@ def test_a_motion_whose_work_is_spent_is_chaotic_where_its_average_is_clearly_po
 def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None:
     """Three units of time in ten periods of 2 pi / omega."""
     cells = one_cell()
-    cells.averaging[0] = True
+    cells.averaging[0], cells.flown[0] = True, 10
     cells.batch.levels[0, 0, COUNT] = 10.0
     cells.batch.motions.tally[0, STUCK] = 3.0
     with np.errstate(all="ignore"):

@@ -15,12 +15,12 @@ import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
 from atlas.query.reads import counted
-from atlas.service.lease import CLAIM, Record
+from atlas.service.lease import Record
 from atlas.service.pack import pack
 from atlas.service.process import this_process
 from atlas.store import store
 from atlas.store.archive import write_zip
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import CLAIM, notes_of
 from tests.planes import plane_of
 from tests.synthetic import complete, fill, spec_of
 from tests.test_cli import call

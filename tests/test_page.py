@@ -56,7 +56,7 @@ def draw(kind: str, **look: Any) -> Figure:
         page.fit(figure)
         return figure
     if kind in render.MAPS:
-        return render.figure(plane(), kind, overlays=render.MAP_OVERLAYS, **look)
+        return render.figure(plane(), kind, overlay=render.MAP_OVERLAYS, **look)
     return render.figure(line(), kind, **look)
 
 
@@ -158,6 +158,16 @@ def test_sweeps_take_the_ends_of_the_axis_of_exponents() -> None:
     assert top.get_ylim() != (-1.0, 0.5)
 
 
+@pytest.mark.parametrize("width", ["85mm", "120mm", "180mm"])
+def test_a_legend_beside_a_map_is_not_printed_over_its_title(width: str) -> None:
+    long = plane().assign_coords(R=0.812345, zeta=0.0512345, mu_m=2.123456, mu_k=5.123456, f2=0.123456, tau=1.234567)
+    figure = render.figure(long, "period", overlay=["grazing", "boundaries"], width=width)
+    figure.draw_without_rendering()
+    title = next(each for each in figure.findobj(Text) if each.get_gid() == "title")
+    (legend,) = figure.legends
+    assert not legend.get_window_extent().overlaps(title.get_window_extent())
+
+
 def test_the_title_can_be_left_out() -> None:
     assert render.figure(plane(), title=False).axes[0].get_title(loc="left") == ""
     assert render.orbit_figure(orbit(), title=False).get_suptitle() == ""
@@ -183,7 +193,7 @@ def test_a_style_file_decides_what_the_options_do_not(tmp_path: Path) -> None:
 
 def test_a_map_is_drawn_into_axes_of_ones_own() -> None:
     figure, axes = plt.subplots(1, 2, layout="constrained")
-    assert render.figure(plane(), "combined", ax=axes[1], overlays="grazing") is axes[1]
+    assert render.figure(plane(), "combined", ax=axes[1], overlay="grazing") is axes[1]
     assert axes[1].images and not axes[0].images
     assert axes[1].get_legend() is not None
     figure.draw_without_rendering()
@@ -203,7 +213,7 @@ def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
 
 def test_one_overlay_may_be_given_as_a_text() -> None:
     one, several = (
-        render.figure(plane(), overlays=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])
+        render.figure(plane(), overlay=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])
     )
     assert one.get_text() == several.get_text() == r"grazing, $|Y| = b$"
 

@@ -1,6 +1,8 @@
 import itertools
+import json
 import math
 import os
+import re
 import subprocess
 import sys
 from collections import namedtuple
@@ -9,8 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+import atlas
 from atlas import Spec
+from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service import plan
 from tests.faults import ROOT
@@ -54,11 +59,31 @@ def test_bytes_bound_the_arrays_themselves() -> None:
     assert plan.make_plan(spec, workers=1).bytes >= 300 * 200 * cell
 
 
-def test_a_disk_without_room_is_refused_with_both_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def full(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk with 1 kB to spare."""
     usage = namedtuple("usage", "free")(1000)
     monkeypatch.setattr(plan.shutil, "disk_usage", lambda _: usage)
+
+
+@pytest.mark.usefixtures("full")
+def test_a_run_on_a_disk_without_room_is_refused_with_both_sizes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"needs up to .* has 1 kB free"):
-        plan.check_disk(plan.make_plan(wide(300, 200), workers=1), tmp_path / "out.zarr")
+        atlas.run(wide(300, 200), tmp_path / "out.zarr")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("full")
+def test_a_plan_for_a_disk_without_room_says_so_and_goes_on(tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["plan", "tiny", "-o", str(tmp_path / "out.zarr"), "--no-probe", "--json"])
+    assert shown.exit_code == 0
+    assert json.loads(shown.stdout)["tiles"] > 0
+    assert re.match(r"atlas run will refuse this: .*out.zarr: needs up to .* has 1 kB free", shown.stderr)
+
+
+def test_a_plan_takes_any_number_of_workers() -> None:
+    shown = CliRunner().invoke(main, ["plan", "tiny", "--workers", str(10**20), "--no-probe", "--json"])
+    assert json.loads(shown.stdout)["workers"] == 10**20
 
 
 def test_a_plan_prints_itself() -> None:
@@ -80,10 +105,21 @@ def test_a_plan_prints_a_range_of_time_where_the_probe_leaves_one(low: float, hi
     assert (made.as_dict()["processor_seconds"], made.as_dict()["periods"]) == (40.0, 4000.0)
 
 
+def test_a_plan_over_initial_states_alone_names_the_command_for_basins() -> None:
+    states = {"x1": {"start": -0.05, "stop": 0.05, "num": 4}, "v1": {"start": -1.0, "stop": 1.0, "num": 4}}
+    plain = plan.make_plan(Spec("two-mass", axes=states))
+    assert "atlas basins SPEC" in str(plain).splitlines()[-1] and "atlas basins SPEC" in plain.as_dict()["note"]
+    others = states | {"v1": {"start": 1.0, "stop": 2.0, "num": 4}}
+    for spec in (Spec("two-mass", axes=others, attractors={}), Spec("two-mass", axes={"omega": [2.0, 3.0]})):
+        assert plan.make_plan(spec).note == "" and "note" not in str(plan.make_plan(spec))
+
+
 WARM = """
 import sys
 import numpy as np
+import atlas
 from atlas import Spec
+from atlas.cli.main import main
 from atlas.task.compile import warm_up
 from workers.tile import solve_cells
 
@@ -97,7 +133,7 @@ def compiled():
     }
 
 spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})
-warm_up(spec.settings)
+warm_up()
 before = compiled()
 rng = np.random.default_rng(1)
 cells = {

@@ -43,7 +43,7 @@ from workers.results import (
 )
 
 BEYOND = "the initial state lies beyond a stop"
-LINE = f"14 cells invalid: {BEYOND}"
+LINE = f"14 invalid cells: {BEYOND}"
 """With b from 0.1 to 0.5 and x1 = 0.25, the rows of b = 0.1 and 0.2, 7 cells each, start beyond a stop."""
 
 
@@ -157,8 +157,8 @@ def test_query_counts_chaotic_cells_whose_averages_differ(store: Path) -> None:
     group["regime"][cell], group["reason"][cell] = CHAOTIC, NOT_STATIONARY
     shutil.rmtree(store / "tally")
     text = REASONS[NOT_STATIONARY].text
-    assert f"1 cell chaotic: {text}" in call("query", store).stdout.splitlines()
-    assert f"  1 cell chaotic: {text}" in call("status", store).stdout.splitlines()
+    assert f"1 chaotic cell: {text}" in call("query", store).stdout.splitlines()
+    assert f"  1 chaotic cell: {text}" in call("status", store).stdout.splitlines()
     assert query.at(atlas.open(store), {"omega": 2.0, "b": 0.5})["reason"] == text
 
 

@@ -38,7 +38,7 @@ def test_the_tolerance_is_finer_than_two_cells_of_another_regime(name: str, tmp_
     ds["largest"].values[2, 4:6] = 0.9
     ds["error"].values[2, 4:6] = 1e-2
     overlays = LINES if name == "exponent" else ()
-    changed = write(render.figure(ds, name, overlays=overlays), tmp_path / "found.png")
+    changed = write(render.figure(ds, name, overlay=overlays), tmp_path / "found.png")
     assert against(name, changed, tmp_path) is not None
 
 

@@ -301,7 +301,7 @@ def test_the_command_lists_windows_and_says_how_much_was_read(header: store.Head
     shown = call("query", header.path, "--windows", "period=2")
     assert shown.exit_code == 0
     assert "centre omega" in shown.stdout.splitlines()[0]
-    assert shown.stderr.endswith("chunks read\n")
+    assert shown.stderr.endswith("chunks read from the store\n")
 
 
 def test_the_command_gives_windows_as_json(header: store.Header) -> None:

@@ -15,6 +15,7 @@ from atlas.errors import InputError
 from atlas.query.queries import cell_edges
 from atlas.render import exponent, period, style
 from tests.pictures import NAN, atlas, colour, every_regime, labels, pixel, section, sweep
+from workers.model.system import System
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, REGIMES, UNDETERMINED
 
 # What the file is
@@ -229,6 +230,18 @@ def test_axes_have_symbols_and_units() -> None:
     ax = render.figure(every_regime()).axes[0]
     assert ax.get_xlabel() == r"forcing frequency $\omega$ [–]"
     assert ax.get_ylabel() == "clearance $b$ [–]"
+
+
+def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
+    hammer = {
+        "name": "hammer", "title": "a mass and a stop", "coordinates": ["x"], "velocities": ["v"], "mass": [[1.0]],
+        "stiffness": [[1.0]], "force": ["1.0"], "gap": [1.0], "upper": 1.0, "restitution": 0.8,
+    }  # fmt: skip
+    x, v = (System.from_mapping(hammer).parameter(name) for name in ("x", "v"))
+    attributes = {p.name: {"long_name": p.meaning, "units": p.unit, "symbol": p.symbol} for p in (x, v)}
+    ds = xr.Dataset(coords={name: (name, [0.0, 1.0], attributes[name]) for name in ("x", "v")})
+    assert style.axis_label(ds, "x") == "initial displacement $x(0)$ [–]"
+    assert style.axis_label(ds, "v") == r"initial velocity $\dot x(0)$ [–]"
 
 
 def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -> None:

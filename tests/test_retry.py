@@ -24,7 +24,7 @@ from atlas.task.attempt import run_job
 from atlas.task.isolated import run_isolated
 from atlas.task.retry import Retry, checked_retry
 from atlas.task.task import Job
-from workers.results import APERIODIC, CHAOTIC, FAILED, REGIME, UNDETERMINED, result_variables
+from workers.results import APERIODIC, CHAOTIC, FAILED, REGIME, UNDETERMINED
 from workers.settings import MOST_PERIODS
 from workers.tile import solve_cells
 
@@ -145,37 +145,7 @@ def test_a_tile_at_the_edge_is_unfinished_too_while_it_is_written_again(
     assert edge in done_tiles(header)
 
 
-@pytest.mark.slow
-def test_a_kill_between_the_arrays_leaves_the_tile_unfinished_and_never_a_mixture(
-    store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    header = read_header(store)
-    index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == UNDETERMINED).any())
-    job = Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE))
-    names = [variable.name for variable in result_variables(header.spec.settings)]
-    whole_write = zarr.Array.__setitem__
-    everything = done_tiles(header)
-    for dies_at in names:
-
-        def dying(array: zarr.Array[Any], key: Any, value: Any, dies_at: str = dies_at) -> None:
-            if array.basename == dies_at:
-                raise KeyboardInterrupt
-            whole_write(array, key, value)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(zarr.Array, "__setitem__", dying)
-            with pytest.raises(KeyboardInterrupt):
-                run_job(job)
-        assert done_tiles(header) == everything - {index}, dies_at
-        run_job(Job(index, str(store), header.run_id, header.solver_version))  # as the next plain run does
-    block = header.tiling.at(index).slices
-    fresh = solve_cells("two-mass", header.spec.cell_params(block), header.spec.settings).arrays
-    stored = read_tile(header, index)
-    for name, values in fresh.items():
-        np.testing.assert_array_equal(stored[name], values, err_msg=name)
-
-
-def test_a_plain_run_after_a_retry_that_was_killed_takes_the_larger_budget_back(store: Path, client: Client) -> None:
+def test_a_tile_that_is_lost_after_a_retry_is_solved_within_the_budget_of_the_spec(store: Path, client: Client) -> None:
     atlas.run(plane_of_few(), store, client=client, options=atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE)))
     (store / "regime" / "c" / "1" / "1").unlink()
     atlas.run(plane_of_few(), store, client=client)

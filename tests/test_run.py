@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from distributed import Client, LocalCluster
 
 import atlas
 import workers
+from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.service.probe import CELLS
 from atlas.service.progress import LogReporter, Progress, reporter
@@ -182,7 +184,7 @@ def test_the_summary_says_how_many_cells_are_invalid_and_why(tmp_path: Path, cli
     """Truth: with b from 0.1 to 0.5, the mass starts beyond a stop in the rows of b = 0.1 and 0.2."""
     summary = atlas.run(plane_of(x1=0.25), tmp_path / "out.zarr", client=client)
     assert summary.reasons == {"the initial state lies beyond a stop": 14}
-    assert "14 cells invalid: the initial state lies beyond a stop" in str(summary).splitlines()
+    assert "14 invalid cells: the initial state lies beyond a stop" in str(summary).splitlines()
 
 
 def test_an_interrupt_leaves_no_task_on_the_callers_cluster(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
@@ -217,10 +219,19 @@ def test_a_lost_scheduler_ends_the_run(tmp_path: Path, plane: atlas.Spec) -> Non
         lost.close()
 
 
-@pytest.mark.parametrize("given", [{"workers": 0}, {"workers": 2, "scheduler": "tcp://127.0.0.1:1"}])
+@pytest.mark.parametrize(
+    "given", [{"workers": 0}, {"workers": 10**20}, {"workers": 2, "scheduler": "tcp://127.0.0.1:1"}]
+)
 def test_workers_that_make_no_sense_are_refused(given: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="workers: found"):
         atlas.RunOptions(**given)
+
+
+def test_more_workers_than_any_machine_has_are_refused_in_one_line(tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["run", "tiny", "-o", str(tmp_path / "out.zarr"), "--workers", str(10**20)])
+    assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
+    assert "--workers" in shown.stderr and "1024" in shown.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_workers_of_this_machine_do_not_go_with_a_client(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:

@@ -223,8 +223,8 @@ def test_too_many_planes_for_one_picture_are_refused(tmp_path: Path) -> None:
 
 def test_overlays_and_other_kinds_are_drawn_over_one_plane_only(solved: Path) -> None:
     ds = atlas.open(solved)
-    with pytest.raises(InputError, match="overlays: goes with one plane, found a stack of 3; pick one by --select R"):
-        render.figure(ds, overlays="boundaries")
+    with pytest.raises(InputError, match="overlay: goes with one plane, found a stack of 3; pick one by --select R"):
+        render.figure(ds, overlay="boundaries")
     with pytest.raises(InputError, match="kind 'sweep' draws one axis, found a stack of 3 planes"):
         render.figure(ds, "sweep")
     with pytest.raises(InputError, match="kind 'cost' is drawn of one atlas; side by side: exponent, period"):

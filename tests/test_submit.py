@@ -17,12 +17,12 @@ from distributed import Client, LocalCluster
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.lease import CLAIM, Record
+from atlas.service.lease import Record
 from atlas.service.options import RunOptions
 from atlas.service.status import Census, read_status, watch
 from atlas.service.submit import submit
 from atlas.service.timing import TIMING
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import create, read_header
 from tests.faults import attempts, environment
 from tests.planes import plane_of

@@ -178,4 +178,4 @@ def test_two_maps_are_not_drawn_together() -> None:
 
 def test_an_overlay_of_a_sweep_is_refused() -> None:
     with pytest.raises(InputError, match="overlay 'grazing' is drawn over a map"):
-        render.figure(line(), overlays=["grazing"])
+        render.figure(line(), overlay=["grazing"])

@@ -8,6 +8,9 @@ from scipy.linalg import expm
 
 from tests import naive
 from workers.history import trace
+from workers.kernel.motion import LOWER, UPPER
+from workers.kernel.stroboscopic import motion_from, propagate
+from workers.model.system import find_system
 from workers.settings import Settings
 from workers.tile import solve_tile
 
@@ -71,10 +74,23 @@ def test_a_cell_without_a_motion_is_refused_in_one_line(changes: dict[str, float
     assert "\n" not in str(refused.value)
 
 
+def test_every_impact_of_a_period_of_thousands_is_kept() -> None:
+    """Truth: the kernel's count of impacts at either stop, which needs no record."""
+    many = naive.FIGURES[3] | {"omega": 0.05, "b": 0.002, "R": 0.999}
+    system = find_system("two-mass")
+    osc = system.build({p.name: many.get(p.name, p.default) for p in system.parameters})
+    motion = motion_from(osc, np.zeros(4))
+    propagate(osc, motion, osc.period)
+    count = motion.tally[UPPER] + motion.tally[LOWER]
+    history = trace(system, many, 1, Settings(exponents="none"))
+    assert count > 4 * 4096 and len(history.impacts) == count
+    assert np.all(np.diff(history.impacts[:, 0]) > 0.0)
+
+
 def test_a_motion_of_too_many_impacts_is_refused_in_one_line() -> None:
     """Truth: 730 impacts a period cost 2200 evaluations, and two million are allowed to so few periods."""
     many = {"omega": 0.5, "b": 0.002, "R": 0.97}
-    with pytest.raises(ValueError, match=r"^period 9\d\d: the evaluations that it may cost are spent$"):
+    with pytest.raises(ValueError, match=r"^period 9\d\d: its budget of evaluations of the motion is spent$"):
         trace("two-mass", many, 1000, Settings(exponents="none"))
 
 

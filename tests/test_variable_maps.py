@@ -23,7 +23,7 @@ from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, UNDET
 
 DATA = Path(__file__).parent / "data"
 SPEED = {"long_name": "fastest impact; and more", "units": "1"}
-LOST = r"$-\infty$: no direction is left"
+LOST = r"$-\infty$: rest on a stop erases disturbances"
 
 
 def speeds() -> xr.Dataset:

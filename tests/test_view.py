@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import atlas
 from atlas import render
 from atlas.query.queries import fractions
-from atlas.query.reads import counted
+from atlas.query.reads import Reads, counted
 from atlas.query.resample import view
 from atlas.query.window import cell_edges
 from atlas.store import store
@@ -64,6 +64,12 @@ def test_a_whole_plane_is_read_from_the_level_that_fits_its_pixels(ds: xr.Datase
         f"overviews/2/{name}/c/{y}/{x}" for name in ("largest", "regime_shown") for y in (0, 1) for x in (0, 1)
     )
     assert reads.chunks == 8
+
+
+def test_what_was_read_says_at_which_resolution() -> None:
+    assert str(Reads(1)) == "1 chunk read from the store, at full resolution"
+    coarse = "8 chunks read from the store, at reduced resolution: one value for 4 x 2 cells"
+    assert str(Reads(8, 2, (4, 2))) == coarse
 
 
 def test_a_window_is_read_from_its_own_chunks_alone(ds: xr.Dataset, keys: list[str]) -> None:

@@ -1,5 +1,9 @@
 """The kernels' compilation, by one process of a machine."""
 
+import io
+import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -7,22 +11,40 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from atlas.service.progress import LogReporter, prepare_kernels
 from atlas.task import compile as warm
+from atlas.task.child import watched
+from tests.faults import ROOT
+from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
+from tests.test_branches import ball_orbit, pair_orbit
 from workers import Settings, identity, solve_tile
 from workers.attractors import solve_attractors
 from workers.basins import solve_basins
 from workers.identity import batch_moments, orbits_reached, periods_to_settle, turn
 from workers.kernel import cells, jit
 from workers.kernel.batch import run
-from workers.orbit import newton
+from workers.orbit import admissible, branch, curve, equations, linear, newton, pulses, seeds, stability, view
 from workers.starts import Starts
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
 OF_ATTRACTORS = [*KERNELS, *(value for value in vars(identity).values() if isinstance(value, jit.Kernel))]
 
-COMPILING, LOADING = "compiling the kernels (kept for the next run)", "loading the kernels"
+COUNTED = """
+import sys
+class Counter(event.Listener):
+    done = 0
+    def on_start(self, event): pass
+    def on_end(self, event): self.done += 1
+counter = Counter()
+event.register("numba:compile", counter)
+warm.warm_up(*sys.argv[1:])
+print(counter.done)
+"""
+WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
+
+COMPILING, LOADING = "compiling the kernels, about 70 s, once for this version", "loading the kernels"
 
 
 @pytest.fixture
@@ -30,29 +52,24 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What has been compiled, into a folder that holds nothing at first."""
     done: list[str] = []
 
-    def slowly(settings: Settings, attractors: bool) -> bool:
+    def slowly(parts: tuple[str, ...], report: warm.Report | None) -> bool:
         time.sleep(0.2)
-        done.append(settings.exponents + (" and attractors" if attractors else ""))
+        done.extend(part or "cells" for part in parts)
         return True
 
     monkeypatch.setattr(jit, "CACHE", tmp_path)
     monkeypatch.setattr(warm, "warm_up_in_child", slowly)
+    monkeypatch.setattr(warm, "TICK", 0.01)
     return done
 
 
 def test_of_many_that_need_the_kernels_one_compiles_them(compiled: list[str]) -> None:
-    asking = [threading.Thread(target=warm.compile_once, args=(Settings(),)) for _ in range(8)]
+    asking = [threading.Thread(target=warm.compile_once) for _ in range(8)]
     for one in asking:
         one.start()
     for one in asking:
         one.join()
-    assert compiled == ["largest"]
-
-
-def test_all_exponents_take_the_same_kernels(compiled: list[str]) -> None:
-    for exponents in ("largest", "spectrum", "none"):
-        warm.compile_once(Settings(exponents=exponents))
-    assert compiled == ["largest"]
+    assert compiled == ["cells"]
 
 
 @pytest.mark.parametrize("name", ["bouncing-ball", "impact-damper", "chain-3", "chain-8"])
@@ -67,27 +84,27 @@ def test_no_system_has_kernels_of_its_own(name: str) -> None:
 def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(settings: Settings, attractors: bool) -> bool:
+    def stopped(parts: tuple[str, ...], report: warm.Report | None) -> bool:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(warm, "warm_up_in_child", stopped)
-        warm.compile_once(Settings())
+        warm.compile_once()
     assert warm.warming() == COMPILING
-    warm.compile_once(Settings())
-    assert compiled == ["largest"]
+    warm.compile_once()
+    assert compiled == ["cells"]
 
 
-def test_what_tells_attractors_is_compiled_where_a_spec_asks_for_them(compiled: list[str]) -> None:
-    for attractors in (False, True, True):
-        warm.compile_once(Settings(), attractors)
-    assert compiled == ["largest", "largest and attractors"]
-    assert warm.warming(attractors=True) == LOADING
+def test_what_attractors_and_orbits_take_is_compiled_where_it_is_asked_for_and_once(compiled: list[str]) -> None:
+    for more in ((), (warm.ATTRACTORS,), (warm.ORBITS, warm.ATTRACTORS), (warm.ORBITS,)):
+        warm.compile_once(*more)
+    assert compiled == ["cells", "attractors", "orbits"]
+    assert warm.warming(warm.ATTRACTORS, warm.ORBITS) == LOADING
 
 
 def test_no_attractor_has_kernels_of_its_own() -> None:
     """Twins, chaos and its twin, basins: none compiles what was not compiled beforehand."""
-    warm.warm_up(Settings(), attractors=True)
+    warm.warm_up(warm.ATTRACTORS)
     before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
     brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
     for cell in (TWINS, CHAOTIC_TWINS):
@@ -99,7 +116,7 @@ def test_no_attractor_has_kernels_of_its_own() -> None:
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
     assert warm.warming() == COMPILING
-    warm.compile_once(Settings())
+    warm.compile_once()
     assert warm.warming() == LOADING
 
 
@@ -107,13 +124,74 @@ def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(jit, "CACHE", None)
-    warm.compile_once(Settings())
+    warm.compile_once()
     assert compiled == []
 
 
 def test_the_child_compiles_what_it_is_given() -> None:
     """Run for real, the kernels being there: whatever it cannot do ends it with an error."""
-    assert warm.warm_up_in_child(Settings(max_period=8))
-    wrong = Settings()
-    object.__setattr__(wrong, "exponents", "some")
-    assert not warm.warm_up_in_child(wrong)
+    assert warm.warm_up_in_child((warm.CELLS,))
+
+
+def test_who_waits_for_a_compilation_hears_of_it_every_tick(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A child that counts up to 3, one a line."""
+    code = "for done in (1, 2, 3): print(done, flush=True)"
+    monkeypatch.setattr(warm, "watched", lambda _, *arguments, told: watched(code, *arguments, told=told))
+    heard: list[warm.Compilation] = []
+    assert warm.warm_up_in_child((warm.CELLS, warm.ORBITS), heard.append)
+    of = warm.FUNCTIONS[warm.CELLS] + warm.FUNCTIONS[warm.ORBITS]
+    assert [(each.done, each.of) for each in heard] == [(1, of), (2, of), (3, of)]
+
+
+def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> None:
+    heard: list[warm.Compilation] = []
+    first = threading.Thread(target=warm.compile_once)
+    first.start()
+    time.sleep(0.05)
+    warm.compile_once(report=heard.append)
+    first.join()
+    assert compiled == ["cells"]
+    assert heard and {(each.done, each.of) for each in heard} == {(0, 0)}
+
+
+def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(
+    compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reports(parts: tuple[str, ...], report: warm.Report) -> bool:
+        for done in (43, 86):
+            report(warm.Compilation(done, 215, done / 4.3))
+        return True
+
+    monkeypatch.setattr(warm, "warm_up_in_child", reports)
+    log = io.StringIO()
+    with LogReporter(log, interval=0.0) as show:
+        prepare_kernels(show)
+    assert log.getvalue().splitlines() == [COMPILING, f"{COMPILING}: 20 % after 10 s", f"{COMPILING}: 40 % after 20 s"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [warm.CELLS, warm.ATTRACTORS, warm.ORBITS])
+def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(part: str, tmp_path: Path) -> None:
+    """Into an empty folder; more than a part, what all other parts share with it is in the folder."""
+    count = f"import json; from atlas.task import compile as warm; from numba.core import event\n{COUNTED}"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    found = []
+    for each in ([warm.CELLS], [part])[: 1 if part == warm.CELLS else 2]:
+        command = [sys.executable, "-c", count, *each]
+        found.append(int(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout))
+    assert found[-1] == pytest.approx(warm.FUNCTIONS[part], rel=0.25)
+
+
+@pytest.mark.slow
+def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
+    """Of a ball, whose orbit folds and doubles, and of a pair, whose orbit breaks symmetry: most events."""
+    warm.warm_up(warm.ORBITS)
+    modules = (equations, stability, linear, pulses, seeds, view, admissible)
+    kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
+    before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
+    way = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))
+    curve(bouncing_ball(("A", "R")), way.events[0], np.array([float(way.events[0].point.values[0]), 0.5]), WINDOW)
+    branch(impact_pair(("alpha",), R=0.5), pair_orbit(0.2, 0.5), 0.2, (0.05, 1.0))
+    assert {kernel: list(kernel.alone.signatures) for kernel in kernels} == before

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from workers.cells import NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
+from workers.cells import LONG_PERIOD, NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
 from workers.exponents import impact_count
 from workers.kernel.cells import impact_free
 from workers.model.oscillator import COLUMN, Oscillator
@@ -30,6 +30,7 @@ from workers.outcome import (
     put_impact_free,
     put_periodic,
     put_quasiperiodic,
+    put_resting,
     put_stopped,
     put_undecided,
 )
@@ -106,6 +107,7 @@ class Course:
     began      periods that its motion had gone through when the average under way began; first: when the first of
                those began that count
     watched    periods of watching
+    alive      periods that were survived before one mass rested, -1 while it has not
     weighted   the weighted average of its last stretch
     """
 
@@ -119,6 +121,7 @@ class Course:
         self.began = np.zeros(N, dtype=np.int64)
         self.first = np.zeros(N, dtype=np.int64)
         self.watched = np.zeros(N, dtype=np.int64)
+        self.alive = np.full(N, -1)
         self.weighted = np.full(N, math.nan)
 
     def take(self, ready: Rows) -> None:
@@ -163,9 +166,12 @@ class Course:
         settled = cells.settle(rest, self.settings.max_periods + self.settings.survival - cells.used, near)
         put_periodic(cells, rest[settled])
         rest = rest[~settled]
+        resting = cells.at_rest(rest) & (self.stage[rest] != SEARCHING)
+        still = self._rest_on(rest[resting])
+        rest = rest[~resting]
         searching, averaging, watching = (rest[self.stage[rest] == s] for s in (SEARCHING, AVERAGING, WATCHING))
         going = self._search_on(searching)
-        return np.concatenate([through[warm], going, self._judge(averaging), self._watch_on(watching)])
+        return np.concatenate([through[warm], still, going, self._judge(averaging), self._watch_on(watching)])
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
@@ -179,6 +185,9 @@ class Course:
 
     def _finish(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
+        rested = self.alive[rows] >= 0
+        put_resting(self.cells, rows[rested], self.alive[rows[rested]])
+        rows = rows[~rested]
         average = self.cells.whole_average(rows)
         clear = clearly_positive(average.mean, average.error, average.periods)
         relaxed = ~(self.first[rows] < self.memory[rows])
@@ -211,6 +220,7 @@ class Course:
             self._warm_up(rows)
         else:
             cells.restart(rows)
+            cells.forget_counts(rows)
             cells.averaging[rows] = True
             self.stage[rows] = WATCHING
             self._aim_watch(rows)
@@ -257,6 +267,25 @@ class Course:
         put_aperiodic(self.cells, rows[~missing])
         return rows[missing]
 
+    def _rest_on(self, rows: Rows) -> Rows:
+        """Cells whose one mass has rested are not chaotic: a rest repeats. Those that have to go on.
+
+        Where their orbit is not found they are watched on, for what else they may fall into.
+        """
+        cells = self.cells
+        settled = cells.settle_long(rows, self.settings.max_periods + self.settings.survival - cells.used)
+        put_periodic(cells, rows[settled])
+        rows = rows[~settled]
+        new = rows[self.alive[rows] < 0]
+        self.alive[new] = np.maximum(cells.flown[new] - cells.batch.done[new] - cells.since[new], 0)
+        if cells.vectors:
+            cells.rest(rows)
+        self.stage[rows] = WATCHING
+        over = self._to_watch(rows) <= 0
+        put_resting(cells, rows[over], self.alive[rows[over]])
+        self._aim_watch(rows[~over])
+        return rows[~over]
+
     # Averaging
 
     def _warm_up(self, rows: Rows) -> None:
@@ -272,6 +301,7 @@ class Course:
         self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
         alone = rows[cells.earlier.periods[rows] == 0.0]
         self.first[alone] = cells.flown[alone]
+        cells.forget_counts(alone)
         wanted = _periods_for(cells.earlier.periods[rows], cells.earlier.error[rows], self._half)
         self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * cells.earlier.periods[rows]), FIRST_AVERAGE)
 
@@ -298,12 +328,12 @@ class Course:
         return np.concatenate([rows[chaotic], self._find_order(rows[~chaotic])])
 
     def _judge_second(self, rows: Rows) -> Rows:
-        """Both averages together are to have the accuracy asked for, and chaos to have survived."""
+        """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived."""
         whole = self.cells.whole_average(rows)
         _, error, _ = self.cells.growth(rows)
         wanted = _periods_for(whole.periods, whole.error, self.settings.tolerance) - whole.periods
         watch = self._to_watch(rows)
-        precise = (whole.error <= self.settings.tolerance) & (error <= 2.0 * self._half)
+        precise = (self._changed(rows) | (whole.error <= self.settings.tolerance)) & (error <= 2.0 * self._half)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
         return np.concatenate([rows[~enough], self._compare(rows[enough])])
@@ -316,12 +346,10 @@ class Course:
     def _compare(self, rows: Rows) -> Rows:
         """Finish cells whose two averages agree; where motion has changed the later one counts. Those that go on."""
         cells = self.cells
-        mean, error, count = cells.growth(rows)
-        before, deviation = cells.earlier.mean[rows], cells.earlier.error[rows]
-        changed = np.abs(mean - before) > CHANGED * np.hypot(error, deviation)
+        changed = self._changed(rows)
         self._finish(rows[~changed])
-        rows, before = rows[changed], before[changed]
-        mean, error, count = mean[changed], error[changed], count[changed]
+        rows = rows[changed]
+        before, (mean, error, count) = cells.earlier.mean[rows], cells.growth(rows)
         cells.forget(rows)
         self.first[rows] = self.began[rows]
         out = self._left(rows) <= 0
@@ -335,6 +363,13 @@ class Course:
         self._watch(again)
         self.stretch[rows[~out & ~positive]] = count[~out & ~positive]
         return rows[~out]
+
+    def _changed(self, rows: Rows) -> Mask:
+        """Of which of these cells the two averages differ."""
+        mean, error, _ = self.cells.growth(rows)
+        before, deviation = self.cells.earlier.mean[rows], self.cells.earlier.error[rows]
+        found: Mask = np.abs(mean - before) > CHANGED * np.hypot(error, deviation)
+        return found
 
     def _find_order(self, rows: Rows) -> Rows:
         """Look for tori and, where the exponent is clearly negative, for long orbits; those that have to go on."""
@@ -351,7 +386,8 @@ class Course:
         put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
         rows = rows[~flat]
         mean, error, count = cells.growth(rows)
-        negative = rows[clearly_positive(-mean, error, count)]
+        late = (cells.batch.periods[rows] >= LONG_PERIOD) & (now[~flat] < -TORUS_LIMIT)
+        negative = rows[clearly_positive(-mean, error, count) | late]
         settled = cells.settle_long(negative, self.settings.max_periods + self.settings.survival - cells.used)
         put_periodic(cells, negative[settled])
         return np.setdiff1d(rows, negative[settled], assume_unique=True)

@@ -207,10 +207,10 @@ class Coexistence:
         apart = [distance(a.reference, reference) for a in alike if a.reference is not None]
         if apart and min(apart) <= DIFFERENT:
             old = alike[int(np.argmin(apart))]
-            old.lump(start, min(apart), found.flown_after[r], found.state_after[r])
+            old.lump(start, min(apart), found, r)
             return
-        new = Attractor(int(found.arrays["regime"][r]), found.result(r))
-        new.reference, new.last, new.pooled = reference, [found.state_after[r]], int(found.survived(r))
+        new = Attractor(int(found.arrays["regime"][r]), found.result(r), int(found.contact[r]))
+        new.reference, new.last, new.pooled = reference, [found.left(r)], int(found.survived(r))
         new.starts.append(start)
         tally.attractors.append(new)
 
@@ -219,7 +219,7 @@ class Coexistence:
         for chance in range(2):  # what is left of a transient is watched once more
             owner: list[int] = []
             number: list[int] = []
-            states: list[Array] = []
+            states: list[tuple[Array, int]] = []
             periods: list[int] = []
             suspects: list[tuple[int, Attractor]] = []
             for c, tally in enumerate(self.tallies):
@@ -236,7 +236,7 @@ class Coexistence:
             known = Known(self.oscillators, [[a for a in t.attractors if a.regime in STABLE] for t in self.tallies])
             rows = np.array(owner)
             found = watch(
-                taken(self.oscillators, rows), np.stack(states), np.array(periods), self.settings, known, rows
+                taken(self.oscillators, rows), *_stacked(states), np.array(periods), self.settings, known, rows
             )
             self._settle_suspects(suspects, rows, np.array(number), found, known, last=chance == 1)
 
@@ -262,13 +262,13 @@ class Coexistence:
             each.pooled += int(found.flown[rows].sum())
             if not ended.any() and not each.transient:
                 self.tallies[c].used += int(found.used[rows].sum())
-                each.last = [found.state_after[r] for r in rows]
+                each.last = [found.left(r) for r in rows.tolist()]
                 continue
             each.transient = True
             gone += rows[ended].tolist()
             stay = rows[~ended]
             self.tallies[c].used += int(found.used[stay].sum())
-            each.starts, each.last = number[stay].tolist(), [found.state_after[r] for r in stay]
+            each.starts, each.last = number[stay].tolist(), [found.left(r) for r in stay.tolist()]
             if last or not len(stay):
                 self.tallies[c].attractors.remove(each)
                 self.tallies[c].undecided += each.starts
@@ -289,9 +289,9 @@ class Coexistence:
             return
         owner = np.array([c for c, _ in alone])
         oscillators = taken(self.oscillators, owner)
-        states = mirrored(oscillators, np.stack([each.last[0] for _, each in alone]))
+        states, contact = mirrored(oscillators, *_stacked([each.last[0] for _, each in alone]))
         known = Known(self.oscillators, [[] for _ in self.tallies])
-        found, used = sampled(oscillators, states, self.settings, known, owner)
+        found, used = sampled(oscillators, states, contact, self.settings, known, owner)
         for (c, each), batches, cost in zip(alone, found, used.tolist(), strict=True):
             self.tallies[c].used += cost
             alike = [other for other in self.tallies[c].attractors if other.regime == each.regime]
@@ -334,6 +334,11 @@ class Coexistence:
                 found["mirror"][c, k] = next((i for i, a in enumerate(shown) if a is mirror), -1)
                 if 0 in each.starts:
                     found["own"][c] = k
+
+
+def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) and contacts (N,) as arrays."""
+    return np.stack([state for state, _ in states]), np.array([contact for _, contact in states], dtype=np.int64)
 
 
 def _put(found: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:

@@ -177,6 +177,7 @@ def section_points(table: Table, count: int) -> Array:
     oscillators = taken(table.oscillator, np.zeros(N, dtype=np.int64))
     motions = motions_at(np.zeros((N, size // 2, 2)))
     start_motions(oscillators, motions, np.stack([each.result["state"] for each in table.attractors]), rows)
+    motions.contact[:, 0] = [each.contact for each in table.attractors]
     batch = batch_of(oscillators, motions)
     for k in range(count):
         found[:, k] = physical_states(oscillators, batch.motions, rows)

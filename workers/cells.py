@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.cells import mean_growth, reset_frames, restart_counts
-from workers.kernel.motion import MAX_SPEED, MIN_SPEED, TALLIES, motions_at
+from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, TALLIES, motions_at
 from workers.model.oscillator import COLUMN, Oscillator, taken
 from workers.orbit.newton import no_orbits, settle_each
+from workers.orbit.rest import rest_to_rest
 from workers.settings import Settings
 from workers.stretch import batch_of, ended, run, without_frames
 
@@ -53,7 +54,8 @@ class Cells:
     used       periods that the cell has cost
     flown      periods that its motion has gone through; since: how many of them before it looked chaotic
     earlier    the average that was closed before the one under way; of no periods where there is none
-    found      result arrays by name (N, ...), written as the cells are done
+    tallied    (N, TALLIES) what was counted before the counts under way began; counted: over so many periods
+    found      result arrays by name (N, ...), written as the cells are done; contact (N,) that of their ``state``
     """
 
     def __init__(self, oscillators: Oscillator, settings: Settings, found: dict[str, NDArray[Any]], kept: int) -> None:
@@ -67,8 +69,13 @@ class Cells:
         self.used = np.zeros(N, dtype=np.int64)
         self.flown = np.zeros(N, dtype=np.int64)
         self.since = np.zeros(N, dtype=np.int64)
+        self.contact = np.zeros(N, dtype=np.int64)
         self.orbits = no_orbits(N, n)
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, vectors)), np.zeros((N, TALLIES)))
+        self.tallied = np.zeros((N, TALLIES))
+        self.counted = np.zeros(N, dtype=np.int64)
+        self._restarted = np.zeros(N, dtype=np.int64)
+        self.forget_counts(np.arange(N))
 
     @property
     def vectors(self) -> int:
@@ -90,9 +97,29 @@ class Cells:
         return through
 
     def restart(self, cells: Rows) -> None:
-        """Count and average from here on."""
+        """Average from here on, and count on."""
+        self.tallied[cells], self.counted[cells] = self.counts(cells)
+        self._restarted[cells] = self.flown[cells]
         restart_counts(self.oscillators.gap.metric, self.batch.motions, cells)
         self.batch.levels[cells], self.batch.weighted[cells] = 0.0, 0.0
+
+    def counts(self, cells: Rows) -> tuple[Array, Rows]:
+        """What was counted of these cells since forget_counts, (cells, TALLIES), and over how many periods."""
+        under_way = self.flown[cells] - self._restarted[cells]
+        return together(self.tallied[cells], self.batch.motions.tally[cells]), self.counted[cells] + under_way
+
+    def forget_counts(self, cells: Rows) -> None:
+        """Forget what was counted before the counts under way."""
+        self.tallied[cells], self.tallied[cells, MIN_SPEED], self.counted[cells] = 0.0, np.inf, 0
+
+    def at_rest(self, cells: Rows) -> Mask:
+        """Of which of these cells no direction is left, since their one mass has rested; see ``counts``."""
+        found: Mask = self.counts(cells)[0][:, LOST] >= self._directions
+        return found
+
+    @property
+    def _directions(self) -> int:
+        return 2 * self.batch.motions.h.shape[1]
 
     # Orbits
 
@@ -127,20 +154,22 @@ class Cells:
         return settled
 
     def _settle_long(self, cells: Rows, budget: NDArray[np.int64]) -> Mask:
-        motions = taken(self.bare.motions, cells)
-        batch = batch_of(taken(self.oscillators, cells), motions, LONG_PERIOD + 1)
+        """Motions at rest are looked at after a rest, where rounding has grown least."""
+        batch = batch_of(taken(self.oscillators, cells), taken(self.bare.motions, cells), LONG_PERIOD + 1)
         batch.periods[:] = LONG_PERIOD + 1
-        every, spent = np.arange(len(cells)), np.zeros(len(cells), dtype=np.int64)
-        run(batch, every)
-        orbits = no_orbits(len(cells), motions.h.shape[1])
-        through = every[batch.done == batch.periods]
+        resting = self.at_rest(cells)
+        every, spent, kept = np.arange(len(cells)), np.zeros(len(cells), dtype=np.int64), batch.done.copy()
+        run(batch, every[~resting])
+        kept[batch.done == batch.periods] = LONG_PERIOD + 1
+        gone = rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, kept)
+        through = every[kept > 0]
+        orbits = no_orbits(len(cells), batch.motions.h.shape[1])
         settled = np.zeros(len(cells), dtype=np.bool_)
-        near = np.full(len(cells), NEAR)
         settled[through] = settle_each(
-            batch.oscillators, batch.motions, batch.sections, batch.done, near, LONG_PERIOD,
-            budget[cells] - batch.done, through, orbits, spent,
+            batch.oscillators, batch.motions, batch.sections, kept, np.full(len(cells), NEAR), LONG_PERIOD,
+            budget[cells] - batch.done - gone, through, orbits, spent,
         )  # fmt: skip
-        self.used[cells] += batch.done + spent
+        self.used[cells] += batch.done + gone + spent
         for mine, theirs in zip(self.orbits, orbits, strict=True):
             mine[cells[settled]] = theirs[settled]
         self.orbits.near[cells] |= orbits.near
@@ -150,23 +179,35 @@ class Cells:
         """Of which of these cells a stable orbit is known beside the motion.
 
         Where |Y| stays inside the stops, every mode is damped and no load moves a rigid one, motion without impact is
-        one. Another is an orbit that a near return led to, and that the motion left again.
+        one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
+        can hold at some phase of the force has another: what follows a release repeats with the next rest.
         """
         gap, oscillators = self.oscillators.gap, self.oscillators
         reach = np.minimum(oscillators.b_upper, oscillators.b_lower)[cells]
         block = gap.block[cells]
         damped = np.all((block[..., COLUMN.eta] > 0.0) & (block[..., COLUMN.load] == 0.0), axis=-1)
         found: Mask = self.orbits.near[cells] | (damped & (np.asarray(gap.amplitude)[cells] < reach))
-        return found
+        return found | ((self._directions == 2) & self._can_rest(cells))
+
+    def _can_rest(self, cells: Rows) -> Mask:
+        """Of which of these cells the load presses the mass on a stop at some phase of the force."""
+        held, o = self.oscillators.held, self.oscillators
+        load, push = np.asarray(held.release.amplitude)[cells], held.push[cells]
+        upper = np.isfinite(np.asarray(o.b_upper)[cells]) & (load + push[:, 0] > 0.0)
+        lower = np.isfinite(np.asarray(o.b_lower)[cells]) & (load - push[:, 1] > 0.0)
+        pressed: Mask = (upper | lower) & (np.asarray(o.R)[cells] < 1.0)
+        return pressed
 
     # Averages
 
     def growth(self, cells: Rows) -> tuple[Array, Array, Array]:
         """Mean growth per period of the first vector, its standard error, periods averaged; of the average under way.
 
-        None is under way where growth does not count.
+        None is under way where growth does not count. Where no direction is left the mean is exact.
         """
         mean, error, count = mean_growth(self.batch.levels, cells)
+        nothing = self.batch.motions.tally[cells, LOST] >= self._directions
+        mean, error = np.where(nothing, -np.inf, mean), np.where(nothing, 0.0, error)
         count = count if self.vectors else self.flown[cells] - self.since[cells]
         return mean, error, np.where(self.averaging[cells], count, 0.0)
 
@@ -181,9 +222,21 @@ class Cells:
         """Take the earlier average of these cells for none."""
         for field in self.earlier:
             field[cells] = 0.0
+        self.forget_counts(cells)
+
+    def rest(self, cells: Rows) -> None:
+        """Take the averages of these cells, of which no direction is left, for what follows: -inf, all of them."""
+        first = cells[self.earlier.periods[cells] == 0.0]
+        self.close(first)
+        self.framed[cells] = self.averaging[cells] = False
+        self.earlier.mean[cells], self.earlier.error[cells], self.earlier.growth[cells] = -np.inf, 0.0, -np.inf
 
     def whole_average(self, cells: Rows) -> Average:
-        """The earlier average of these cells and the one under way as one."""
+        """The earlier average of these cells and the one under way as one.
+
+        Its error is at least what the difference of the two says: they are far apart in time, and may each be too short
+        to see how slowly the motion changes.
+        """
         mean, error, count = self.growth(cells)
         e, motions = taken(self.earlier, cells), self.batch.motions
         under_way = (count > 0.0) & (np.isfinite(error) | (e.periods == 0.0))  # or too short to have an error
@@ -191,18 +244,25 @@ class Cells:
         mean, error = np.where(under_way, mean, 0.0), np.where(under_way, error, 0.0)
         total = e.periods + count
         growth = np.where(under_way[:, None], motions.growth[cells], 0.0) + e.growth
-        tally = np.where(under_way[:, None], motions.tally[cells], 0.0) + e.tally
-        slowest = np.where(under_way, motions.tally[cells, MIN_SPEED], np.inf)
-        tally[:, MIN_SPEED] = np.minimum(slowest, np.where(e.periods > 0.0, e.tally[:, MIN_SPEED], np.inf))
-        fastest = np.where(under_way, motions.tally[cells, MAX_SPEED], 0.0)
-        tally[:, MAX_SPEED] = np.maximum(fastest, e.tally[:, MAX_SPEED])
+        tally = together(np.where(under_way[:, None], motions.tally[cells], 0.0), e.tally)
+        both = (count > 0.0) & (e.periods > 0.0)
+        apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods), 0.0)
         return Average(
             mean=(e.mean * e.periods + mean * count) / total,
-            error=np.hypot(e.error * e.periods, error * count) / total,
+            error=np.maximum(np.hypot(e.error * e.periods, error * count), apart) / total,
             periods=total,
             growth=growth,
             tally=tally,
         )
+
+
+def together(tally: Array, more: Array) -> Array:
+    """The counts (N, TALLIES) of two stretches of motion as one."""
+    both = tally + more
+    both[:, MIN_SPEED] = np.minimum(tally[:, MIN_SPEED], more[:, MIN_SPEED])
+    both[:, MAX_SPEED] = np.maximum(tally[:, MAX_SPEED], more[:, MAX_SPEED])
+    both[:, LOST] = np.maximum(tally[:, LOST], more[:, LOST])
+    return both
 
 
 def clearly_positive(mean: Array, error: Array, count: Array) -> Mask:

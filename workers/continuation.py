@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.kernel.cells import put_inside
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
 from workers.settings import Settings
@@ -62,18 +63,14 @@ def solve_lines(
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
     """Initial states of the cells at one position of all lines: the newest known ones, their own where none is.
 
-    The gap coordinate is moved onto the stop that it lies beyond, if it does.
+    The gap coordinate is moved onto the stop that it lies beyond, if it does. Without velocity it rests there then, see
+    kernel.coordinates.placed.
     """
     states = np.stack([here[name] for name in record.states], axis=-1)
     known = np.isfinite(last).all(axis=-1)
     oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
     moved = last[known].copy()
-    row = oscillators.gap_row
-    n = row.shape[1]
-    for _ in range(2):  # the second time takes off what rounding left of the first
-        y = np.sum(row * moved[:, :n], axis=1)
-        away = np.minimum(np.maximum(y, oscillators.lower), oscillators.upper) - y
-        moved[:, :n] += row * (away / np.sum(row * row, axis=1))[:, None]
+    put_inside(oscillators.gap_row, oscillators.upper, oscillators.lower, moved)
     built = reasons == NO_REASON  # solve_cells calls the others invalid
     states[known] = np.where(built[:, None], moved, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

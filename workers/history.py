@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.cells import physical_states, reset_frames, start_motions
-from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, motions_at
+from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, Motion, motions_at
 from workers.kernel.stroboscopic import OVERDRAFT
-from workers.model.oscillator import each, many_of
+from workers.model.oscillator import Oscillator, each, many_of
 from workers.model.system import System, find_system
 from workers.outcome import REASON_OF
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
@@ -20,7 +20,7 @@ from workers.stretch import run_periods
 Array = NDArray[np.float64]
 
 RECORD = 4096
-"""Impacts of one period that are kept."""
+"""Impacts of one period that there is room for; a period of more is gone through again with twice the room."""
 
 LONGEST = 1_000_000
 """Periods of a history, which is kept in memory: 300 MB and more."""
@@ -70,7 +70,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     motion.tally[WORK] = work_allowed(periods) + OVERDRAFT
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
-        run_periods(osc, motion, 1)
+        motion = _through_a_period(osc, motion)
         status = int(motion.tally[STATUS])
         if status != RUNNING or motion.tally[WORK] < 0.0:
             reason = WORK_SPENT if status == RUNNING else REASON_OF[status]
@@ -88,3 +88,17 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
         impacts=np.concatenate(impacts),
         exponents=np.array(exponents).reshape(periods, motion.growth.size),
     )
+
+
+def _through_a_period(osc: Oscillator, motion: Motion) -> Motion:
+    """The motion a period later, in place but for the record of impacts, which has room for all of them."""
+    record = motion.impacts
+    before = each(motion._replace(impacts=record[:0]), lambda field: field.copy())
+    while True:
+        run_periods(osc, motion, 1)
+        if motion.tally[RECORDED] < len(record):
+            return motion
+        for field, old in zip(motion._replace(impacts=before.impacts), before, strict=True):
+            field[...] = old
+        record = np.empty((2 * len(record), 3))
+        motion = motion._replace(impacts=record)

@@ -115,9 +115,9 @@ def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
 
 @kernel
 def turn(oscillators, r, h, contact, steps, half):
-    """So many steps of the map from a block state h (n, 2) of oscillator r: each state, h the first, and the Jacobian.
+    """So many steps of the map from a block state h (n, 2) of oscillator r.
 
-    NaN from where the motion cannot be followed.
+    Returns each state, h the first, NaN from where the motion cannot be followed; the last one's contact; the Jacobian.
     """
     osc = oscillator_of(oscillators, r)
     motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
@@ -128,7 +128,7 @@ def turn(oscillators, r, h, contact, steps, half):
         if motion.tally[STATUS] != RUNNING:
             break
         states[k + 1] = motion.h
-    return states, jacobian_of(motion.V)
+    return states, motion.contact[0], jacobian_of(motion.V)
 
 
 def on_orbit(metric: Array, states: Array, h: Array, scale: float) -> bool:

@@ -26,10 +26,13 @@ MOST_TURN = 32
 class Attractor:
     """An attractor of a cell: its results by variable, and the initial states, by number, that reach it.
 
-    h, contact, period   of an orbit: a section state; jacobian, contraction of its turn, norm in which that shrinks
+    contact              that of the state among the results
+    h, period            of an orbit: the block coordinates of that state; jacobian, contraction of its turn, norm in
+                         which that shrinks
     orbit                (p, n, 2) its states at t = (k + shift) T, where it was proved
     reference            (k, 4n) of any other: its batches, see ``identity``
-    last                 physical states at which the motions of its initial states were left, in their order
+    last                 physical states, with their contacts, at which the motions of its initial states were left, in
+                         their order
     lumped, distance     initial states put to it by statistics; the largest distance among them
     pooled               periods for which they were seen on it, all together
     transient            whether one of them has left it
@@ -37,9 +40,9 @@ class Attractor:
 
     regime: int
     result: dict[str, Any]
+    contact: int
     starts: list[int] = field(default_factory=list)
     h: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    contact: int = 0
     period: int = 0
     jacobian: Array | None = None
     contraction: float = 0.0
@@ -48,7 +51,7 @@ class Attractor:
     orbit: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
     mirror: "Attractor | None" = None
     reference: Array | None = None
-    last: list[Array] = field(default_factory=list)
+    last: list[tuple[Array, int]] = field(default_factory=list)
     lumped: int = 0
     distance: float = 0.0
     pooled: int = 0
@@ -69,31 +72,30 @@ class Attractor:
         if self.reference is None:
             self.starts.append(start)
         else:
-            self.lump(start, float(found.distance[r]), int(found.flown_after[r]), found.state_after[r])
+            self.lump(start, float(found.distance[r]), found, r)
 
-    def lump(self, start: int, away: float, periods: int, state: Array) -> None:
+    def lump(self, start: int, away: float, found: "Found", r: int) -> None:
         """An initial state's motion was put to it by statistics, ``away`` standard errors from it."""
         self.starts.append(start)
-        self.last.append(state)
+        self.last.append(found.left(r))
         self.lumped += 1
         self.distance = max(self.distance, away)
-        self.pooled += int(periods)
+        self.pooled += int(found.flown_after[r])
 
 
 def attractor_of_orbit(oscillators: Oscillator, cell: int, found: "Found", r: int) -> Attractor:
     """The attractor that a motion has been proved to fall into: an orbit, or motion without impact."""
     orbits, regime = found.orbits, int(found.arrays["regime"][r])
-    new = Attractor(regime, found.result(r))
-    new.h, new.contact, new.period = orbits.h[r].copy(), int(orbits.contact[r, 0]), int(orbits.period[r])
-    new.shift = float(orbits.shift[r])
+    new = Attractor(regime, found.result(r), int(found.contact[r]))
+    new.h, new.period, new.shift = orbits.h[r].copy(), int(orbits.period[r]), float(orbits.shift[r])
     largest = float(orbits.exponents[r, 0])
     if regime == NO_IMPACT:
-        new.h, new.contact, new.period, new.shift = np.zeros_like(new.h), 0, 1, 0.0
+        new.h, new.period, new.shift = np.zeros_like(new.h), 1, 0.0
         rates = oscillators.gap.block[cell][:, COLUMN.slow]
         largest = -float(rates.min() * oscillators.period[cell])
     new.orbit = states_at(oscillators, cell, new, new.shift, new.period)[: new.period]
     if largest < 0.0 and new.period <= MOST_TURN:
-        _, jacobian = turn(oscillators, cell, new.h, new.contact, new.period, np.bool_(False))
+        _, _, jacobian = turn(oscillators, cell, new.h, new.contact, new.period, np.bool_(False))
         contraction = -float(np.expm1(largest * new.period))
         norm = shrinking_norm(oscillators.gap.metric[cell], jacobian, contraction)
         if np.isfinite(norm).all():
@@ -112,16 +114,16 @@ def states_at(
     return states
 
 
-def mirrored(oscillators: Oscillator, states: Array) -> Array:
-    """Physical states (N, 2n) on the mirror images of N motions through these ones."""
+def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) on the mirror images of N motions through these ones, with their contacts (N,)."""
     N, n = oscillators.gap_row.shape
     motions = motions_at(np.zeros((N, n, 2)))
     rows = np.arange(N)
     start_motions(oscillators, motions, states, rows)
     for r in range(N):
-        states_after, _ = turn(oscillators, r, motions.h[r], int(motions.contact[r, 0]), 1, np.bool_(True))
-        motions.h[r] = states_after[1]
-    return np.asarray(physical_states(oscillators, motions, rows))
+        after, motions.contact[r, 0], _ = turn(oscillators, r, motions.h[r], int(contact[r]), 1, np.bool_(True))
+        motions.h[r] = after[1]
+    return np.asarray(physical_states(oscillators, motions, rows)), motions.contact[:, 0]
 
 
 class Known:

@@ -46,24 +46,33 @@ class Reason:
 (
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
-    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE,
-) = range(19)  # fmt: skip
+    OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
+) = range(20)  # fmt: skip
 
 REASONS = (
     Reason(NO_REASON, "none", PENDING, ""),
-    Reason(GAVE_UP, "gave_up", FAILED, "the march to the next impact gave up"),
+    Reason(GAVE_UP, "gave_up", FAILED, "the time of the next impact could not be found"),
     Reason(NOT_FINITE, "not_finite", FAILED, "the state is no longer finite"),
     Reason(ARITHMETIC, "arithmetic", FAILED, "a calculation met an overflow, a zero divisor or a singular matrix"),
-    Reason(PROCESS_ENDED, "process_ended", FAILED, "its tile ends the process that solves it"),
-    Reason(COSTLY_PERIOD, "costly_period", UNDETERMINED, "one period takes more than a million evaluations"),
-    Reason(WORK_SPENT, "work_spent", UNDETERMINED, "the evaluations that it may cost are spent"),
+    Reason(PROCESS_ENDED, "process_ended", FAILED, "the process that solved its tile died"),
+    Reason(
+        COSTLY_PERIOD,
+        "costly_period",
+        UNDETERMINED,
+        "one forcing period takes more than a million evaluations of the motion",
+    ),
+    Reason(WORK_SPENT, "work_spent", UNDETERMINED, "its budget of evaluations of the motion is spent"),
     Reason(BEYOND_STOP, "beyond_stop", INVALID, "the initial state lies beyond a stop"),
     Reason(OUT_OF_RANGE, "out_of_range", INVALID, "a parameter lies outside its valid range"),
     Reason(NO_OSCILLATOR, "no_oscillator", INVALID, "the parameters make no oscillator"),
     Reason(RESONANCE, "resonance", INVALID, "undamped resonance: no periodic forced response exists"),
     Reason(LONG_PERIOD, "long_period", INVALID, "a forcing period spans too many radians of a free oscillation"),
-    Reason(RIGID_MODE, "rigid_mode", INVALID, "a free rigid mode that the gap does not see, or more than one"),
-    Reason(COUPLED_DAMPING, "coupled_damping", INVALID, "the damping couples modes that doubles cannot tell apart"),
+    Reason(
+        RIGID_MODE, "rigid_mode", INVALID, "masses can drift freely without changing the gap, or in more than one way"
+    ),
+    Reason(
+        COUPLED_DAMPING, "coupled_damping", INVALID, "damping couples two modes that double precision cannot tell apart"
+    ),
     Reason(OUT_OF_DOUBLES, "out_of_doubles", INVALID, "the parameters lead beyond the range of double precision"),
     Reason(
         ENERGY_OUT_OF_DOUBLES,
@@ -71,9 +80,20 @@ REASONS = (
         INVALID,
         "the energy of the motion is beyond the range of double precision",
     ),
-    Reason(NOT_RELAXED, "not_relaxed", CHAOTIC, "averages began before the motion had forgotten its initial state"),
-    Reason(NOT_STATIONARY, "not_stationary", CHAOTIC, "averages of successive stretches differ; the error covers both"),
+    Reason(
+        NOT_RELAXED,
+        "not_relaxed",
+        CHAOTIC,
+        "the budget ended early: the exponent may still depend on the initial state",
+    ),
+    Reason(
+        NOT_STATIONARY,
+        "not_stationary",
+        CHAOTIC,
+        "the last two averages of the exponent still differed when the budget ended; the error bar covers both",
+    ),
     Reason(UNSTABLE, "unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
+    Reason(RESTED, "rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
 )
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 

@@ -46,18 +46,21 @@ class Found:
 
     label        (N,) place of the known attractor that each has reached, -1 for none; then ``arrays`` has its results
     arrays       result arrays by name (N, ...); regime PENDING where a motion was recognised
+    contact      (N,) that of the state among them
     orbits       where these are of an orbit
     used, flown  (N,) periods that it cost, and that its motion went through
     settled      (N,) periods until it was on the attractor: within a hundredth of the motion's scale where it was
                  recognised to reach an orbit, else as many as it went through
     distance     (N,) in standard errors from the attractor that it was put to by statistics
     reference    batches of a new chaos or torus, of others None
-    state_after  (N, 2n) the physical state at which the motion was left; flown_after (N,) periods on the attractor
+    state_after  (N, 2n) the physical state at which the motion was left, contact_after (N,) its contact
+    flown_after  (N,) periods on the attractor
     again        (N,) whether a motion was counted before, None where none was
     """
 
     label: Rows
     arrays: dict[str, NDArray[Any]]
+    contact: Rows
     orbits: Orbits
     used: Rows
     flown: Rows
@@ -65,12 +68,17 @@ class Found:
     distance: Array
     reference: list[Array | None]
     state_after: Array
+    contact_after: Rows
     flown_after: Rows
     again: Mask | None = None
 
     def result(self, r: int) -> dict[str, Any]:
         """The results of one motion."""
         return {name: values[r].copy() for name, values in self.arrays.items()}
+
+    def left(self, r: int) -> tuple[Array, int]:
+        """The physical state at which one motion was left, and its contact."""
+        return self.state_after[r], int(self.contact_after[r])
 
     def survived(self, r: int) -> int:
         """Periods for which a motion was seen chaotic."""
@@ -81,6 +89,7 @@ class Found:
         return Found(
             self.label[rows],
             {name: values[rows] for name, values in self.arrays.items()},
+            self.contact[rows],
             each(self.orbits, lambda values: values[rows]),
             self.used[rows],
             self.flown[rows],
@@ -88,6 +97,7 @@ class Found:
             self.distance[rows],
             [self.reference[r] for r in rows],
             self.state_after[rows],
+            self.contact_after[rows],
             self.flown_after[rows],
             np.ones(len(rows), dtype=np.bool_),
         )
@@ -106,6 +116,7 @@ class _Search(Course):
         self.distance = np.full(N, np.nan)
         self.compared = np.zeros(N, dtype=np.int64)
         self.state = np.full((N, cells.oscillators.to_physical.shape[1]), np.nan)
+        self.contact = np.zeros(N, dtype=np.int64)
 
     def recognise(self, rows: Rows) -> Rows:
         """Those that fall into no known orbit."""
@@ -152,8 +163,14 @@ class _Search(Course):
             rows = self.advance(rows, BATCH)
             means[rows, k] = batch_moments(self.cells.batch.sections, rows, BATCH)
         self.compared[rows] += batches * BATCH
-        self.state[rows] = physical_states(self.cells.oscillators, self.cells.batch.motions, rows)
+        self.leave_at(rows)
         return rows, means[rows]
+
+    def leave_at(self, rows: Rows) -> None:
+        """Keep where these motions are, for those that go on from there."""
+        motions = self.cells.batch.motions
+        self.state[rows] = physical_states(self.cells.oscillators, motions, rows)
+        self.contact[rows] = motions.contact[rows, 0]
 
     def compare(self) -> None:
         """Put motions to the chaos or the torus that they are on; go on with those that are on none of them."""
@@ -194,27 +211,38 @@ def search(
 
 
 def watch(
-    oscillators: Oscillator, states: Array, periods: Rows, settings: Settings, known: Known, owner: Rows
+    oscillators: Oscillator,
+    states: Array,
+    contact: Rows,
+    periods: Rows,
+    settings: Settings,
+    known: Known,
+    owner: Rows,
 ) -> Found:
-    """What N motions come to in so many periods (N,): recognised, settled, or on as they were, regime PENDING."""
+    """What N motions come to in so many periods (N,): recognised, settled, or on as they were, regime PENDING.
+
+    They go on from physical states (N, 2n) with contacts (N,).
+    """
     reasons = np.full(len(owner), NO_REASON, dtype=np.int8)
-    course, rows = _begun(oscillators, reasons, states, settings, known, owner)
+    course, rows = _begun(oscillators, reasons, states, settings, known, owner, contact)
     cells = course.cells
     with np.errstate(all="ignore"):
         while len(rows):
             rows = course.advance(rows, np.minimum(periods[rows] - cells.flown[rows], WATCHED_AT_ONCE))
             rows = rows[cells.flown[rows] < periods[rows]]
-        every = np.arange(len(owner))
-        course.state[:] = physical_states(cells.oscillators, cells.batch.motions, every)
+        course.leave_at(np.arange(len(owner)))
     return _found(course, [None] * len(owner))
 
 
 def sampled(
-    oscillators: Oscillator, states: Array, settings: Settings, known: Known, owner: Rows
+    oscillators: Oscillator, states: Array, contact: Rows, settings: Settings, known: Known, owner: Rows
 ) -> tuple[list[Array | None], Rows]:
-    """The batches of N motions from physical states (N, 2n), None of one that settles; and the periods used."""
+    """The batches of N motions, None of one that settles, and the periods used.
+
+    They go on from physical states (N, 2n) with contacts (N,).
+    """
     reasons = np.full(len(owner), NO_REASON, dtype=np.int8)
-    course, rows = _begun(oscillators, reasons, states, settings, known, owner)
+    course, rows = _begun(oscillators, reasons, states, settings, known, owner, contact)
     with np.errstate(all="ignore"):
         going, means = course.sample(rows, REFERENCE)
     there = dict(zip(going.tolist(), means, strict=True))
@@ -228,12 +256,13 @@ def _begun(
     settings: Settings,
     known: Known,
     owner: Rows,
+    contact: Rows | None = None,
 ) -> tuple[_Search, Rows]:
     size = states.shape[1]
     sizes = {"exponent": size, "state": size, "sample": settings.section_samples}
     arrays = empty_results(result_variables(settings), (len(owner),), sizes)
     with np.errstate(all="ignore"):
-        cells, ready = begun(oscillators, reasons, states, settings, arrays)
+        cells, ready = begun(oscillators, reasons, states, settings, arrays, contact)
     return _Search(cells, known, owner), ready
 
 
@@ -269,6 +298,7 @@ def _found(course: _Search, references: list[Array | None]) -> Found:
     return Found(
         label=course.label,
         arrays=cells.found,
+        contact=cells.contact,
         orbits=cells.orbits,
         used=cells.used.copy(),
         flown=cells.flown.copy(),
@@ -276,5 +306,6 @@ def _found(course: _Search, references: list[Array | None]) -> Found:
         distance=course.distance,
         reference=references,
         state_after=course.state,
+        contact_after=course.contact,
         flown_after=course.compared,
     )

@@ -53,13 +53,19 @@ def begun(
     starts: Array,
     settings: Settings,
     found: dict[str, NDArray[Any]],
+    contact: Rows | None = None,
 ) -> tuple[Cells, Rows]:
-    """The cells of ``solve`` at their starts, and those of them that have a motion; the others are written invalid."""
+    """The cells of ``solve`` at their starts, and those of them that have a motion; the others are written invalid.
+
+    contact (N,) is that of motions that go on from these states; without it each state shows its own.
+    """
     adaptive = settings.method == "adaptive"
     cells = Cells(oscillators, settings, found, max(settings.max_period, RETURNS if adaptive else 0) + 1)
     motions = cells.batch.motions
     built = np.flatnonzero(reasons == NO_REASON)
     scales = start_motions(oscillators, motions, starts, built)
+    if contact is not None:
+        motions.contact[:, 0] = contact
     reasons = reasons.copy()
     reasons[~np.isfinite(scales)] = ENERGY_OUT_OF_DOUBLES
     reasons[motions.contact[:, 0] == BEYOND] = BEYOND_STOP
@@ -81,6 +87,7 @@ def _solve_fixed(cells: Cells, ready: Rows) -> None:
     ready = _through(cells, ready, settings.transient_periods)
     ready = ready[~put_stopped(cells, ready)]
     cells.restart(ready)
+    cells.forget_counts(ready)
     cells.averaging[ready], cells.since[ready] = True, cells.flown[ready]
     ready = _through(cells, ready, settings.periods)
     ready = ready[~put_stopped(cells, ready)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from atlas.spec.spec import digest_of
+from atlas.text import plural
 from workers.model.system import System, identity
 
 if TYPE_CHECKING:
@@ -31,6 +32,14 @@ class Branches:
     window: tuple[float, float]
     traced: tuple["Branch", ...]
     untried: tuple["Untried", ...] = ()
+
+    def __repr__(self) -> str:
+        low, high = self.window
+        points = sum(len(each.way.points) for each in self.traced)
+        events = sum(len(each.way.events) for each in self.traced)
+        counts = (plural(len(self.traced), "branch", "branches"), plural(points, "point"), plural(events, "event"))
+        reach = f"{self.system.name} along {self.along} from {low:g} to {high:g}"
+        return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
 
     @classmethod
     def of(cls, tree: "Tree") -> Self:

@@ -1,12 +1,19 @@
 """A store's metadata and coordinates, held against its spec, and its two copies of the metadata against each other."""
 
+import json
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from atlas.errors import message_of
+from atlas.errors import ChunkError, message_of
+from atlas.overview.pyramid import Pyramid
 from atlas.spec.spec import resolved_digest
-from atlas.store.digests import DIGESTS
-from atlas.store.schema import ALLOWANCES, extra_sizes
-from atlas.store.store import ROOT, Header, open_arrays, open_digests
+from atlas.store.digests import DIGESTS, TILES
+from atlas.store.machine import MACHINES
+from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
+from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_digests, open_group
+from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.store.tiles import covered_variables
 
 
@@ -24,6 +31,8 @@ def metadata_faults(header: Header) -> list[str]:
         digests = open_digests(header), open_digests(header, consolidated=True)
     except OSError:
         raise
+    except ChunkError as error:
+        return [*faults, *(f"{key} {fault}" for key, fault in error.faults.items())]
     except Exception as error:  # metadata that are no longer JSON, or no longer make sense, may raise anything
         return [*faults, f"metadata are damaged: {message_of(error)}"]
     sizes, variables = extra_sizes(spec), header.variables
@@ -61,6 +70,79 @@ def metadata_faults(header: Header) -> list[str]:
         if not np.array_equal(array.fill_value, variable.fill, equal_nan=np.dtype(variable.dtype).kind == "f"):
             faults.append(f"{where}: fill value {array.fill_value}, must be {variable.fill}")
     return faults
+
+
+def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
+    """The copies of metadata that are not those that they are of, by the keys of these.
+
+    The root, each level of an overview and each table have copies of the metadata of all that lies in them. Of the
+    root's those of its arrays are left out, see ``metadata_faults``, and those of groups that are not there any more.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(header))):
+        copies = (_json(header, f"{where}{ROOT}") or {}).get("consolidated_metadata") or {}
+        for name, copy in copies.get("metadata", {}).items():
+            top = f"{where}{name}".partition("/")[0]
+            if (not where and "/" not in name and copy["node_type"] == "array") or top == ZOOM:
+                continue
+            if not header.place.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
+                continue
+            own = _json(header, f"{where}{name}/{ROOT}")
+            if not _same(own, copy, late="version" if name == OVERVIEWS else ""):
+                found[f"{where}{name}/{ROOT}"] = copy
+    return found
+
+
+def lost_metadata(header: Header) -> dict[str, dict[str, Any]]:
+    """The root's copies of the metadata of its arrays that cannot be read where they belong, by the keys of these."""
+    root, group = _json(header, ROOT) or {}, open_group(header.place, "r")
+    nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
+    found = {}
+    for name, node in nodes.items():
+        if node["node_type"] == "array" and ("/" not in name or name == DIGESTS):
+            try:
+                _ = group[name]
+            except OSError:
+                raise
+            except Exception:  # what is no JSON, or no metadata, may raise anything
+                found[f"{name}/{ROOT}"] = node
+    return found
+
+
+def restore(header: Header, copies: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write metadata anew, by their copies."""
+    for key, copy in copies.items():
+        header.place.put(key, json.dumps(_alone(copy)).encode())
+
+
+def _groups_with_copies(header: Header) -> list[str]:
+    """The keys of the metadata of tables and of levels of overviews."""
+    levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(header).levels.count + 1)]
+    return [key for key in (f"{ATTRACTORS}/{ROOT}", f"{LABELS}/{ROOT}", *levels) if header.place.exists(key)]
+
+
+def _json(header: Header, key: str) -> dict[str, Any] | None:
+    """Metadata as they are, None where there are none that can be read."""
+    try:
+        found = json.loads(header.place.get(key) or b"")
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _alone(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
+
+
+def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> bool:
+    """Whether a copy is that of these metadata; the attribute ``late`` may have been written after it was made."""
+    if own is None:
+        return False
+    one, other = _alone(own), _alone(copy)
+    attributes = [dict(each.get("attributes", {})) for each in (one, other)]
+    if late not in attributes[1]:
+        attributes[0].pop(late, None)
+    return one | {"attributes": attributes[0]} == other | {"attributes": attributes[1]}
 
 
 def coordinate_faults(header: Header) -> list[str]:

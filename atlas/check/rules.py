@@ -25,6 +25,7 @@ from workers.results import (
     REASON,
     REASONS,
     REGIME,
+    RESTED,
     UNDETERMINED,
     UNKNOWN_LABEL,
     result_variables,
@@ -212,7 +213,8 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     watched = (regime == CHAOTIC) | (regime == APERIODIC)
     yield "survived is negative", survived < 0
     yield "survived is 0 in a chaotic or aperiodic cell", watched & (survived == 0)
-    yield "survived is not 0 outside chaos", ~watched & (survived != 0)
+    rested = arrays[REASON.name] == RESTED if REASON.name in arrays else np.zeros_like(watched)
+    yield "survived is not 0 outside chaos", ~watched & ~rested & (survived != 0)
     if "periods_used" in arrays and LABEL.name not in arrays:  # there it is the table's
         yield "survived is longer than what was simulated", survived > arrays["periods_used"]
     if spec.settings.method == "fixed":

@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
@@ -14,17 +15,20 @@ from typing import Any
 import numpy as np
 
 from atlas.check.foreign import foreign_keys
-from atlas.check.metadata import coordinate_faults, metadata_faults
+from atlas.check.groups import check_groups, mend_groups
+from atlas.check.metadata import coordinate_faults, lost_metadata, metadata_faults, restore
 from atlas.check.overviews import check_overviews, drop_unsound
+from atlas.check.report import Fault, Report
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
 from atlas.errors import ChunkError, InputError
 from atlas.overview.pyramid import drop
-from atlas.service.lease import claimed
+from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
-from atlas.store.archive import refuse_packed
+from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.machine import this_machine
+from atlas.store.machines import machines
 from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
 from atlas.store.store import (
@@ -32,132 +36,22 @@ from atlas.store.store import (
     ZOOM,
     Header,
     done_tiles,
-    machines,
     open_arrays,
     open_digests,
     read_header,
     restore_coordinates,
 )
+from atlas.store.tally import Entries, tile_entry
 from atlas.store.tiles import covered_variables, digest_faults, drop_tile, read_tile
 from atlas.store.tiling import Tiling
-from atlas.store.zoom import sheet_place, sheets
+from atlas.store.zoom import drop_zoom, plane_faults, sheet_place, sheets
 from atlas.text import plural
 from workers import SOLVER_VERSION
 from workers.results import FAILED
 
 SAMPLE = 32
-SHOWN = 50
-"""Faults that a terminal gets to see; ``--json`` has all."""
 
 Index = tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Something wrong: the tile it is in, None where it is the store as a whole, and what, in a line."""
-
-    tile: Index | None
-    what: str
-
-    def __str__(self) -> str:
-        return self.what if self.tile is None else f"tile {self.tile}: {self.what}"
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a verification found.
-
-    tiles, tiles_done, chunks    in all; finished; their chunks read whole, their checksums right
-    overview_chunks              read whole, and held against the cells below them
-    digests                      whether the tiles have digests, by which an exchange of tiles is found
-    cells_checked                held against the rules
-    cells_solved                 of the sample that was asked for, solved again
-    comparison                   "bits", "error", or why none was made
-    faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
-    doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
-    repaired                     tiles made unfinished, so that the next run solves them again
-    dropped                      chunks of overviews made missing, so that the next run makes them anew
-    removed                      names among the chunks that are none
-    sheets                       of the zoom levels, verified as the stores that they are
-    """
-
-    store: str
-    tiles: int
-    tiles_done: int
-    chunks: int
-    cells_checked: int
-    cells_solved: int
-    comparison: str
-    seed: int
-    faults: tuple[Fault, ...]
-    doubts: tuple[Fault, ...]
-    overview_chunks: int = 0
-    digests: bool = True
-    repaired: tuple[Index, ...] | None = None
-    dropped: int = 0
-    removed: tuple[str, ...] = ()
-    sheets: int = 0
-
-    @property
-    def complete(self) -> bool:
-        """Whether every tile is finished."""
-        return self.tiles_done == self.tiles
-
-    @property
-    def fine(self) -> bool:
-        """Whether the store is complete and nothing speaks against it."""
-        return self.complete and not self.faults and not self.doubts
-
-    def __str__(self) -> str:
-        how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
-        lines = [
-            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
-            f"chunks   {self.chunks} read, their checksums right",
-            f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
-            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
-            f"cells    {self.cells_checked} held against the rules",
-            f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
-            if self.comparison in how
-            else f"sample   not solved again: {self.comparison}",
-        ]
-        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells held against the same"] * bool(
-            self.sheets
-        )
-        for title, found in (("found", self.faults), ("in doubt", self.doubts)):
-            lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
-            lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []
-        if self.repaired is not None:
-            what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
-            lines.append(what if self.repaired else "no tile to drop")
-            if self.dropped:
-                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: run it again to make them")
-            lines += [f"removed: {key}" for key in self.removed]
-        bad = bool(self.faults or self.doubts)
-        lines.append("fine" if self.fine else "not fine" if bad else "nothing wrong, but not complete")
-        return "\n".join(lines)
-
-    def as_dict(self) -> dict[str, Any]:
-        """What ``atlas verify --json`` prints."""
-        return {
-            "store": self.store,
-            "fine": self.fine,
-            "complete": self.complete,
-            "tiles": self.tiles,
-            "tiles_done": self.tiles_done,
-            "chunks": self.chunks,
-            "cells_checked": self.cells_checked,
-            "cells_solved": self.cells_solved,
-            "comparison": self.comparison,
-            "seed": self.seed,
-            "faults": [{"tile": fault.tile, "what": fault.what} for fault in self.faults],
-            "doubts": [{"tile": fault.tile, "what": fault.what} for fault in self.doubts],
-            "overview_chunks": self.overview_chunks,
-            "digests": self.digests,
-            "repaired": self.repaired,
-            "dropped": self.dropped,
-            "removed": self.removed,
-            "sheets": self.sheets,
-        }
 
 
 def verify(
@@ -173,30 +67,37 @@ def verify(
     checksum, and all of a tile against its digest; every cell is held against ``rules``, the sum
     law among them; every chunk of an overview is held against what it stands for. Of ``sample`` cells
     that ``seed`` draws (failed ones left out), the solution is made again: on the kind of machine that solved them
-    it has to be the same to the bit, elsewhere within the errors. ``repair`` makes every tile with a fault unfinished,
-    drops overviews that are not sound, removes names among the chunks that are none, and writes damaged coordinates
-    anew; it touches no tile that is only in doubt.
+    it has to be the same to the bit, elsewhere within the errors. So are the tables, curves, tally, records of machines
+    and zoom levels. ``repair``, which holds the store's claim throughout, makes every tile with a fault unfinished,
+    drops overviews, tables, curves and zoom levels that are not sound, removes names among the chunks that are none,
+    and writes damaged coordinates anew; it touches no tile that is only in doubt.
     Raises InputError where there is no store to verify, OSError where it cannot be read or repaired.
     """
     if sample < 0:
         raise InputError(f"sample: found {sample}, must be 0 or more")
-    header = read_header(store)
+    place = read_header(store).place
     if repair:
-        refuse_packed(header.place)
+        refuse_packed(place)
     seed = random.SystemRandom().randrange(2**32) if seed is None else seed
-    with reporting(on_progress) as report:
+    with reporting(on_progress) as report, ExitStack() as stack:
         notify = report or (lambda _: None)
-        return _with_zoom(_verified(header, sample, repair, seed, notify), header, sample, repair, notify)
+        claim = stack.enter_context(claimed(notes_of(place), str(place))) if repair else None
+        header = read_header(place)
+        return _with_zoom(_verified(header, sample, claim, seed, notify), header, sample, claim, notify)
 
 
-def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Callable[[Progress], None]) -> Report:
+def _verified(
+    header: Header, sample: int, claim: Claim | None, seed: int, notify: Callable[[Progress], None]
+) -> Report:
+    """The report on a store; repaired where its claim is given."""
     tiling = header.tiling
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(header))
     report = Report(str(header.place), tiling.count, len(done), 0, 0, 0, "no cell is done", seed, faults=(), doubts=())
     faults = [Fault(None, what) for what in metadata_faults(header)]
     if faults:  # whatever is read through wrong metadata means nothing
-        return replace(report, comparison="the metadata are damaged", faults=tuple(faults))
+        report = replace(report, comparison="the metadata are damaged", faults=tuple(faults))
+        return report if claim is None else _with_metadata(header, report, claim)
     report = replace(report, digests=open_digests(header) is not None)
     worn = coordinate_faults(header)
     faults += [Fault(None, what) for what in worn]
@@ -205,10 +106,12 @@ def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Call
 
     chunks = cells = 0
     samples: list[Sample] = []
+    counted: dict[Index, Entries] = {}
     for tile in _read_all(header, done, draw_cells(tiling, done, sample, seed), notify):
         faults += [Fault(tile.index, what) for what in tile.faults]
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
+        counted |= {tile.index: tile.entry} if tile.entry is not None else {}
 
     comparison = _comparison(header, sample, bool(done))
     report = replace(report, chunks=chunks, cells_checked=cells, comparison=comparison)
@@ -227,52 +130,81 @@ def _verified(header: Header, sample: int, repair: bool, seed: int, notify: Call
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
     overviews = check_overviews(header, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
     faults += [Fault(None, what) for what in overviews.faults]
+    notify(Progress("checking tables and tally"))
+    groups = check_groups(header, counted)
+    faults += [Fault(None, what) for what in groups.faults]
     report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
-    if not repair:
+    if claim is None:
         return report
+    claim.check()
     if worn:
         restore_coordinates(header)
-    with claimed(notes_of(header.place), str(header.place)):
-        drop_unsound(header, overviews)
-        drop(header, bad)  # first: an overview must not outlive what it is of
-        for index in bad:
-            drop_tile(header, index)
-        for key in foreign:
-            header.place.remove(key)
-    return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign)
+    drop_unsound(header, overviews)
+    drop(header, bad)  # first: an overview must not outlive what it is of
+    for index in bad:
+        drop_tile(header, index)
+    for key in foreign:
+        header.place.remove(key)
+    mended = tuple(mend_groups(header, groups))
+    return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign, mended=mended)
 
 
-def _with_zoom(report: Report, header: Header, sample: int, repair: bool, notify: Callable[[Progress], None]) -> Report:
-    """The report with what is wrong in the zoom levels, whose sheets are stores themselves.
+def _with_metadata(header: Header, report: Report, claim: Claim) -> Report:
+    """The report after metadata of arrays that cannot be read were restored from the root's copy of them."""
+    claim.check()
+    lost = lost_metadata(header)
+    restore(header, lost)
+    mended = tuple(f"{key} written again, as the root's copy has it: verify it once more" for key in lost)
+    return replace(report, repaired=(), mended=mended)
+
+
+def _with_zoom(
+    report: Report, header: Header, sample: int, claim: Claim | None, notify: Callable[[Progress], None]
+) -> Report:
+    """The report with what is wrong in the zoom levels, whose sheets are stores themselves; a repair drops these.
 
     Of as many sheets as the sample has cells, one cell each is solved again.
     """
     found = sheets(header)
+    planes = {} if isinstance(header.place, ZipPlace) else plane_faults(header)
     solved = set(random.Random(report.seed).sample(found, min(sample, len(found))))
     faults, doubts = list(report.faults), list(report.doubts)
+    faults += [Fault(None, f"{key} {what}") for key, what in planes.items()]
+    bad: list[tuple[str, ...]] = [tuple(key.split("/")[1:-1]) for key in planes]
     for k, (plane, sheet) in enumerate(found, 1):
         notify(Progress(f"reading the zoom levels: sheet {k} of {len(found)}", passing=True))
         try:
             inner = read_header(sheet_place(header, plane, sheet))
         except InputError as error:
             faults.append(Fault(None, str(error)))
+            bad.append((plane, sheet))
             continue
-        own = _verified(inner, int((plane, sheet) in solved), repair, report.seed, lambda _: None)
+        own = _verified(inner, int((plane, sheet) in solved), None, report.seed, lambda _: None)
+        bad += [(plane, sheet)] if own.faults else []
         for all_of, some in ((faults, own.faults), (doubts, own.doubts)):
             all_of += [Fault(None, f"{ZOOM}/{plane}/{sheet}: {fault}") for fault in some]
-    return replace(report, sheets=len(found), faults=tuple(faults), doubts=tuple(doubts))
+    mended = list(report.mended)
+    if claim is not None and bad:
+        claim.check()
+        drop_zoom(header, bad)
+        mended.append(f"{ZOOM}: {plural(len(set(bad)), 'folder')} dropped: the explorer solves again what it shows")
+    return replace(report, sheets=len(found), faults=tuple(faults), doubts=tuple(doubts), mended=tuple(mended))
 
 
 @dataclass(frozen=True)
 class _Checked:
-    """A tile read: good chunks, cells held against the rules, what is wrong, and the cells drawn from it."""
+    """A tile read: good chunks, cells held against the rules, what is wrong, and the cells drawn from it.
+
+    ``entry`` is that of the tally, by the cells; None where they cannot be read.
+    """
 
     index: Index
     chunks: int
     cells: int
     faults: tuple[str, ...]
     samples: tuple[Sample, ...]
+    entry: Entries | None = None
 
 
 def _read_all(
@@ -322,7 +254,9 @@ def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: I
     absent = [v.name for v in (*header.variables, *header.unknown) if v.sparse and v.name in values]
     chunks = len(stored) - sum(1 for name in absent if not values[name].any())
     # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
-    return _Checked(index, chunks, tile.size, faults, tuple(one for one in samples if one.regime != FAILED))
+    kept = tuple(one for one in samples if one.regime != FAILED)
+    entry = tile_entry(header.spec, tile.slices, header.leading(values))
+    return _Checked(index, chunks, tile.size, faults, kept, entry)
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:

@@ -1,5 +1,7 @@
 """The command that follows the orbit of a cell along one parameter."""
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,13 +11,14 @@ from atlas.branches.branch import MOST, tree_from
 from atlas.branches.seed import seed_of_cell, seed_of_point
 from atlas.branches.table import Branches
 from atlas.cli.options import (
+    at_option,
+    check_cell_options,
     examples,
     input_errors,
     json_option,
     look_options,
     read_number,
     read_pairs,
-    say,
     select_option,
     set_option,
     settings_options,
@@ -27,10 +30,11 @@ from atlas.query.export import write_rows, written_whole
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.render import FORMATS, LOOK, branch_figure
-from atlas.spec.spec import checked_settings
-from atlas.task.compile import warming
+from atlas.service.progress import Progress, prepare_kernels, reporter
+from atlas.spec.spec import checked_parameters, checked_settings
+from atlas.spec.system import checked_system
+from atlas.task.compile import ORBITS
 from atlas.text import plural
-from workers.model.system import DEFAULT
 
 if TYPE_CHECKING:
     import pandas
@@ -52,7 +56,7 @@ TABLES = ("csv", "json")
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Its lower end.")
 @click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Its upper end.")
 @set_option
-@click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="With STORE: its cell nearest to a point.")
+@at_option
 @select_option
 @system_option
 @click.option("--leaving", is_flag=True, help="Also what leaves at period doublings and symmetry breakings, in turn.")
@@ -88,9 +92,9 @@ def branch(
     """
     _check_out(out)
     look = {name: options.pop(name) for name in LOOK if name in options}
-    with input_errors():
-        seed = _seed(store, given, point, select, system, options)
-        say("following")
+    with input_errors(), reporter(sys.stderr) as show:
+        seed = _seed(show, store, given, point, select, system, options)
+        show(Progress("following"))
         found = Branches.of(tree_from(seed, along, (low, high), leaving, budget))
         if out is not None:
             _write(found, out, look)
@@ -121,6 +125,7 @@ def summary(found: Branches) -> dict[str, Any]:
 
 
 def _seed(
+    show: Callable[[Progress], None],
     store: str | None,
     given: tuple[str, ...],
     point: tuple[str, ...],
@@ -129,16 +134,15 @@ def _seed(
     options: dict[str, Any],
 ) -> "Seed":
     """The orbit of the cell that is asked for."""
+    check_cell_options(store)
     pairs, at = read_pairs("--set", given, read_number), read_pairs("--at", point, read_number)
     if store is None:
-        for name, value in (("--at", at), ("--select", select)):
-            if value:
-                raise InputError(f"{name} is for a cell of a STORE, and none is given; without one, give --set")
         settings = checked_settings(options)
-        say(f"{warming()}, solving")
+        checked_parameters(checked_system(system), pairs)
+        prepare_kernels(show, ORBITS)
+        show(Progress("solving"))
         return seed_of_point(pairs, system, settings)
-    if pairs or system != DEFAULT:
-        raise InputError(f"{'--set' if pairs else '--system'} is for a cell without a STORE; of a STORE, give --at")
+    prepare_kernels(show, ORBITS)
     return seed_of_cell(selected(open_atlas(store), read_pairs("--select", select, read_number)), at)
 
 
@@ -166,7 +170,7 @@ def _print(found: Branches) -> None:
     for event in found.untried:
         kind, value = event.event.kind.replace("_", " "), event.event.point.values[0]
         click.echo(f"not followed: branch {event.branch}, {kind} at {value:.10g}: {event.why}")
-    click.echo(f"{plural(len(rows), 'event')} on {len(found.traced)} branch{'es' if len(found.traced) > 1 else ''}")
+    click.echo(f"{plural(len(rows), 'event')} on {plural(len(found.traced), 'branch', 'branches')}")
 
 
 def _name(each: dict[str, Any]) -> str:

@@ -1,5 +1,6 @@
 """Commands about one cell, and about the systems and examples that there are."""
 
+import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,8 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
+    at_option,
+    check_cell_options,
     examples,
     input_errors,
     json_option,
@@ -14,63 +17,114 @@ from atlas.cli.options import (
     picture_option,
     read_number,
     read_pairs,
-    say,
+    select_option,
     set_option,
     settings_options,
     system_option,
 )
-from atlas.cli.output import print_table, text, to_json
+from atlas.cli.output import print_attractors, print_table, text, to_json
+from atlas.errors import InputError
+from atlas.query.cell import SolvedCell, solved_cell
+from atlas.query.open import open_atlas
+from atlas.query.window import select as select_plane
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
+from atlas.service.progress import Progress, prepare_kernels, reporter
+from atlas.spec.equation import equation_of
 from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
 from atlas.spec.system import checked_system
-from atlas.task.compile import warming
+from atlas.task.compile import ATTRACTORS
 from workers.model.system import System, find_system, system_names
+from workers.starts import MOST_STARTS, Starts
 
 
 @click.command(
     epilog=examples(
         "atlas point --set omega=4 --set b=0.1 --exponents spectrum",
         "atlas point --system impact-damper --set omega=1 --json",
+        "atlas point --set omega=4 --set b=0.1 --attractors",
     )
 )
 @set_option
 @system_option
+@click.option("--attractors", "every", is_flag=True, help="All attractors that initial states reach, with shares.")
+@click.option(
+    "--starts",
+    type=click.IntRange(1, MOST_STARTS),
+    default=Starts.count,
+    show_default=True,
+    help="Initial states, with --attractors.",
+)
 @settings_options()
 @json_option
-def point(given: tuple[str, ...], system: str, as_json: bool, **solve: Any) -> None:
-    """Solve one cell and print all its results."""
+def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json: bool, **solve: Any) -> None:
+    """Solve one cell and print all its results, or with --attractors all its attractors."""
+    from atlas.cell.attractors import attractors
     from atlas.cell.point import point as solve_point
 
+    if starts != Starts.count and not every:
+        raise InputError("--starts goes with --attractors: without it one initial state is solved")
     pairs, settings = read_pairs("--set", given, read_number), checked_settings(solve)
     record = checked_system(system)
     checked_parameters(record, pairs)
-    if not as_json:
-        say(f"{warming()}, solving")
-    found = solve_point(pairs, system=record, settings=settings)
+    with reporter(sys.stderr) as show:
+        prepare_kernels(show, *((ATTRACTORS,) if every else ()))
+        show(Progress("solving"))
+        if every:
+            found = attractors(pairs, system=record, settings=settings, starts=starts)
+        else:
+            found = solve_point(pairs, system=record, settings=settings)
     if as_json:
         click.echo(to_json(found))
-    else:
-        shown = found | {"system": record.name}
-        print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
+        return
+    shown = found | {"system": record.name}
+    several = shown.pop("coexisting", [])
+    print_table("", ["", ""], [(name, text(value)) for name, value in shown.items()])
+    print_attractors(several)
 
 
-@click.command(epilog=examples("atlas portrait --set omega=3 --set b=0.2 -o cell.png"))
+@click.command(
+    epilog=examples(
+        "atlas portrait --set omega=3 --set b=0.2 -o cell.png",
+        "atlas portrait plane.zarr --at omega=3 --at b=0.2 -o cell.png",
+    )
+)
+@click.argument("store", required=False)
 @set_option
+@at_option
+@select_option
 @system_option
 @picture_option
 @look_options("vmin", "vmax")
 @settings_options("exponents", "section_samples")
-def portrait(given: tuple[str, ...], system: str, out: Path, **options: Any) -> None:
-    """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge."""
+def portrait(
+    store: str | None,
+    given: tuple[str, ...],
+    point: tuple[str, ...],
+    select: tuple[str, ...],
+    system: str,
+    out: Path,
+    **options: Any,
+) -> None:
+    """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge.
+
+    The cell is one of STORE, by --at, solved anew with its settings, or is given by --set.
+    """
     check_path(out)
+    check_cell_options(store)
     look = {name: options.pop(name) for name in LOOK if name in options}
-    pairs, settings = read_pairs("--set", given, read_number), checked_settings(options)
-    record = checked_system(system)
-    checked_parameters(record, pairs)
-    say(f"{warming()}, solving, drawing")
-    with input_errors():
-        draw_portrait(pairs, system=record, settings=settings, path=out, **look)
+    with input_errors(), reporter(sys.stderr) as show:
+        if store is None:
+            record = checked_system(system)
+            values = read_pairs("--set", given, read_number)
+            checked_parameters(record, values)
+            cell = SolvedCell(record, values, checked_settings(options))
+        else:
+            ds = select_plane(open_atlas(store), read_pairs("--select", select, read_number))
+            cell = solved_cell(ds, read_pairs("--at", point, read_number))
+        prepare_kernels(show)
+        show(Progress("solving and drawing"))
+        draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))
 
 
@@ -109,7 +163,7 @@ def example(name: str | None) -> None:
 def _print_system(record: System) -> None:
     """Title, equation, picture, parameters, source and usual axes."""
     click.echo(f"{record.name}: {record.title}")
-    for part in (record.equation, record.picture):
+    for part in (equation_of(record), record.picture):
         if part.strip():
             click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
     click.echo()

@@ -40,8 +40,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
     from atlas.query.compare import Comparison
 
     bounds = read_pairs("--window", window, read_bounds)
-    asked = {**look, "title": None, "no_title": True if not look["title"] else None}
-    given = [name for name, value in asked.items() if value is not None]
+    given = [f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)]
     if out is not None:
         check_path(out)
     elif given:

@@ -1,5 +1,6 @@
 """The command that opens the explorer."""
 
+import sys
 import threading
 import webbrowser
 
@@ -18,8 +19,7 @@ from atlas.cli.options import (
     timing_of,
     workers_option,
 )
-from atlas.task.compile import compile_once, warming
-from workers import Settings
+from atlas.service.progress import prepare_kernels, reporter
 
 PACKAGED = "omega-b"
 """What is explored where nothing is named."""
@@ -33,7 +33,13 @@ GB = 10**9
 @workers_option
 @click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
 @click.option("--keep/--no-keep", default=True, help="Keep explored cells in STORE, in its group zoom.")
-@click.option("--limit", type=click.FloatRange(min=0.0), default=2.0, show_default=True, help="GB to keep at most.")
+@click.option(
+    "--limit",
+    type=click.FloatRange(min=0.0),
+    default=0.25,
+    show_default=True,
+    help="GB to keep at most; then the oldest go.",
+)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page; default: any free one.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
 @click.pass_context
@@ -59,8 +65,8 @@ def explore(
     check_workers(scheduler, workers)
     chosen = read_pairs("--select", select, read_number)
     if scheduler is None:
-        say(warming())
-        compile_once(Settings())
+        with reporter(sys.stderr) as show:
+            prepare_kernels(show)
     try:
         with interruptible():
             running = start(
@@ -75,6 +81,8 @@ def explore(
                 timing=timing_of(ctx),
             )
             try:
+                if running.explorer.keeper.header is not None:
+                    say(f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none")
                 click.echo(running.url)
                 if browser:
                     webbrowser.open(running.url)

@@ -10,8 +10,10 @@ from types import FrameType
 from typing import TypeVar
 
 import click
+from click.core import ParameterSource
 
 from atlas.errors import ChunkError, InputError, NetworkError, shown
+from atlas.service.options import MOST_WORKERS
 from atlas.service.timing import TIMING, Timing
 from workers import Settings
 from workers.model.system import DEFAULT
@@ -35,7 +37,9 @@ SETTING_MEANINGS = {
 
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
 workers_option = click.option(
-    "--workers", type=click.IntRange(min=1), help="Worker processes on this machine; default: one a processor."
+    "--workers",
+    type=click.IntRange(1, MOST_WORKERS),
+    help="Worker processes on this machine; default: one a processor.",
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 window_option = click.option(
@@ -70,6 +74,7 @@ def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[...,
         "vmin": click.option("--vmin", type=float, help="Lower end of the scale, for several pictures on one."),
         "vmax": click.option("--vmax", type=float, help="Upper end of the scale."),
         "title": click.option("--title/--no-title", default=True, help="Whether the fixed parameters stand above."),
+        "legend": click.option("--legend/--no-legend", default=True, help="Whether there is a legend."),
         "style": click.option("--style", metavar="FILE", help="A matplotlib style, or the name of one."),
     }
 
@@ -109,6 +114,26 @@ def meanings(title: str, words: Mapping[str, str]) -> str:
 
 def _as_it_stands(title: str, lines: Iterable[str]) -> str:
     return "\b\n" + "\n".join([title, *(f"  {line}" for line in lines)])  # \b: not to be filled anew
+
+
+def at_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The option --at of a command on one cell, of a STORE or not."""
+    words = "With STORE: its cell nearest to a point; one value for each axis."
+    return click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help=words)(command)
+
+
+def check_cell_options(store: str | None) -> None:
+    """InputError where an option of the current command does not go with a cell of a STORE, or without one."""
+    context = click.get_current_context()
+    settings = {field.name for field in fields(Settings)}
+    wrong = {"point", "select"} if store is None else {"given", "system"} | settings
+    for each in context.command.params:
+        if each.name in wrong and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE:
+            if store is None:
+                raise InputError(
+                    f"{each.opts[-1]} is for a cell of a STORE, and none is given; without one, give --set"
+                )
+            raise InputError(f"{each.opts[-1]} is for a cell without a STORE; a cell of a STORE has its own, give --at")
 
 
 def say(text: str) -> None:

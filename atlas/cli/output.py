@@ -3,7 +3,7 @@
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,14 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
     for row in rows:
         table.add_row(*map(Text, row))
     console.print(table)
+
+
+def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
+    """The attractors of one cell as a table, a column each."""
+    if several:
+        names = [name for name, value in several[0].items() if not isinstance(value, list)]
+        rows = [(name, *(text(each.get(name, "")) for each in several)) for name in names]
+        print_table("attractors", ["", *map(str, range(len(several)))], rows)
 
 
 def text(value: Any) -> str:

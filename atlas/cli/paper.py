@@ -10,7 +10,7 @@ from atlas.errors import InputError, RunError
 from atlas.query.open import open_atlas
 from atlas.render import FORMATS, render, render_orbit
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.progress import Progress
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import run
 from atlas.spec.spec import Spec
 from workers import Settings
@@ -57,6 +57,7 @@ def figures(
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
     written = []
+    prepare_kernels(options.report)
     for name, parameters in CELLS.items():
         options.report(Progress(f"{name}: solving and drawing"))
         orbit = cell_orbit(parameters, settings=settings)

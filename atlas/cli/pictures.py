@@ -24,7 +24,7 @@ from atlas.cli.paper import figures as draw_figures
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
-from atlas.render import FORMATS, OVERLAYS, check_path, side_by_side
+from atlas.render import CURVES, FORMATS, OVERLAYS, check_path, side_by_side
 from atlas.render import render as draw
 from atlas.render.meanings import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.service.options import RunOptions
@@ -36,6 +36,7 @@ from atlas.service.progress import reporter
         [
             meanings("Kinds:", KIND_MEANINGS),
             meanings("Overlays:", OVERLAY_MEANINGS),
+            meanings("Curves:", {", ".join(CURVES[:4]): "", ", ".join(CURVES[4:]): ""}),
             examples(
                 "atlas render plane.zarr -o chaos.png --overlay grazing",
                 "atlas render plane.zarr -o period.pdf --kind period --window omega=2:3 --width 85mm",
@@ -52,11 +53,12 @@ from atlas.service.progress import reporter
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
     "--overlay",
-    "overlays",
     type=click.Choice(OVERLAYS),
     multiple=True,
     help="Lines over a map or a sweep; may be given again.",
 )
+@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds alone, such as fold,graze; default: all.")
+@click.option("--names/--no-names", default=True, help="Whether names of points and motions stand on a map.")
 @click.option("--against", metavar="STORE", help="A second sweep of the same axis, for hysteresis.")
 @window_option
 @select_option
@@ -67,7 +69,9 @@ def render(
     kind: str | None,
     variable: str | None,
     log: bool,
-    overlays: tuple[str, ...],
+    overlay: tuple[str, ...],
+    curves: str | None,
+    names: bool,
     against: str | None,
     window: tuple[str, ...],
     select: tuple[str, ...],
@@ -81,11 +85,8 @@ def render(
 
     check_path(out)
     bounds, at = read_pairs("--window", window, read_bounds), read_pairs("--select", select, read_number)
-    given = [
-        name
-        for name, value in {"overlay": overlays, "against": against, "variable": variable, "log": log}.items()
-        if value
-    ]
+    single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
+    given = [name for name, value in {**single, "variable": variable}.items() if value]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} goes with one STORE, found {len(stores)}")
     with input_errors(), counted() as reads:
@@ -93,16 +94,15 @@ def render(
         other = None if against is None else selected(open_atlas(against), at)
         say("drawing")
         if len(atlases) > 1:
-            names = [store.rstrip("/").rpartition("/")[2] for store in stores]
-            side_by_side(atlases, kind, bounds, names=names, path=out, **look)
+            stems = [store.rstrip("/").rpartition("/")[2] for store in stores]
+            side_by_side(atlases, kind, bounds, names=stems, path=out, **look)
         else:
             draw(
-                atlases[0], out, kind=kind, window=bounds, overlays=overlays, against=other, variable=variable, log=log,
-                **look,
+                atlases[0], out, kind=kind, window=bounds, overlay=overlay, curves=curves, names=names, against=other,
+                variable=variable, log=log, **look,
             )  # fmt: skip
     if reads.chunks:
-        cells = f"overview {reads.level}" if reads.level else "the cells themselves"
-        say(f"{reads.chunks} chunks read, of {cells}")
+        say(str(reads))
     click.echo(str(out))
 
 

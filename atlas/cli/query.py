@@ -19,7 +19,7 @@ from atlas.cli.options import (
     store_argument,
     window_option,
 )
-from atlas.cli.output import print_table, text, to_json
+from atlas.cli.output import print_attractors, print_table, text, to_json
 from atlas.errors import InputError
 from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
@@ -111,7 +111,7 @@ def query(
         else:
             _cells(ds, wanted, bounds, out, as_json)
     if not point and out is None and not as_json:
-        say(f"{reads.chunks} chunks read")
+        say(f"{plural(reads.chunks, 'chunk')} read from the store")
 
 
 def _cells(
@@ -135,7 +135,7 @@ def _cells(
     elif point or out:
         several = list(found.pop("coexisting", []))
         print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
-        _print_attractors(several)
+        print_attractors(several)
     else:
         print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
         click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
@@ -151,15 +151,7 @@ def _basins(ds: "xr.Dataset", bounds: dict[str, tuple[float, float]], as_json: b
         return
     several = found.pop("attractors")
     print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
-    _print_attractors(several)
-
-
-def _print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
-    """The attractors of one cell as a table, a column each."""
-    if several:
-        names = [name for name, value in several[0].items() if not isinstance(value, list)]
-        rows = [(name, *(text(each.get(name, "")) for each in several)) for name in names]
-        print_table("attractors", ["", *map(str, range(len(several)))], rows)
+    print_attractors(several)
 
 
 def _windows(

@@ -29,7 +29,7 @@ from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
 from atlas.service.options import RunOptions
-from atlas.service.plan import check_disk, make_plan
+from atlas.service.plan import disk_shortage, make_plan
 from atlas.service.probe import probe as measure
 from atlas.service.run import run as run_spec
 from atlas.service.submit import submit as submit_spec
@@ -38,8 +38,8 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
-from atlas.task.compile import compile_once, warming
 from atlas.task.retry import RETRIABLE, checked_retry
+from atlas.task.solving import kernels_of
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
@@ -53,7 +53,7 @@ points_option = click.option(
 @click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
 @click.argument("spec")
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
-@workers_option
+@click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one a processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @points_option
 @json_option
@@ -63,12 +63,13 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
     made = make_plan(read, workers)
     place = place_of(out)
     refuse_packed(place)
-    if place.local is not None:
-        check_disk(made, place.local)
+    if place.local is not None and (shortage := disk_shortage(made, place.local)):
+        say(f"atlas run will refuse this: {shortage}")
     if probe:
-        say(f"{warming(read.attractors is not None)}, probing a few cells")
-        compile_once(read.settings, read.attractors is not None)
-        made = replace(made, probe=measure(read, made.tiling.tile))
+        with progress.reporter(sys.stderr) as show:
+            progress.prepare_kernels(show, *kernels_of(read))
+            show(progress.Progress("probing a few cells"))
+            made = replace(made, probe=measure(read, made.tiling.tile))
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
@@ -244,8 +245,8 @@ def _report(ctx: click.Context, summary: Summary) -> None:
     """Print how a run ended, and exit with 1 where a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
-        say(f"worker {worker} did no tile: {reason}")
+        say(f"worker {worker} got no more tiles: {reason}")
     for failure in summary.failures:
-        say(f"tile {failure.index} failed: {failure.message}")
+        say(str(failure))
     if summary.failures:
         ctx.exit(1)

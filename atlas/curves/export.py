@@ -8,7 +8,7 @@ from typing import Any
 
 from atlas.curves.table import Curve, Curves
 from atlas.errors import InputError
-from atlas.query.export import written_whole
+from atlas.query.export import check_writable, written_whole
 
 FORMATS = (".csv", ".json")
 
@@ -36,10 +36,11 @@ def export(found: Curves, path: str | Path) -> None:
 
 
 def check_path(path: Path) -> None:
-    """InputError unless the suffix is one that ``export`` knows."""
+    """InputError unless the suffix is one that ``export`` knows, and a file can be written there."""
     if path.suffix.lower() not in FORMATS:
         shown = f"found {path.suffix!r}" if path.suffix else "found none"
         raise InputError(f"{path.name}: the suffix chooses the format, {shown}; possible: {', '.join(FORMATS)}")
+    check_writable(path)
 
 
 def columns(axes: tuple[str, str]) -> list[str]:

@@ -16,15 +16,16 @@ from atlas.store.curves import get_part, put_part
 from atlas.store.location import place_of
 from atlas.store.outage import LONG
 from atlas.store.store import Header, read_header
-from atlas.task.compile import compile_once
-from atlas.task.task import RefusedError, checked_header, file_errors
+from atlas.task.compile import ORBITS, compile_once
+from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
 
 
 @dataclass(frozen=True)
 class CurveJob:
     """A task of a search in a store, by the name of the part that is to hold its result.
 
-    ``digest`` is that of the search: a worker whose store gives another one refuses. ``do_and_keep`` redoes it by hand.
+    ``digest`` is that of the search: a worker whose store gives another one refuses. ``claim`` is the token of the
+    search's claim of the store: where that is lost, nothing is kept. ``do_and_keep`` redoes it by hand.
     """
 
     index: tuple[int, ...]
@@ -36,6 +37,7 @@ class CurveJob:
     run_id: str
     solver_version: int
     patience: float = LONG
+    claim: str = ""
 
 
 @dataclass(frozen=True)
@@ -51,18 +53,20 @@ def do_and_keep(job: CurveJob) -> CurveReceipt:
     """Do a task and keep its result as a part of the store."""
     with file_errors(job.store):
         header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
-        compile_once(header.spec.settings)
-        begin = time.thread_time()
-        orbits = _orbits(job.store, job.run_id, job.digest, job.settings)
-        try:
-            found = do(
-                job.task, orbits, lambda name: read_part(header, name), lambda name: _curve(job.store, job.digest, name)
-            )
-        except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
-            # One place at which a method breaks down must not end the search: it is counted, in words.
-            found = {"trouble": f"{type(error).__name__}: {error}"}
+    compile_once(ORBITS)
+    begin = time.thread_time()
+    orbits = _orbits(job.store, job.run_id, job.digest, job.settings)
+    try:
+        found = do(
+            job.task, orbits, lambda name: read_part(header, name), lambda name: _curve(job.store, job.digest, name)
+        )
+    except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
+        # One place at which a method breaks down must not end the search: it is counted, in words.
+        found = {"trouble": f"{type(error).__name__}: {error}"}
+    with file_errors(job.store):
+        check_claim(header.place, job.claim)
         put_part(header, job.name, json.dumps(found).encode())
-        return CurveReceipt(job.index, job.name, time.thread_time() - begin)
+    return CurveReceipt(job.index, job.name, time.thread_time() - begin)
 
 
 def read_part(header: Header, name: str) -> dict[str, Any]:

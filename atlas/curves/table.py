@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError
+from atlas.errors import ChunkError, message_of
 from atlas.store.curves import GROUP, read_arrays, write_arrays
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
@@ -102,7 +102,7 @@ def read_curves(header: Header) -> Curves | None:
     try:
         return from_arrays(*stored)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise ChunkError(header.place, {GROUP: f"is damaged ({error}); make it anew by atlas curves"}) from None
+        raise ChunkError(header.place, {GROUP: f"is damaged ({message_of(error)})"}) from None
 
 
 def as_arrays(found: Curves) -> dict[str, StoredArray]:

@@ -30,7 +30,7 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
     """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
     subject = explorer.subject
     ds = explorer.known.seen(chosen.plane, sight, chosen.names)
-    options: dict[str, Any] = {"overlays": chosen.drawn(subject)}
+    options: dict[str, Any] = {"overlay": chosen.drawn(subject)}
     if chosen.kind == SCALAR:
         options |= {"variable": chosen.variable, "log": chosen.log}
     if chosen.kind == SCALAR or has_scale(chosen.kind):

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
-from atlas.query.attractors import in_words
 from atlas.query.queries import at
 from atlas.task.patch import Patch
 from workers.results import ATTRACTOR, result_variables

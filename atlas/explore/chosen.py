@@ -38,8 +38,17 @@ class Chosen:
         return list(dict.fromkeys([*own, *([LARGEST.name] if "isolines" in self.overlays else []), REGIME.name]))
 
     def drawn(self, subject: Subject) -> tuple[str, ...]:
-        """The overlays that its plane has: curves are those of the atlas's own."""
+        """The overlays that its plane has."""
         return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
+
+    def without_curves(self, subject: Subject) -> str:
+        """Why the curves that it asks for are not those of its plane; empty where they are, or it asks for none."""
+        if self.plane == subject.plane or (CURVES not in self.overlays and self.kind != CHART):
+            return ""
+        own = dict(subject.plane.parameters)
+        moved = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
+        there, here = (", ".join(f"{each[0]} = {each[i]:.6g}" for each in moved) for i in (1, 2))
+        return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
     @property
     def scale(self) -> tuple[str, str, bool]:

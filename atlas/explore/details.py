@@ -7,7 +7,7 @@ from typing import Any
 
 from bokeh.events import MouseMove, Tap
 from bokeh.layouts import row
-from bokeh.models import Button, CustomJS, Div, TextInput
+from bokeh.models import Button, ColumnDataSource, CustomJS, Div, TextInput
 
 from atlas.errors import InputError
 from atlas.explore.actions import portrait_image
@@ -26,13 +26,22 @@ ALL = "<h4>all attractors of this cell</h4>"
 
 
 class Details:
-    """The panels, and what fills them. ``looked_at`` gives the plane and the view that the page shows."""
+    """The panels, and what fills them.
+
+    looked_at   gives the plane and the view that the page shows
+    mark        where the page marks the cell clicked, x and y
+    """
 
     def __init__(
-        self, explorer: Explorer, background: Background, looked_at: Callable[[], tuple[Plane, Sight | None]]
+        self,
+        explorer: Explorer,
+        background: Background,
+        looked_at: Callable[[], tuple[Plane, Sight | None]],
+        mark: ColumnDataSource,
     ) -> None:
         self._explorer, self._subject = explorer, explorer.subject
-        self._background, self._looked_at = background, looked_at
+        self._background, self._looked_at, self._mark = background, looked_at, mark
+        self._marked: tuple[Plane, float, float] | None = None
         self._pointer: tuple[float, float] | None = None
         self._looking = False
         self._clicks = 0
@@ -75,8 +84,16 @@ class Details:
         if event.x is None or event.y is None:
             return
         self._clicks += 1
+        self._marked = (self._looked_at()[0], event.x, event.y)
+        self.draw_mark()
         self._clicked.text = f"{CLICKED}solving it"
         self._background.run(partial(self._detail, (event.x, event.y), self._clicks))
+
+    def draw_mark(self) -> None:
+        """Mark the cell clicked where it is one of the plane that the page shows."""
+        shown = self._marked is not None and self._marked[0] == self._looked_at()[0]
+        x, y = self._marked[1:] if self._marked is not None else (0.0, 0.0)
+        self._mark.data = {"x": [x], "y": [y]} if shown else {"x": [], "y": []}
 
     def _look_up(self) -> None:
         if self._pointer is not None and not self._looking:
@@ -120,10 +137,16 @@ class Details:
             self._clicked.text = f"{CLICKED}not known yet"
             self._attractors.text = self._portrait.text = self._numbers.text = ""
             self._point.visible = self._copy.visible = False
+            self._marked = None
+            self.draw_mark()
 
     def _show(self, cell: Cell, drawn: str, click: int) -> None:
         if click != self._clicks:
             return
+        x, y = (cell.parameters[axis.name] for axis in self._subject.spec.axes)
+        plane = Plane(tuple((name, cell.parameters[name]) for name, _ in self._subject.plane.parameters))
+        self._marked = (plane, x, y)
+        self.draw_mark()
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = cell_table(cell, self._subject)
         self._point.update(value=point_line(cell, self._subject), visible=True)

@@ -14,14 +14,16 @@ from atlas.explore.sheets import SheetKey, Sheets, depth
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
-from atlas.service.lease import CLAIM, claimed
-from atlas.store.sidecar import notes_of
+from atlas.service.lease import claimed
+from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import write_tile
 from atlas.store.zoom import drop_sheet, note_seen, seen_sheets, sheet_bytes, sheets
 
-MOST_BYTES = 2 * 2**30
-"""Bytes that the zoom levels of a store may take on its disk."""
+MOST_BYTES = 250_000_000
+"""Bytes that the zoom levels of a store may take on its disk. A file takes a whole block, a tile about twenty files: so
+these are 61,000 files at most, a few screens full of cells.
+"""
 TOGETHER = 64
 """Tiles written in one turn, so that others get theirs."""
 PAUSE = 1.0

@@ -22,6 +22,7 @@ from bokeh.models import (
     Div,
     GlobalInlineStyleSheet,
     InlineStyleSheet,
+    Toggle,
 )
 
 from atlas.errors import InputError
@@ -33,12 +34,14 @@ from atlas.explore.details import Details
 from atlas.explore.explorer import Explorer
 from atlas.explore.painter import KEY_WIDTH, Painted, Painter
 from atlas.explore.plot import label_axes, make_plot
-from atlas.explore.style import KEY, LINE, PAGE, PANEL, TEXT
+from atlas.explore.style import FOLD, KEY, LINE, MIDDLE, PAGE, PANEL, PLANE, TEXT, WHOLE
 from atlas.explore.words import png_address, progress, title
 from atlas.render import SCALAR
 
 LEFT, RIGHT = 232, 320
-"""Widths of the columns beside the plane, in pixels."""
+"""Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
+FOLDED = "folded"
+"""The class of controls that a page of a single column hides."""
 LINE_HEIGHT = 20
 LEAST = 16
 """Pixels of a plane that is worth drawing."""
@@ -79,9 +82,9 @@ class Page:
         self._ends: tuple[float | None, float | None] = (None, None)
         self._controls = Controls(self._subject, chosen)
         self._background = Background(document, self._refused)
-        self._details = Details(explorer, self._background, lambda: (self._chosen.plane, self._painter.sight))
         self._sizes: dict[str, int] = {}
-        self._plot, self._image = make_plot(self._subject, chosen)
+        self._plot, self._image, mark = make_plot(self._subject, chosen)
+        self._details = Details(explorer, self._background, lambda: (self._chosen.plane, self._painter.sight), mark)
         self._make_panels()
         self._wire()
         document.title = f"{self._subject.name}: explorer"
@@ -90,7 +93,7 @@ class Page:
         self._painter = Painter(
             explorer,
             lambda painted: self._background.show(partial(self._show, painted)),
-            lambda why: self._background.show(partial(self._refused, why)),
+            lambda why: self._background.show(partial(self._unpainted, why)),
         )
 
     def close(self) -> None:
@@ -163,16 +166,20 @@ class Page:
             controls.heading("save the picture"), row(*controls.files.values(), sizing_mode="stretch_width"),
             controls.heading("a new atlas of the view, or of a box"), controls.cells, controls.make,
             *([controls.heading("initial state"), *states] if states else []),
-            width=LEFT, **panel,
+            width=LEFT, css_classes=[FOLDED], **panel,
         )  # fmt: skip
+        fold = Toggle(label="controls", sizing_mode="stretch_width", stylesheets=[FOLD])
+        unfolding = CustomJS(args={"left": left}, code=f"left.css_classes = cb_obj.active ? [] : ['{FOLDED}']")
+        fold.js_on_change("active", unfolding)
+        plane = row(self._plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
         middle = column(
-            self._title, row(self._plot, self._key, sizing_mode="stretch_both"), self._line, sizing_mode="stretch_both"
-        )
+            self._title, plane, self._line, fold, sizing_mode="stretch_both", stylesheets=[MIDDLE]
+        )  # fmt: skip
         right = column(self._made, *self._details.panels, self._address, width=RIGHT, **panel)
         # A source without a view is sent along, and heard, as the tag of a model that has one.
         self._address.tags = [self._download]
         whole = row(left, middle, right, sizing_mode="stretch_both")
-        whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE)]
+        whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
 
     def _update(self) -> None:
@@ -206,6 +213,7 @@ class Page:
         plane = self._subject.moved(self._chosen.plane, name, float(new))
         self._chosen, self._rests = replace(self._chosen, plane=plane), False
         self._title.text = title(self._subject, plane)
+        self._details.draw_mark()
         self._controls.keep.update(
             visible=plane != self._subject.plane and self._subject.header is not None, active=False
         )
@@ -220,9 +228,16 @@ class Page:
         pixels = np.ascontiguousarray(painted.cells[::-1]).view(np.uint32)[..., 0]
         (left, right), (low, high) = painted.x, painted.y
         self._image.data = {"image": [pixels], "x": [left], "y": [low], "dw": [right - left], "dh": [high - low]}
-        self._key.text = f'<img src="{png_address(painted.key)}">'
+        above = int(np.argmax(np.any(painted.key[..., :3] != 255, axis=(1, 2))))  # rows of white
+        self._key.text = f'<img style="--above: {above}px" src="{png_address(painted.key[above:])}">'
         self._ends = painted.ends
-        self.trouble = ""
+        self.trouble = painted.lacking
+
+    def _unpainted(self, why: str) -> None:
+        """Show no picture, least of all one of something else, and say why."""
+        self._image.data = {name: [] for name in self._image.data}
+        self._key.text = ""
+        self._refused(why)
 
     def _refused(self, why: str) -> None:
         self.trouble = why

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.explore.chosen import Chosen, Range, beginning
+from atlas.explore.chosen import CHART, Chosen, Range, beginning
 from atlas.explore.explorer import Explorer
 from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane
 from atlas.explore.view import STAGES, Sight, TileKey, View
 from atlas.render import SCALAR, has_scale
+from atlas.render.kinds import OverlayError
 from atlas.render.screen import Screen, screen
 from workers.results import PENDING, REGIME
 
@@ -44,13 +45,16 @@ KEY_WIDTH = 165
 
 @dataclass(frozen=True)
 class Painted:
-    """A picture: its pixels from the top, what explains its colours, the window that it fills, the scale's ends."""
+    """A picture: its pixels from the top, what explains its colours, the window that it fills, the scale's ends, and
+    why lines that were asked for are not in it.
+    """
 
     cells: NDArray[np.uint8]
     key: NDArray[np.uint8]
     x: Range
     y: Range
     ends: tuple[float | None, float | None]
+    lacking: str
 
 
 def warm(explorer: Explorer) -> None:
@@ -163,15 +167,30 @@ class Painter:
             _pixels(size[1], y, chosen.y, self._explorer.subject.y.log),
         )
         low, high = self._ends(chosen)
-        shown = replace(chosen, overlays=chosen.drawn(self._explorer.subject))
-        made = _drawn(ds, shown, pixels, low, high)
+        made, lacking = self._drawn(ds, chosen, pixels, low, high)
         pending = float(np.mean(ds[REGIME.name].values == PENDING))
         if made.ends is not None and pending <= SETTLED:
             self._held.setdefault(chosen.scale, made.ends)
         seconds = time.monotonic() - begin
         if generation == self.generation:
-            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high)))
+            self._deliver(Painted(made.cells, made.key, x, y, made.ends or (low, high), lacking))
         self._wait(max(PAUSE, seconds / SHARE) - seconds)
+
+    def _drawn(
+        self, ds: "xr.Dataset", chosen: Chosen, pixels: tuple[int, int], low: float | None, high: float | None
+    ) -> tuple[Screen, str]:
+        """A picture with the lines that can be drawn, and why others cannot."""
+        why = chosen.without_curves(self._explorer.subject)
+        if why and chosen.kind == CHART:
+            raise InputError(why)
+        lacking, shown = [why] if why else [], replace(chosen, overlays=chosen.drawn(self._explorer.subject))
+        while True:
+            try:
+                return _drawn(ds, shown, pixels, low, high), "; ".join(lacking)
+            except OverlayError as error:
+                lacking.append(str(error))
+                kept = tuple(name for name in shown.overlays if name != error.overlay)
+                shown = replace(shown, overlays=kept)
 
     def _ends(self, chosen: Chosen) -> tuple[float | None, float | None]:
         """The ends of the scale: those asked for, those held, those of the whole plane; None for the picture's own."""
@@ -184,7 +203,7 @@ class Painter:
     def _whole(self, chosen: Chosen) -> dict[tuple[str, str, bool], Range]:
         """The ends that suit the whole plane of the atlas, as far as it is known."""
         subject = self._explorer.subject
-        if subject.ds is None:
+        if subject.ds is None or not (chosen.kind == SCALAR or has_scale(chosen.kind)):
             return {}
         windows = [lattice.edges(0, 0, len(lattice.axis) - 1) for lattice in (subject.x, subject.y)]
         sight = Sight.of(View(windows[0], windows[1], *WHOLE), subject.x, subject.y)

@@ -19,8 +19,8 @@ return text.replace("-", "\\u2212")
 """
 
 
-def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSource]:
-    """The plot of a plane, and the source of its image."""
+def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSource, ColumnDataSource]:
+    """The plot of a plane, the source of its image, and that of the mark, x and y, of one cell."""
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
         x_range=Range1d(*chosen.x),
@@ -46,8 +46,12 @@ def make_plot(subject: Subject, chosen: Chosen) -> tuple[figure, ColumnDataSourc
         axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICK_SCRIPT)
     image = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
     plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image")
+    mark = ColumnDataSource({"x": [], "y": []})
+    for color, width in (("white", 4.0), ("black", 1.6)):
+        ring: dict[str, Any] = {"fill_alpha": 0.0, "line_color": color, "line_width": width}
+        plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
     label_axes(plot, subject, chosen)
-    return plot, image
+    return plot, image, mark
 
 
 def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:

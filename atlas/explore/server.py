@@ -1,16 +1,23 @@
-"""The server of the page: on this machine's loopback alone, in a thread of its own."""
+"""The server of the page: on this machine's loopback alone, in a thread of its own.
+
+Any web page that the user has open can send requests here, and by a name of its own that resolves to this machine it
+may read the answers. So whatever is served, page, scripts or websocket, goes only to requests that name this server's
+own address as the host and, where they say which page they come from, as their origin.
+"""
 
 import asyncio
 import logging
-import socket
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from atlas.errors import InputError
 
 if TYPE_CHECKING:
     from bokeh.document import Document
+    from tornado.httputil import HTTPServerRequest
+
 
 HOST = "127.0.0.1"
 FORGOTTEN = 4000
@@ -46,42 +53,66 @@ class PageServer:
             self._thread.join()
 
     def _serve(self) -> None:
-        from bokeh.application import Application
-        from bokeh.application.handlers.function import FunctionHandler
-        from bokeh.server.server import Server
+        from bokeh.server.server import BaseServer
+        from tornado.httpserver import HTTPServer
         from tornado.ioloop import IOLoop
+        from tornado.netutil import bind_sockets
 
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         try:
-            self.port = _free_port(self._asked)
-            server = Server(
-                {"/": Application(FunctionHandler(self._make))},
-                io_loop=loop,
-                address=HOST,
-                port=self.port,
-                allow_websocket_origin=[f"{HOST}:{self.port}", f"localhost:{self.port}"],
-                unused_session_lifetime_milliseconds=FORGOTTEN,
-                check_unused_sessions_milliseconds=FORGOTTEN // 4,
-                keep_alive_milliseconds=10_000,
-            )
+            sockets = bind_sockets(self._asked, HOST)
         except OSError as error:
             self._error = f"port {self._asked}: cannot be used: {error.strerror or error}"
             self._ready.set()
             return
+        self.port = int(sockets[0].getsockname()[1])
+        pages = _guarded_pages(self._make, [f"{HOST}:{self.port}", f"localhost:{self.port}"])
+        http = HTTPServer(pages)
+        http.add_sockets(sockets)
+        server = BaseServer(loop, pages, http)
         server.start()
         self._stop = lambda: loop.add_callback(loop.stop)
         loop.add_callback(self._ready.set)
         loop.start()
         server.stop(wait=False)
+        http.stop()
         loop.close(all_fds=False)
 
 
-def _free_port(asked: int) -> int:
-    """The port that is asked for, or any free one for 0; OSError where it is taken."""
-    with socket.socket() as trial:
-        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        trial.bind((HOST, asked))
-        return int(trial.getsockname()[1])
+def refusal(request: "HTTPServerRequest", hosts: list[str]) -> int | None:
+    """The HTTP status with which a request is refused, None for one that is served, by the hosts that are served."""
+    origin = request.headers.get("Origin")
+    if request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts):
+        return 403
+    try:
+        for value in (each for values in request.query_arguments.values() for each in values):
+            value.decode()
+    except UnicodeDecodeError:
+        return 400
+    return None
+
+
+def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str]) -> "Any":
+    """The application that serves pages, to requests that are not refused."""
+    from bokeh.application import Application as Pages
+    from bokeh.application.handlers.function import FunctionHandler
+    from bokeh.server.tornado import BokehTornado
+    from tornado.web import ErrorHandler
+
+    class Guarded(BokehTornado):
+        def find_handler(self, request: "HTTPServerRequest", **kwargs: Any) -> Any:
+            status = refusal(request, hosts)
+            if status is not None:
+                return self.get_handler_delegate(request, ErrorHandler, {"status_code": status})
+            return super().find_handler(request, **kwargs)
+
+    return Guarded(
+        {"/": Pages(FunctionHandler(make))},
+        extra_websocket_origins=hosts,
+        unused_session_lifetime_milliseconds=FORGOTTEN,
+        check_unused_sessions_milliseconds=FORGOTTEN // 4,
+        keep_alive_milliseconds=10_000,
+    )

@@ -1,8 +1,44 @@
-"""The looks of the page, as CSS."""
+"""The looks of the page, as CSS.
 
-PAGE = """
-html, body { height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }
-body > div { height: 100%; }
+A page of at least three columns' width has the plane between its controls and the details of cells. On a narrower one,
+as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
+"""
+
+STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
+"""The widths of a page with the plane above all else, and of one with a single column."""
+
+PAGE = f"""
+html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
+body > div {{ height: 100%; }}
+@media {STACKED} {{
+  html {{ overflow: hidden auto; height: auto; }} body {{ overflow: visible; height: auto; }}
+  body > div {{ height: auto; }}
+}}
+"""
+
+WHOLE = f"""
+@media {STACKED} {{
+  :host {{ display: grid !important; height: auto !important; gap: 0;
+          grid-template-columns: minmax(0, 2fr) minmax(0, 3fr); align-items: start; }}
+}}
+@media {SINGLE} {{ :host {{ grid-template-columns: minmax(0, 1fr); }} }}
+"""
+
+MIDDLE = f"""
+@media {STACKED} {{
+  :host {{ grid-column: 1 / -1; order: -1; width: auto !important; height: min(84vh, 75vw) !important;
+          min-height: 340px; }}
+}}
+@media {SINGLE} {{ :host {{ height: auto !important; }} }}
+"""
+
+PLANE = f"""
+@media {SINGLE} {{ :host {{ flex-direction: column !important; height: auto !important; flex: none !important; }} }}
+"""
+
+FOLD = f"""
+:host {{ display: none !important; }}
+@media {SINGLE} {{ :host {{ display: block !important; }} }}
 """
 
 TEXT = """
@@ -20,19 +56,28 @@ th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
 
-PLOT = """
-.bk-Canvas:hover { --outline-width: 0px; }
+PLOT = f"""
+.bk-Canvas:hover {{ --outline-width: 0px; }}
+@media {SINGLE} {{ :host {{ flex: none !important; width: 100% !important; height: 100vw !important; }} }}
 """
 
-PANEL = """
-:host { overflow-y: auto; overflow-x: hidden; padding: 0 6px; box-sizing: border-box; }
+PANEL = f"""
+:host {{ overflow-y: auto; overflow-x: hidden; padding: 0 6px; box-sizing: border-box; }}
+@media {STACKED} {{ :host {{ overflow: visible; width: auto !important; height: auto !important; }} }}
+@media {SINGLE} {{ :host(.folded) {{ display: none !important; }} }}
 """
 
-LINE = """
-:host { overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
-:host > div { overflow: hidden; text-overflow: ellipsis; }
+LINE = f"""
+:host {{ overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }}
+:host > div {{ overflow: hidden; text-overflow: ellipsis; }}
+@media {SINGLE} {{ :host {{ flex: none !important; height: auto !important; white-space: normal; }} }}
 """
 
-KEY = """
-:host { position: relative; overflow: hidden; } img { position: absolute; left: 0; top: 0; max-width: none; }
+KEY = f"""
+:host {{ position: relative; overflow: hidden; }}
+img {{ position: absolute; left: 0; top: var(--above); max-width: none; }}
+@media {SINGLE} {{
+  :host {{ flex: none !important; height: auto !important; margin-left: 60px !important; }} img {{ position: static; }}
+}}
 """
+"""``--above`` is the height of what was cut off above, where an image beside the plane had nothing."""

@@ -79,6 +79,21 @@ class Attractors:
         return np.concatenate(found)
 
 
+def with_images(attractors: Attractors) -> tuple[Rows, Rows]:
+    """The cells (A + U,) of all orbits and of their U mirror images that no initial state has found; images' rows.
+
+    The row of the mirror image (A + U,) is the orbit's own where it is symmetric, -1 where the machine is not.
+    """
+    own, count = attractors, len(attractors)
+    image = np.where(own.symmetric, np.arange(count), own.twin)
+    alone = np.flatnonzero(image < 0)
+    values = {p.name: np.full(len(alone), own.fixed.get(p.name, p.default)) for p in own.system.parameters}
+    values |= {name: np.ascontiguousarray(own.values[own.cell[alone], k]) for k, name in enumerate(own.axes)}
+    unseen = alone[own.system.build_many(values)[0].symmetric > 0.0]
+    image[unseen] = count + np.arange(len(unseen))
+    return np.append(own.cell, own.cell[unseen]), np.append(image, unseen)
+
+
 def attractors_of(header: Header) -> tuple[Attractors, int]:
     """The orbits of a store, and how many attractors of any kind it keeps.
 

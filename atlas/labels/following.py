@@ -2,7 +2,8 @@
 
 There Newton's method on the times and speeds of its impacts finds it, from one cell to the next in a few steps. Where
 one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
-counts where both ways agree: close to a bifurcation Newton's method may come to another orbit.
+counts where both ways agree: close to a bifurcation Newton's method may come to another orbit. In symmetric machines
+the mirror images of two orbits that are one are one too, whether Newton's method finds it or not.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from atlas.labels.attractors import Array, Attractors, Rows
+from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
 from workers.orbit import Family, Orbit, family_of, section_states
 from workers.orbit.equations import Impacts
@@ -34,12 +35,17 @@ class Links(NamedTuple):
     """Pairs of orbits (L, 2), by their rows, that are one; ``change`` (L,): how much it changes between their cells.
 
     That is the largest change of a time of impact, in radians of the force, or of a speed, relative to the fastest.
+    With a pair its mirror image is one of them, of the same change. Rows from A on are unseen mirror images.
+
+    cell, image (A + unseen,)  of each orbit; its mirror image's row, -1 where the machine is not symmetric
     known (A,)  which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
     one_way     pairs left out: followed from one cell an orbit becomes that of the other cell, but not back
     """
 
     pairs: Rows
     change: Array
+    cell: Rows
+    image: Rows
     known: NDArray[np.bool_]
     one_way: int
 
@@ -52,20 +58,35 @@ def followed(attractors: Attractors) -> Links:
     """
     still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
     free, follower = np.flatnonzero(still), _Follower(attractors)
+    cell, image = with_images(attractors)
     known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
+    known |= (attractors.twin >= 0) & known[attractors.twin]
     pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
-    one_way = 0
+    one_way = np.zeros((0, 2), dtype=np.int64)
     for away in range(1, FARTHEST + 1):
         wanted = attractors.beside(away)
         wanted = wanted[~still[wanted[:, 0]] & known[wanted].all(axis=1)]
         if away > 1:
-            wanted = wanted[_apart(wanted, pairs, len(attractors))]
+            wanted = wanted[_apart(wanted, pairs, len(cell))]
         there, size = follower.reach(wanted, away)
         back, _ = follower.reach(wanted[:, ::-1], away)
         found = there & back
         pairs, change = np.concatenate([pairs, wanted[found]]), np.concatenate([change, size[found]])
-        one_way += int(np.sum(there != back))
-    return Links(pairs, change, known, one_way)
+        pairs, change = _mirrored(pairs, change, image)
+        one_way = np.concatenate([one_way, np.sort(wanted[there != back], axis=1)])
+    left = {*map(tuple, one_way.tolist())} - {*map(tuple, pairs.tolist())}
+    return Links(pairs, change, cell, image, known, len(left))
+
+
+def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
+    """Links with their mirror images, each once and in order; the change of either is the least that is known."""
+    images = image[pairs]
+    there = (images >= 0).all(axis=1)
+    every = np.sort(np.concatenate([pairs, images[there]]), axis=1)
+    found, place = np.unique(every, axis=0, return_inverse=True)
+    least = np.full(len(found), np.inf)
+    np.minimum.at(least, place.ravel(), np.concatenate([change, change[there]]))
+    return found, least
 
 
 def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:

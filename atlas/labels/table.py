@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.errors import ChunkError
 from atlas.labels.attractors import Array, Attractors, Rows, attractors_of
 from atlas.labels.components import branches
 from atlas.labels.following import followed
-from atlas.store.groups import group_attributes
+from atlas.store.groups import read_group
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 from atlas.store.tables import LABELS, write_table
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
 
-VERSION = 1
+VERSION = 2
 """Of the way in which labels are found: raised whenever any may change."""
 
 BRANCH = "branch"
@@ -70,8 +71,8 @@ def labels_of(header: Header) -> Labels:
     """The labels of a finished atlas of all attractors. Raises as ``attractors_of``."""
     every, kept = attractors_of(header)
     links = followed(every)
-    branch, cut = branches(len(every), links.pairs, links.change, every.cell)
-    branch[~links.known] = -1
+    branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
+    branch = np.where(links.known, branch[: len(every)], -1)
     number, total = _numbered(branch, every.share)
     cells = np.bincount(number[number >= 0], minlength=len(total))
     values = np.full((len(every.values), every.keep), UNKNOWN_LABEL, dtype=np.int64)
@@ -111,14 +112,14 @@ def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
 
 
 def _mirrors(number: Rows, every: Attractors, count: int) -> Rows:
-    """The label of the mirror image of each branch: that of most of its orbits' mirror images."""
+    """The label of the mirror image of each branch, where most mirror images of either's orbits are on the other."""
     twin = np.where(every.twin >= 0, number[every.twin], -1)
     seen = (number >= 0) & (twin >= 0)
     pairs, times = np.unique(np.stack([number[seen], twin[seen]], axis=1), axis=0, return_counts=True)
-    found = np.full(count, -1)
+    most = np.full(count, -1)
     for k in np.argsort(times, kind="stable"):  # the most frequent one comes last
-        found[pairs[k, 0]] = pairs[k, 1]
-    return found
+        most[pairs[k, 0]] = pairs[k, 1]
+    return np.where(most[most] == np.arange(count), most, -1)
 
 
 def write_labels(header: Header, found: Labels) -> None:
@@ -153,7 +154,12 @@ def _rows(found: Labels) -> dict[str, NDArray[Any]]:
 
 def stored_count(header: Header) -> Count | None:
     """What the stored labels say of themselves; None where there are none that would be found so again."""
-    known = group_attributes(header, LABELS)
-    if known is None or known.get("version") != VERSION or known.get("solver_version") != SOLVER_VERSION:
+    try:
+        stored = read_group(header, LABELS)
+    except ChunkError:
+        return None  # they are found anew
+    if stored is None:
         return None
-    return Count(**known["count"])
+    known = stored[1]
+    found_so = (known.get("version"), known.get("solver_version")) == (VERSION, SOLVER_VERSION)
+    return Count(**known["count"]) if found_so else None

@@ -8,6 +8,7 @@ checksum looked at as it comes in.
 import asyncio
 import atexit
 import errno
+import json
 from typing import Any
 
 import google_crc32c
@@ -17,10 +18,13 @@ from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.remote import zarr_store
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
-from atlas.store.store import Header
+from atlas.store.store import ROOT, Header
+from atlas.store.tables import ATTRACTORS, LABELS
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
+_TABLES = (ATTRACTORS, LABELS)
+"""Groups of arrays of one chunk, all of which are there."""
 _PATIENCE_SECONDS = 10.0
 
 
@@ -39,7 +43,7 @@ class GuardedStore(WrapperStore[Any]):
         """An object, None where there is none and none has to be."""
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
-            return await self._store.get(key, prototype, byte_range)
+            return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
         array = folder[1:]
         try:
             found = await self._store.get(key, prototype, byte_range)
@@ -59,9 +63,22 @@ class GuardedStore(WrapperStore[Any]):
             raise self._error(key, "is damaged (its checksum is wrong)")
         return found
 
+    def _checked_metadata(self, key: str, found: Any) -> Any:
+        """Metadata, unless they are nested so deeply that Zarr's own reading would end in the middle of its work."""
+        if found is not None and key.endswith(ROOT):
+            try:
+                json.loads(found.to_bytes())
+            except RecursionError:
+                raise self._error(key, "is damaged (nested too deeply)") from None
+            except ValueError:
+                pass  # Zarr says what it is
+        return found
+
     async def _must_exist(self, array: str, index: str) -> bool:
         """Whether what is written after a chunk is there."""
         above, _, name = array.rpartition("/")
+        if above in _TABLES:
+            return True
         if name not in self._complete or name == REGIME.name:
             return False
         marks = (REGIME.name, REGIME_SHOWN.name) if above else (REGIME.name,)
@@ -72,6 +89,8 @@ class GuardedStore(WrapperStore[Any]):
 
     def _has_checksum(self, array: str) -> bool:
         above, _, name = array.rpartition("/")
+        if above in _TABLES:
+            return True
         return name in (self._complete if above.partition("/")[0] == OVERVIEWS else self._checked)
 
     def _error(self, key: str, fault: str) -> ChunkError:

@@ -140,8 +140,8 @@ class Pyramid:
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             for level in range(1, self.levels.count + 1):
                 zarr.consolidate_metadata(self._writable.store, path=f"{GROUP}/{level}")
+            top.attrs["version"] = _VERSION
             zarr.consolidate_metadata(self._writable.store)
-        top.attrs["version"] = _VERSION
         self.made = True
 
     def make(self, level: int, index: Index) -> None:
@@ -191,7 +191,14 @@ class Pyramid:
         }
         group = top.create_group(str(level), attributes=described)
         for name, (values, dims, attributes) in level_coordinates(self.header, level).items():
-            group.create_array(name, data=values, chunks=values.shape, dimension_names=dims, attributes=attributes)
+            group.create_array(
+                name,
+                data=values,
+                chunks=values.shape,
+                dimension_names=dims,
+                compressors=codecs(),
+                attributes=attributes,
+            )
         results = {variable.name for variable in self.header.variables}
         fixed = " ".join(name for name in spec.parameters if name in self.header.coordinates)
         for variable in self.variables:

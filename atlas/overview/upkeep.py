@@ -22,12 +22,21 @@ class Overviews(AbstractContextManager["Overviews"]):
 
     On entry, what lies over unfinished tiles and over ``pending`` ones, finished but to be written again, is dropped.
     ``add`` is called for each tile that is written; ``finish`` waits until all that can be made is made. On the way
-    out what is not yet begun is left. ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps
+    out what is not yet begun is left. ``held`` is called before each write, and raises where another run has the
+    store. ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps
     theirs.
     """
 
-    def __init__(self, header: Header, pending: Iterable[Index] = (), *, side: int = SIDE, least: int = LEAST) -> None:
-        self._header = header
+    def __init__(
+        self,
+        header: Header,
+        pending: Iterable[Index] = (),
+        held: Callable[[], None] = lambda: None,
+        *,
+        side: int = SIDE,
+        least: int = LEAST,
+    ) -> None:
+        self._header, self._held = header, held
         self._pyramid = Pyramid(header, side, least)
         self._levels = self._pyramid.levels
         self._threads = ThreadPoolExecutor(1, thread_name_prefix="overviews")
@@ -103,6 +112,7 @@ class Overviews(AbstractContextManager["Overviews"]):
         """Make a chunk, and those above it that it completes; how many."""
         made = 0
         while index not in self._current[level]:
+            self._held()
             self._pyramid.make(level, index)
             self._current[level].add(index)
             made += 1
@@ -114,6 +124,7 @@ class Overviews(AbstractContextManager["Overviews"]):
 
     def _again(self, tile: Index) -> int:
         """Drop what lies over a tile and make it anew as far as its tiles are done."""
+        self._held()
         self._pyramid.drop([tile])
         over = index = self._levels.over(tile)
         for level in self._numbers:

@@ -1,18 +1,16 @@
 """Atlases of all attractors: one of them in every cell as a dataset of its own, and all of one cell as a list."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from atlas.cell.attractors import in_words
 from atlas.errors import InputError
 from atlas.query.open import open_table
 from atlas.store.store import read_header
 from atlas.store.tables import LABELS
-from workers.results import ATTRACTOR, LABEL, NO_REASON, PENDING, REASON, REASONS, REGIME, REGIMES
+from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_NAMES = {regime.code: regime.name for regime in REGIMES}
 
 
 def of_all(ds: "xr.Dataset") -> bool:
@@ -33,7 +31,7 @@ def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     if not of_all(ds):
         raise InputError("attractor: this atlas has one attractor a cell; give [attractors] in its spec for all")
     kept = ds.sizes[ATTRACTOR]
-    if place != int(place) or not 0 <= place < kept:
+    if place not in range(kept):  # as no infinity and no NaN is
         raise InputError(f"attractor: found {place:g}, must be a whole number, 0 to {kept - 1}")
     made = ds.isel({ATTRACTOR: int(place)})
     made.encoding = dict(ds.encoding)
@@ -74,14 +72,3 @@ def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
         values = {name: cell[name].isel({ATTRACTOR: k}).values.tolist() for name in names}
         found.append(in_words(values))
     return found
-
-
-def in_words(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of one attractor, its shares first, the regime and the reason by name."""
-    words = {REGIME.name: _NAMES[int(values[REGIME.name])]}
-    if REASON.name in values and values[REASON.name] != NO_REASON:
-        words[REASON.name] = REASONS[int(values[REASON.name])].text
-    first = ("share", "share_low", "share_high")
-    ordered = {name: values[name] for name in first if name in values}
-    rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}
-    return words | ordered | rest

@@ -8,7 +8,11 @@ Entropy       (Daza et al., Sci. Rep. 6 (2016) 31416) the plane is cut into boxe
 Uncertainty   (McDonald et al., Physica D 17 (1985) 125) an initial state is uncertain at distance e where the one e
               farther along an axis, either way, has another label. Their share f(e) falls as e^alpha; the dimension of
               the boundary is the plane's less alpha: 1 for a smooth curve, alpha = 1. alpha is the slope of ln f over
-              ln e by least squares, its error that of the fit; both axes count in initial states.
+              ln e by least squares, with the binomial errors of the shares; its error is that of the fit, times the
+              root of chi^2 per degree of freedom where that is above 1. Both axes count in initial states.
+              Where labels are mixed, f cannot grow any more: of labels of shares p drawn at random it is
+              1 - sum p^(1 + 2 axes). Distances where f is above a SATURATED part of that are left out, and where fewer
+              than LEAST_DISTANCES are left there is no exponent: the boundary is finer than the initial states.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -16,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.cell.attractors import in_words
 from atlas.errors import InputError
-from atlas.query.attractors import in_words
 from atlas.query.open import open_table
 from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import group_attributes
@@ -34,6 +38,8 @@ BOX = 5
 DISTANCES = (1, 2, 3, 4, 6, 8, 12, 16)
 """Distances, in initial states, at which uncertainty is measured; up to an eighth of the shorter side."""
 LEAST_DISTANCES = 3
+SATURATED = 0.25
+"""Uncertain share, of that of labels at random, above which the power law bends; its slope is an eighth less there."""
 
 Labels = NDArray[np.int64]
 
@@ -62,7 +68,8 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
 
     ``attractors``: an entry for each by its label with its results, ``share`` and its interval in the window, and
     ``mirror``; ``unknown``: the share without a label; ``entropy`` and ``boundary_entropy``, ``uncertainty`` (alpha)
-    and ``boundary_dimension``, each with ``_error``, NaN where there is too little to tell. See the module's text.
+    and ``boundary_dimension``, each with ``_error``, NaN where there is too little to tell: ``uncertainty_reason`` says
+    why there is no alpha. See the module's text.
     Raises InputError as ``table`` and for an unknown axis.
     """
     known, shown = table(ds), within(ds, window)
@@ -82,9 +89,9 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     answer: dict[str, Any] = {"starts": count, "unknown": unknown}
     for name, pair in zip(("entropy", "boundary_entropy"), basin_entropy(labels, solved), strict=True):
         answer |= {name: pair[0], f"{name}_error": pair[1]}
-    alpha, error = uncertainty_exponent(labels, solved)
+    alpha, error, reason = uncertainty_exponent(labels, solved)
     dimension = len(axis_names(ds)) - alpha
-    answer |= {"uncertainty": alpha, "uncertainty_error": error}
+    answer |= {"uncertainty": alpha, "uncertainty_error": error, "uncertainty_reason": reason}
     return answer | {"boundary_dimension": dimension, "boundary_dimension_error": error, "attractors": found}
 
 
@@ -114,30 +121,43 @@ def basin_entropy(
     return _mean(entropy), _mean(entropy[entropy > 0.0])
 
 
-def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[float, float]:
-    """alpha and its error; NaN where too few distances have uncertain starts. See the module's text."""
-    farthest = min(labels.shape) // 8
-    logs = []
-    for e in (e for e in DISTANCES if e <= farthest):
-        uncertain, counted = np.zeros(labels.shape, dtype=bool), np.zeros(labels.shape, dtype=bool)
-        for dim in range(labels.ndim):
-            here = tuple(slice(None, -e) if k == dim else slice(None) for k in range(labels.ndim))
-            there = tuple(slice(e, None) if k == dim else slice(None) for k in range(labels.ndim))
-            both = solved[here] & solved[there]
-            other = both & (labels[here] != labels[there])
-            for part in (here, there):
-                uncertain[part] |= other
-                counted[part] |= both
-        share = int(np.count_nonzero(uncertain)) / max(int(np.count_nonzero(counted)), 1)
-        if share > 0.0:
-            logs.append((np.log(e), np.log(share)))
-    if len(logs) < LEAST_DISTANCES:
-        return float("nan"), float("nan")
-    x, y = np.array(logs).T
-    x = x - x.mean()
-    alpha = float((x * y).sum() / (x * x).sum())
-    rest = y - y.mean() - alpha * x
-    return alpha, float(np.sqrt((rest**2).sum() / (len(x) - 2) / (x * x).sum()))
+def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[float, float, str]:
+    """alpha, its error, and why there is none, NaN; an empty reason where there is one. See the module's text."""
+    shares = np.unique(labels[solved], return_counts=True)[1] / max(int(np.count_nonzero(solved)), 1)
+    limit = SATURATED * (1.0 - float(np.sum(shares ** (1 + 2 * labels.ndim))))
+    found = [(e, *_uncertain(labels, solved, e)) for e in DISTANCES if e <= min(labels.shape) // 8]
+    distance, part, counted = np.array(found, dtype=np.float64).reshape(-1, 3).T
+    if not np.any(part > 0.0):
+        return float("nan"), float("nan"), "no initial state is uncertain"
+    fitted = (part > 0.0) & (part <= limit)
+    if np.count_nonzero(fitted) < LEAST_DISTANCES:
+        reason = (
+            f"{100 * part[0]:.3g} % of the initial states are uncertain at distance 1, and a power law needs "
+            f"{LEAST_DISTANCES} distances with at most {100 * limit:.3g} %; take a finer or a smaller plane"
+        )
+        return float("nan"), float("nan"), reason
+    x, f = np.log(distance[fitted]), part[fitted]
+    weights = counted[fitted] * f / (1.0 - f)  # of ln f
+    x, y = (values - np.average(values, weights=weights) for values in (x, np.log(f)))
+    spread = float((weights * x * x).sum())
+    alpha = float((weights * x * y).sum()) / spread
+    misfit = float((weights * (y - alpha * x) ** 2).sum()) / (len(x) - 2)
+    return alpha, float(np.sqrt(max(1.0, misfit) / spread)), ""
+
+
+def _uncertain(labels: Labels, solved: NDArray[np.bool_], e: int) -> tuple[float, int]:
+    """The share of initial states that are uncertain at distance e, and of how many."""
+    uncertain, counted = np.zeros(labels.shape, dtype=bool), np.zeros(labels.shape, dtype=bool)
+    for dim in range(labels.ndim):
+        here = tuple(slice(None, -e) if k == dim else slice(None) for k in range(labels.ndim))
+        there = tuple(slice(e, None) if k == dim else slice(None) for k in range(labels.ndim))
+        both = solved[here] & solved[there]
+        other = both & (labels[here] != labels[there])
+        for part in (here, there):
+            uncertain[part] |= other
+            counted[part] |= both
+    count = int(np.count_nonzero(counted))
+    return int(np.count_nonzero(uncertain)) / max(count, 1), count
 
 
 def _mean(values: NDArray[np.float64]) -> tuple[float, float]:

@@ -79,6 +79,17 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
+def check_writable(path: Path) -> None:
+    """InputError where no file can be written at a path: before the work, which may take long."""
+    folder = path.absolute().parent
+    if path.is_dir():
+        raise InputError(f"{path}: cannot be written: is a folder")
+    if not folder.is_dir():
+        raise InputError(f"{path}: cannot be written: there is no folder {folder}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"{path}: cannot be written: no permission in {folder}")
+
+
 @contextmanager
 def written_whole(target: Path) -> Iterator[Path]:
     """A path to write to that takes the place of the target at the end; at an error nothing of it stays."""

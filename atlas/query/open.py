@@ -3,7 +3,8 @@
 import os
 from typing import TYPE_CHECKING, Any
 
-from atlas.store.groups import group_attributes
+from atlas.errors import ChunkError, message_of
+from atlas.store.groups import group_attributes, read_group
 from atlas.store.store import Header, read_header
 from atlas.store.tables import LABELS
 from workers.results import LABEL
@@ -29,10 +30,19 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
 
 
 def open_table(header: Header, table: str) -> "xarray.Dataset":
-    """A table that the store has beside its results, read from disk as it is used."""
+    """A table that the store has beside its results, read from disk as it is used.
+
+    ChunkError where its metadata are damaged, and at reading where a chunk of it is missing or damaged.
+    """
     import xarray
 
-    return xarray.open_dataset(_guarded(header), engine="zarr", group=table, chunks=None, consolidated=False)
+    try:
+        return xarray.open_dataset(_guarded(header), engine="zarr", group=table, chunks=None, consolidated=False)
+    except (OSError, ChunkError):
+        raise
+    except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
+        read_group(header, table)  # names what it is
+        raise ChunkError(header.place, {table: f"is damaged ({message_of(error)})"}) from None
 
 
 def _guarded(header: Header) -> Any:

@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
+from atlas.text import plural
+
 
 @dataclass
 class Reads:
@@ -19,6 +21,12 @@ class Reads:
     chunks: int = 0
     level: int = 0
     block: tuple[int, ...] = (1,)
+
+    def __str__(self) -> str:
+        if not self.level:
+            return f"{plural(self.chunks, 'chunk')} read from the store, at full resolution"
+        block = " x ".join(map(str, self.block))
+        return f"{plural(self.chunks, 'chunk')} read from the store, at reduced resolution: one value for {block} cells"
 
     def add(self, chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
         """Count some more."""

@@ -15,7 +15,19 @@ from atlas.query.attractors import leading
 from atlas.query.window import Window
 from atlas.render.drawing import Wanted, check_units, draw
 from atlas.render.files import FORMATS, check_path, target_of, write
-from atlas.render.kinds import BASINS, KINDS, MAP_OVERLAYS, MAPS, OVERLAYS, SCALAR, has_scale, needs
+from atlas.render.kinds import (
+    BASINS,
+    CURVES,
+    KINDS,
+    MAP_OVERLAYS,
+    MAPS,
+    OVERLAYS,
+    SCALAR,
+    chosen_curves,
+    has_scale,
+    needs,
+)
+from atlas.render.options import Look, Sheet, takes
 from workers import Settings
 from workers.model.system import DEFAULT, System
 
@@ -27,13 +39,14 @@ if TYPE_CHECKING:
     from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
     from atlas.query.compare import Comparison
-    from atlas.render.page import Look, Page
+    from atlas.render.page import Page
 
-LOOK = ("width", "height", "font_size", "dpi", "vmin", "vmax", "title", "style")
-"""What else can be chosen of every picture: see ``page.Look``."""
+LOOK = tuple(Look.__annotations__)
+"""The options of every picture that has a scale."""
 
 __all__ = [
     "BASINS",
+    "CURVES",
     "FORMATS",
     "KINDS",
     "LOOK",
@@ -60,7 +73,9 @@ def figure(
     kind: str | None = None,
     window: Window | None = None,
     *,
-    overlays: str | Sequence[str] = (),
+    overlay: str | Sequence[str] = (),
+    curves: str | Sequence[str] | None = None,
+    names: bool = True,
     against: "xr.Dataset | None" = None,
     pixels: tuple[int, int] | None = None,
     variable: str | None = None,
@@ -76,7 +91,8 @@ def figure(
     """
     from atlas.render.page import page as page_of  # with it matplotlib
 
-    wanted = Wanted(page_of(ax, **look), kind, window, _as_tuple(overlays), against, pixels, variable, log)
+    lines, kinds = _as_tuple(overlay), chosen_curves(curves)
+    wanted = Wanted(page_of(ax, **look), kind, window, lines, kinds, names, against, pixels, variable, log)
     drawn = draw(ds, wanted)
     return drawn if ax is None else ax
 
@@ -87,7 +103,9 @@ def render(
     kind: str | None = None,
     window: Window | None = None,
     *,
-    overlays: str | Sequence[str] = (),
+    overlay: str | Sequence[str] = (),
+    curves: str | Sequence[str] | None = None,
+    names: bool = True,
     against: "xr.Dataset | None" = None,
     variable: str | None = None,
     log: bool = False,
@@ -98,10 +116,11 @@ def render(
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
     ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
     for one axis; a stack of up to MOST_PANELS planes is drawn as maps on one scale, of "exponent" or "period";
-    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlays`` are of OVERLAYS, one or
-    several; ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``variable`` names a number of
-    each cell to map, the kind "scalar", by its logarithm if ``log``; ``look`` is
-    size, type, resolution and scale: width, height, font_size, dpi, vmin, vmax, title, style, see ``page.Look``.
+    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlay`` is of OVERLAYS, one or
+    several; ``curves`` are kinds of exact curves, of CURVES, by default all; without ``names`` none stand on a map;
+    ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``variable`` names a number of
+    each cell to map, the kind "scalar", by its logarithm if ``log``; ``look`` is size, type, resolution and scale, see
+    ``options.MEANINGS``.
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the
     atlas does not hold what the kind draws, and for a path that cannot be written.
     Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
@@ -113,13 +132,14 @@ def render(
     from atlas.render.style import provenance_of
 
     page = page_of(**look)
-    wanted = Wanted(page, kind, window, _as_tuple(overlays), against, None, variable, log)
+    lines, kinds = _as_tuple(overlay), chosen_curves(curves)
+    wanted = Wanted(page, kind, window, lines, kinds, names, against, None, variable, log)
     provenance = provenance_of(ds, *([] if against is None else [against]))
     return write(draw(ds, wanted), target, suffix, provenance, page)
 
 
-def _as_tuple(overlays: str | Sequence[str]) -> tuple[str, ...]:
-    return (overlays,) if isinstance(overlays, str) else tuple(overlays)
+def _as_tuple(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def side_by_side(
@@ -212,6 +232,7 @@ def _orbit_page(look: "Look") -> "Page":
     return page_of(**look)
 
 
+@takes(Sheet)
 def portrait(
     given: Mapping[str, Any] | None = None,
     *,

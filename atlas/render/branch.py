@@ -37,13 +37,16 @@ def figure(branches: Branches, page: Page = STANDARD) -> Figure:
         entries = draw(ax, branches, page)
         parameter = branches.system.parameter(branches.along)
         unit = style.unit_text(parameter.unit)
-        ax.set_xlabel(f"{parameter.meaning.split(':')[0]} ${parameter.symbol}$ [{unit}]")
+        ax.set_xlabel(
+            f"{parameter.meaning.split(':')[0]} ${style.shown_symbol(parameter.symbol, parameter.name)}$ [{unit}]"
+        )
         ax.set_ylabel(machine.gap_label_of(branches.system))
         ax.set_xlim(*branches.window)
         ax.margins(y=0.06)
         if page.title:
             shown = [p for p in branches.system.parameters if p.name not in (*branches.system.states, branches.along)]
-            line = style.parameter_line([(p.symbol, branches.parameters[p.name]) for p in shown])
+            signs = [(style.shown_symbol(p.symbol, p.name), branches.parameters[p.name]) for p in shown]
+            line = style.parameter_line(signs)
             ax.set_title(line, loc="left", gid=TITLE)
         page.legend(drawn, entries)
     return drawn

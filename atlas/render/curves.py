@@ -5,6 +5,7 @@ rest passes through regions without changing what is seen in them, and is left o
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,17 @@ def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> 
     return draw_lines(ax, of(ds, "overlay 'curves'"), options, HALO)
 
 
+def wanted(found: Curves, options: maps.Options) -> Curves:
+    """The curves of the kinds that are drawn."""
+    if options.curves is None:
+        return found
+    kept = tuple(curve for curve in found if curve.kind in options.curves)
+    return replace(found, curves=kept)
+
+
 def draw_lines(ax: Axes, found: Curves, options: maps.Options, halo: float) -> list[Artist]:
     """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view."""
+    found = wanted(found, options)
     entries: list[Artist] = []
     for kind, look in LOOKS.items():
         lines = [line for curve in found.of_kind(kind) for line in bounding(curve) if _is_in_view(ax, line)]
@@ -63,7 +73,9 @@ def draw_lines(ax: Axes, found: Curves, options: maps.Options, halo: float) -> l
         front.set_gid(kind)
         ax.add_collection(front, autolim=False)
         entries.append(line_entry(kind, WIDTH))
-    return [*entries, *_draw_corners(ax, found, options)] if entries else [_nothing()]
+    if entries and (options.curves is None or "codimension_two" in options.curves):
+        entries += _draw_corners(ax, found, options)
+    return entries or [_nothing()]
 
 
 def bounding(curve: Curve) -> Iterator[Array]:
@@ -103,8 +115,9 @@ def _draw_corners(ax: Axes, found: Curves, options: maps.Options) -> list[Artist
             ax.plot(corner.x, corner.y, zorder=4.2, gid="corner", **look)
     if not marked:
         return []
-    lines = [_dense(axes.in_points(ax, line, options.size)) for curve in found for line in bounding(curve)]
-    _name_all(ax, marked, np.concatenate(lines), options)
+    if options.names:
+        lines = [_dense(axes.in_points(ax, line, options.size)) for curve in found for line in bounding(curve)]
+        _name_all(ax, marked, np.concatenate(lines), options)
     return [Line2D([], [], label="codimension two", **look)]
 
 

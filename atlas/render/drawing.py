@@ -31,6 +31,8 @@ class Wanted:
     kind: str | None = None
     window: Window | None = None
     overlays: tuple[str, ...] = ()
+    curves: tuple[str, ...] | None = None
+    names: bool = True
     against: "xr.Dataset | None" = None
     pixels: tuple[int, int] | None = None
     variable: str | None = None
@@ -50,7 +52,10 @@ def draw(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
         return _stack(ds, wanted)
     variable = scalar_variable(ds, wanted.kind, wanted.variable, against) if wanted.is_scalar else None
     kind = "variable" if variable is not None else chosen_kind(ds, wanted.kind, against, page)
-    check_overlays(ds, wanted.overlays)
+    lines = wanted.overlays
+    if wanted.curves is not None and "curves" not in lines and kind != "regions":
+        lines = (*lines, "curves")
+    check_overlays(ds, lines)
     check_units(ds)
     module, shown = import_module(f"atlas.render.{kind}"), within(every if kind == "coexistence" else ds, window)
     picture: Figure
@@ -58,11 +63,11 @@ def draw(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
         if len(axes) == 1:
             sweeps = [shown] if against is None else [shown, within(against, window)]
             through = [within(ds, window), *sweeps[1:]]
-            picture = module.figure(*sweeps, page, _branches(through) if "branches" in wanted.overlays else None)
+            picture = module.figure(*sweeps, page, _branches(through) if "branches" in lines else None)
         else:
             from atlas.render import maps
 
-            options = maps.Options(wanted.overlays, page, wanted.pixels)
+            options = maps.Options(lines, page, wanted.pixels, wanted.curves, wanted.names)
             scalar = () if variable is None else (variable, wanted.log)
             picture = module.figure(shown, *scalar, options)
     if ds.attrs.get(ATTRACTOR, 0):
@@ -84,7 +89,8 @@ def _stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     if count > MOST_PANELS:
         raise InputError(f"a stack of {count} planes: at most {MOST_PANELS} are drawn together; pick one by {first}")
     alone = {
-        "overlays": wanted.overlays,
+        "overlay": wanted.overlays,
+        "curves": wanted.curves is not None,
         "against": wanted.against is not None,
         "ax": page.given,
         "variable": wanted.variable,

@@ -27,7 +27,12 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
     """Put as many parts of a title, which commas separate, into each line as fit."""
     before = text.get_text()
     end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else drawn.bbox.x1 - 3.0
-    room = end - text.get_window_extent().x0
+    place = text.get_window_extent()
+    for legend in drawn.legends:
+        box = legend.get_window_extent()
+        if box.x0 > place.x0 and box.y1 > place.y0:  # it stands beside the title
+            end = min(end, box.x0 - 3.0)
+    room = end - place.x0
     lines = []
     for line in before.replace(",\n", ",  ").split("\n"):  # what an earlier turn broke may fit now
         kept, *rest = re.split(r"(?<=,)( +)", line)

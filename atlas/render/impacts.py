@@ -71,6 +71,8 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
         entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
         options.page.legend(drawn, entries, beside="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
+        if not options.names:
+            return drawn
         options.page.fit(drawn)
         drawn.draw_without_rendering()  # from here on the plot has its size
         named = [(_cells_of(motion, plane.regime, counts), motion.label, color) for motion, color in colors.items()]

@@ -1,5 +1,6 @@
 """The kinds of picture and the overlays: what each draws, which one fits an atlas, and what is said where none does."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,14 @@ class _Kind:
     atlases: int = 1
     scale: bool = True
     others: tuple[str, ...] = ()
+
+
+class OverlayError(InputError):
+    """An overlay that an atlas does not allow for; ``overlay`` is its name. The map can be drawn without it."""
+
+    def __init__(self, overlay: str, why: str) -> None:
+        super().__init__(why)
+        self.overlay = overlay
 
 
 BASINS, LABELS = "basins", "labels"
@@ -72,6 +81,11 @@ OVERLAYS = tuple(_OVERLAYS)
 """Lines over a picture. On a map of two axes: |Y| = b, borders of regimes, lines of equal exponent, the curves that its
 store keeps. On a sweep: the branches of its orbits.
 """
+
+CURVES = (
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "codimension_two",
+)  # fmt: skip
+"""What of the curves of a store can be drawn alone: each kind, and the points of codimension two."""
 
 MAP_OVERLAYS = tuple(name for name, axes in _OVERLAYS.items() if axes == 2)
 """Those of a map."""
@@ -130,6 +144,17 @@ def scalar_variable(ds: "xr.Dataset", kind: str | None, name: str | None, agains
     if len(axes) != 2:
         raise InputError(f"kind {SCALAR!r} draws two axes, found one ({axes[0]})")
     return name
+
+
+def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    """The kinds of curves that are asked for, given as a list or with commas between; None for all."""
+    if curves is None:
+        return None
+    wanted = tuple(curves.split(",") if isinstance(curves, str) else curves)
+    for each in wanted:
+        if each not in CURVES:
+            raise InputError(f"unknown kind of curve {each!r}; possible: {', '.join(CURVES)}")
+    return wanted
 
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:

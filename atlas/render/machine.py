@@ -113,7 +113,7 @@ def gap_label_of(system: System) -> str:
 
 def symbol_of(system: System, state: str) -> str:
     """The symbol of a component of the state; the system knows it as the parameter that sets its initial value."""
-    return system.parameter(state).symbol.removesuffix("(0)")
+    return style.shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
 
 
 def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:

@@ -50,11 +50,15 @@ class Options:
     overlays   names of lines over it
     page       what it is drawn on
     asked      size, (x, y), in pixels of the plot area that its cells are to fill, where it is not the page's
+    curves     kinds of exact curves that are drawn, of CURVES; None for all
+    names      whether names and levels stand on it
     """
 
     overlays: tuple[str, ...] = ()
     page: Page = STANDARD
     asked: tuple[int, int] | None = None
+    curves: tuple[str, ...] | None = None
+    names: bool = True
 
     @property
     def size(self) -> tuple[float, float]:
@@ -168,7 +172,7 @@ def mark_lost(ax: Axes, plane: Plane, lost: NDArray[np.bool_], colormap: Colorma
         return []
     ink = style.ink_on(colormap(0.0))
     axes.hatch(ax, plane.x, plane.y, lost, style.LOST_HATCH, ink)
-    return [style.swatch(colormap(0.0), r"$-\infty$: no direction is left", style.LOST_HATCH, ink)]
+    return [style.swatch(colormap(0.0), r"$-\infty$: rest on a stop erases disturbances", style.LOST_HATCH, ink)]
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> None:

@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from atlas.errors import InputError
 from atlas.render import axes, curves, grazing, machine, maps
+from atlas.render.kinds import OverlayError
 from workers.model.system import System
 from workers.results import LARGEST, PENDING
 
@@ -48,11 +49,14 @@ def read(ds: xr.Dataset, variables: Iterable[str], kind: str, options: maps.Opti
 
 
 def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
-    """Draw overlays over a map and return their legend entries."""
+    """Draw overlays over a map and return their legend entries; OverlayError for one that cannot be drawn."""
     entries: list[Artist] = []
     for name, lines in DRAW.items():
         if name in options.overlays:
-            entries += lines(ax, ds, plane, options)
+            try:
+                entries += lines(ax, ds, plane, options)
+            except InputError as error:
+                raise OverlayError(name, str(error)) from None
     return entries
 
 
@@ -169,6 +173,8 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options
         lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="white", linewidths=0.7)
         lines.set(zorder=2.5, path_effects=[withStroke(linewidth=1.5, foreground=_SHADOW)])
         lines.set_paths([_long_pieces(ax, path, options.size) for path in lines.get_paths()])
+        if not options.names:
+            continue
         names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0 * options.page.scale, inline=False, colors="black")
         _thin_out(ax, names, options.size)
     shadow = [withStroke(linewidth=2.0, foreground=_SHADOW)]

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib import style as mpl_style
@@ -18,6 +18,7 @@ from matplotlib.transforms import ScaledTranslation
 from atlas.errors import InputError
 from atlas.render.fit import fit
 from atlas.render.measures import length, number, positive
+from atlas.render.options import Look
 from atlas.render.style import DPI, house
 
 WIDTH = 7.0
@@ -33,29 +34,6 @@ _BESIDE = 5.0
 """Least width in inches of a page that has room for a legend beside its plot."""
 
 
-class Look(TypedDict, total=False):
-    """How a picture looks, for every function that draws one.
-
-    width      of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"
-    height     the same
-    font_size  points of the type
-    dpi        dots per inch
-    vmin       lower end of the scale of numbers, or of the axis of exponents in a sweep
-    vmax       its upper end
-    title      whether the fixed parameters stand above
-    style      a matplotlib style: a file, or the name of one of matplotlib's own
-    """
-
-    width: float | str | None
-    height: float | str | None
-    font_size: float | None
-    dpi: float | None
-    vmin: float | None
-    vmax: float | None
-    title: bool
-    style: str | Path | None
-
-
 class Picture(Figure):
     """A figure that a notebook shows by itself, with neither pyplot nor a magic line."""
 
@@ -69,7 +47,10 @@ class Picture(Figure):
 
 @dataclass(frozen=True)
 class Page:
-    """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure."""
+    """A page, with lengths in inches and type in points; ``given`` are axes to draw into instead of a new figure.
+
+    ``explained``: whether it has a legend.
+    """
 
     width: float = WIDTH
     height: float | None = None
@@ -78,6 +59,7 @@ class Page:
     vmin: float | None = None
     vmax: float | None = None
     title: bool = True
+    explained: bool = True
     rc: Mapping[str, Any] = field(default_factory=dict)
     given: tuple[Axes, ...] = ()
 
@@ -146,9 +128,9 @@ class Page:
     def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
         """A legend under the plots in as many columns as fit, or, where ``beside`` is a title (or ""), to the right.
 
-        A page too narrow for a legend beside has it below. None without entries.
+        A page too narrow for a legend beside has it below. None without entries, or where none is asked for.
         """
-        if not entries:
+        if not (entries and self.explained):
             return
         handles = list(entries)
         aside = beside is not None and (self.wide or bool(self.given))
@@ -224,16 +206,24 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
     font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
     styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
     dpi = positive("dpi", look.get("dpi")) or styled
+    dpi = dpi if isinstance(dpi, float) else DPI
+    dots = float(font) * dpi / 72.0
+    if dots < _LEAST_DOTS:
+        raise InputError(
+            f"dpi: found {dpi:g}, with type of {float(font):g} points, makes letters of {dots:.2g} dots; must make "
+            f"them {_LEAST_DOTS:g} or more"
+        )
     if given and asked:
         rc |= {name: value for name, value in house(font / _FONT).items() if name in _SIZES}
     return Page(
         width=width,
         height=length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
         font=float(font),
-        dpi=dpi if isinstance(dpi, float) else DPI,
+        dpi=dpi,
         vmin=number("vmin", look.get("vmin")),
         vmax=number("vmax", look.get("vmax")),
         title=look.get("title", True),
+        explained=look.get("legend", True),
         rc=rc,
         given=given,
     )
@@ -244,6 +234,8 @@ def _usual_font(width: float) -> float:
     return _NARROW_FONT + (_FONT - _NARROW_FONT) * min(1.0, max(0.0, share))
 
 
+_LEAST_DOTS = 4.0
+"""Of the type: an index of an index is half as large, and has to have a dot."""
 _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
 """Of those settings, the ones that pictures in given axes have too."""
 _SIZES = tuple(name for name in house(1.0) if name.endswith("size"))

@@ -17,19 +17,19 @@ Class: TypeAlias = tuple[int, int | None, str]
 
 CLASSES: tuple[Class, ...] = (
     (1, 1, style.COLORS[PERIODIC]),
-    (2, 2, "#1330f7"),
-    (3, 3, "#be8eff"),
-    (4, 4, "#190432"),
-    (5, 5, "#79b896"),
-    (6, 6, "#7ea2ad"),
-    (7, 8, "#393980"),
-    (9, 16, "#f7c1ff"),
-    (17, None, "#005852"),
+    (2, 2, "#38ad83"),
+    (3, 3, "#a467ff"),
+    (4, 4, "#06493b"),
+    (5, 5, "#5bedff"),
+    (6, 6, "#b5a3b7"),
+    (7, 8, "#594e6e"),
+    (9, 16, "#8faefc"),
+    (17, None, "#0314cf"),
 )
 """First and last period of each class and its colour, the same in every picture: cool ones, since warm ones are chaos.
 
-Chosen, with the colours of the regimes and of the chaos, for the greatest least difference between any two, also as
-seen without red or without green receptors; those of long periods lie farthest from those of 4 and 5.
+Chosen, with the colours of the regimes and of the chaos, for the greatest least difference (CIEDE2000) between any two:
+above 20 among periods, above 12 as seen without red, green or blue receptors.
 """
 
 

@@ -1,6 +1,7 @@
 """The region chart: the exact curves alone, and in the regions between them the names of their motions."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -26,16 +27,18 @@ _MOST = 4
 def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
     """The region chart as a figure; InputError where the atlas keeps no curves or holds no impact counts."""
     plane = overlays.read(ds, VARIABLES, "regions", options)
-    found, page = curves.of(ds, "kind 'regions'"), options.page
+    found, page = curves.wanted(curves.of(ds, "kind 'regions'"), options), options.page
     with page.context():
         drawn, ax = maps.frame(ds, page)
         ax.patch.set(facecolor="white", hatch=None)
         axes.scale_x(ax, plane.x)
         axes.scale_y(ax, plane.y)
-        others = maps.Options(tuple(name for name in options.overlays if name != "curves"), page, options.asked)
+        others = replace(options, overlays=tuple(name for name in options.overlays if name != "curves"))
         entries: list[Artist] = [*curves.draw_lines(ax, found, options, 0.0), *overlays.draw(ax, ds, plane, others)]
         title = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
         page.legend(drawn, entries, beside=title, handlelength=2.6)
+        if not options.names:
+            return drawn
         page.fit(drawn)
         drawn.draw_without_rendering()  # from here on the plot has its size
         taken = crossed(plane, found) | _covered(ax, plane)

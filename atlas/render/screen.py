@@ -65,7 +65,7 @@ def screen(
         area = (0.0, 0.0, width / whole, 1.0)
         ax = drawn.add_axes(area)
         look: Any = {"title": False, "vmin": vmin, "vmax": vmax}
-        figure(ds, kind, overlays=overlays, pixels=size, variable=variable, log=log, ax=ax, **look)
+        figure(ds, kind, overlay=overlays, pixels=size, variable=variable, log=log, ax=ax, **look)
         _bare(ax, ds)
         ax.set_position(area)
         bars = [each for each in drawn.axes if each is not ax]
@@ -73,8 +73,9 @@ def screen(
         tall = 0.92 - low
         for bar in bars:  # of the proportions that a bar with pointed ends insists on
             bar.set_position(((width + GAP) / whole, low + 0.04, tall * height / BAR_ASPECT / whole, tall))
+        room = 0.96 * (1.0 - low) * height  # above the legend
         for label in [bar.yaxis.label for bar in bars]:
-            share = 0.96 * height / label.get_window_extent().height
+            share = room / label.get_window_extent().height
             label.set_fontsize(float(label.get_fontsize()) * min(1.0, share))
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())
@@ -89,17 +90,25 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
     if legend is None:
         return 0.0
     handles: Any = legend.legend_handles
-    made = drawn.legend(
-        handles=handles,
-        labels=[text.get_text() for text in legend.get_texts()],
-        title=legend.get_title().get_text() or None,
-        alignment="left",
-        loc="lower left",
-        bbox_to_anchor=(left, 0.0),
-        borderaxespad=0.3,
-    )
+    size = mpl.rcParams["legend.fontsize"]
+    while True:
+        made = drawn.legend(
+            handles=handles,
+            labels=[text.get_text() for text in legend.get_texts()],
+            title=legend.get_title().get_text() or None,
+            alignment="left",
+            loc="lower left",
+            bbox_to_anchor=(left, 0.0),
+            borderaxespad=0.3,
+            fontsize=size,
+        )
+        share = float(made.get_window_extent().height / drawn.bbox.height)
+        if share <= 1.0:
+            break
+        made.remove()
+        size *= 0.97 / share  # no entry may be lost above
     legend.remove()
-    return float(made.get_window_extent().height / drawn.bbox.height)
+    return share
 
 
 def _bare(ax: Axes, ds: xr.Dataset) -> None:

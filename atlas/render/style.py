@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
@@ -70,7 +72,7 @@ HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAI
 """The ink of those textures; what is not named is drawn in an ink that suits its cells."""
 
 LOST_HATCH = "||"
-"""The texture of exponents that are -inf: at rest on a stop no direction is left."""
+"""The texture of exponents that are -inf: rest on a stop erases disturbances."""
 
 
 def name_of(code: int) -> str:
@@ -114,10 +116,20 @@ def system_of(ds: xr.Dataset) -> System | None:
 
 
 def symbol(ds: xr.Dataset, name: str) -> str:
-    """A parameter's symbol as mathtext, without the dollars; its name upright where nobody knows one."""
+    """A parameter's symbol as mathtext, without the dollars; its name upright where there is none to be shown."""
     parameter = parameter_of(ds, name)
     known = ds[name].attrs.get("symbol") or (parameter.symbol if parameter else "")
-    return str(known) or rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
+    return shown_symbol(str(known), name)
+
+
+@lru_cache(maxsize=1024)
+def shown_symbol(symbol: str, name: str) -> str:
+    r"""The symbol, or where it is empty or no mathtext, such as ``\frac{``, the name upright."""
+    try:
+        parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
+    except ValueError:
+        parsed = False
+    return symbol if parsed else rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
 
 
 def axis_label(ds: xr.Dataset, name: str) -> str:
@@ -150,7 +162,7 @@ def title_line(ds: xr.Dataset) -> str:
 def parameter_title(system: System, values: Mapping[str, float]) -> str:
     """The same for one cell of a system."""
     shown = [p for p in system.parameters if values[p.name] or p.name not in system.states]
-    return parameter_line([(p.symbol, values[p.name]) for p in shown])
+    return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
 
 
 def parameter_line(items: Sequence[tuple[str, float]]) -> str:

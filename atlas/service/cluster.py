@@ -107,6 +107,15 @@ def worker_threads(client: "Client") -> dict[str, int]:
         raise RunError(LOST) from None
 
 
+def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
+    """Of each worker by its address: its memory limit in bytes, 0 for none, and whether Dask has paused it."""
+    try:
+        found = client.scheduler_info()["workers"]
+    except OSError:
+        raise RunError(LOST) from None
+    return {name: (int(each.get("memory_limit") or 0), each.get("status") == "paused") for name, each in found.items()}
+
+
 def count_threads(client: "Client", waiting: Callable[[], None], timing: Timing = TIMING) -> int:
     """Threads of a cluster, once its first worker is there; ``waiting`` is called if it is not yet.
 

@@ -15,18 +15,18 @@ from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
 from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import outcomes
+from atlas.service.dispatch import Workers, outcomes
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.progress import LOG_INTERVAL, Progress
+from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.run import check_client, claimed_place, joined, worker_count
 from atlas.service.summary import TileFailure
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.curves import drop_parts, get_part, part_names, put_part
 from atlas.store.location import place_of, waiting
 from atlas.store.store import Header, read_header
-from atlas.task.compile import compile_once, warming
+from atlas.task.compile import ORBITS
 from atlas.text import duration, plural
 from workers import SOLVER_VERSION
 
@@ -151,12 +151,13 @@ class _Coordinator:
         if get_part(self.header, DIGEST) != self.digest.encode():
             drop_parts(self.header)
             put_part(self.header, DIGEST, self.digest.encode())
-        kept = set(part_names(self.header))
+        kept = {name for name in part_names(self.header) if get_part(self.header, name) is not None}
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
             self._do(jobs)
             self.search.take([read_part(self.header, name) for name in tasks])
         found = finished(self.search)
+        self.claim.confirm(self.header.place)
         write_curves(self.header, found)
         drop_parts(self.header)
         seconds = time.monotonic() - self.begin
@@ -165,15 +166,14 @@ class _Coordinator:
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         header, settings = self.header, self.search.settings
         index, store = (self.search.stage, number), str(header.place)
-        patience = self.options.patience
-        return CurveJob(index, name, task, settings, self.digest, store, header.run_id, SOLVER_VERSION, patience)
+        run, patience = (header.run_id, SOLVER_VERSION), self.options.patience
+        return CurveJob(index, name, task, settings, self.digest, store, *run, patience, self.claim.token)
 
     def _do(self, jobs: list[CurveJob]) -> None:
         if not jobs:
             return
         if self.client is None:
-            self.options.report(Progress(warming()))
-            compile_once(self.header.spec.settings)
+            prepare_kernels(self.options.report, ORBITS)
             self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.workers))
             self.begin = time.monotonic()
@@ -187,10 +187,11 @@ class _Coordinator:
         self.processor_seconds += receipt.processor_seconds
         self._report(self.search.doing)
 
-    def _tick(self, threads: int, refused: Mapping[str, str]) -> None:
+    def _tick(self, workers: Workers) -> None:
         self.claim.check()
-        self.workers = max(self.workers, threads)
-        self._report(self.search.doing if threads else "waiting for a worker: there is none left")
+        self.workers = max(self.workers, workers.threads)
+        doing = self.search.doing if workers.threads else "waiting for a worker: there is none left"
+        self._report(workers.trouble or doing)
 
     def _report(self, doing: str) -> None:
         """Tell how far it is; in a log once every few seconds."""

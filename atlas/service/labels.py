@@ -8,12 +8,12 @@ from typing import Any
 from atlas.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.progress import Progress
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of, waiting
 from atlas.store.store import read_header
-from atlas.task.compile import compile_once, warming
+from atlas.task.compile import ORBITS
 from atlas.text import duration, plural
 
 
@@ -57,10 +57,10 @@ def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAUL
             return LabelSummary(str(header.place), stored)
         refuse_packed(header.place)
         begin = time.monotonic()
-        with claimed_place(header.place, options):
-            options.report(Progress(warming()))
-            compile_once(header.spec.settings)
+        with claimed_place(header.place, options) as claim:
+            prepare_kernels(options.report, ORBITS)
             options.report(Progress("following orbits from cell to cell"))
             found = labels_of(header)
+            claim.confirm(header.place)
             write_labels(header, found)
         return LabelSummary(str(header.place), found.count, time.monotonic() - begin)

@@ -23,13 +23,14 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from atlas.errors import InputError, NetworkError, RunError
+from atlas.errors import InputError, NetworkError, RunError, one_line
 from atlas.service.process import is_name, is_running, this_process
 from atlas.service.timing import TIMING, Timing
-from atlas.store.sidecar import Notes
+from atlas.store.location import Place
+from atlas.store.sidecar import CLAIM, Notes, claim_token, notes_of
 
-CLAIM, ENDED = "claim", "ended"
-"""Names of notes: which run is at work; how the last submitted run ended."""
+ENDED = "ended"
+"""The note of how the last submitted run ended."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,12 @@ class Record:
         return value if abs(value) < 2**63 else 0  # nor is NaN
 
     @property
+    def trouble(self) -> str:
+        """Why the run comes to nothing, as its holder reports it; empty where it reports nothing."""
+        value = self.progress.get("trouble")
+        return one_line(value) if isinstance(value, str) else ""
+
+    @property
     def is_alive(self) -> bool | None:
         """Whether the holder runs; None where this machine cannot know."""
         return is_running(self.pid, self.process)
@@ -86,27 +93,49 @@ class Record:
 class Claim:
     """A claim that is held: its counter moves in a thread of its own, until ``release``.
 
-    ``lost`` says why it is no longer this run's, and is empty while it is.
+    ``lost`` says why it is no longer this run's, and is empty while it is. ``patience`` is for how many seconds the
+    counter may stand still because the store does not answer, ``timing.dead`` at least.
     """
 
-    def __init__(self, notes: Notes, record: Record, beat_seconds: float) -> None:
-        self._notes, self._record, self._data, self._seconds = notes, record, record.pack(), beat_seconds
+    def __init__(self, notes: Notes, record: Record, timing: Timing = TIMING, patience: float = 0.0) -> None:
+        self._notes, self._record, self._data, self._seconds = notes, record, record.pack(), timing.beat
+        self._moved, self._most_silent = time.monotonic(), max(timing.dead, patience)
         self.lost = ""
         self._released = threading.Event()
         self._progress: Mapping[str, Any] = {}
         self._thread = threading.Thread(target=self._beat_on, name="atlas-claim", daemon=True)
         self._thread.start()
 
+    @property
+    def token(self) -> str:
+        """What tells this run's claim from all others."""
+        return self._record.token
+
     def report(self, progress: Mapping[str, Any]) -> None:
         """What the next beats say to those who ask for the status."""
         self._progress = progress
 
     def check(self) -> None:
-        """Raise RunError where the claim is no longer this run's, or somebody asked it to stop."""
+        """Raise RunError where the claim is no longer this run's, or may be another's, or somebody asked it to stop."""
+        silent = time.monotonic() - self._moved
+        if silent > self._most_silent and not self.lost:
+            self.lost = (
+                f"this run could not renew its claim of the store for {silent:.0f} s, so that another run may have "
+                "replaced it; finished tiles are kept, and the same command resumes"
+            )
         if self.lost:
             raise RunError(self.lost)
         if self._record.cancelled:
             raise RunError("stopped by atlas cancel; finished tiles are kept, and the same command resumes from them")
+
+    def confirm(self, place: Place) -> None:
+        """As ``check``, and by one read of the store's claim: before each write that is not a worker's.
+
+        A process that slept since the last beat may not know yet that it was replaced.
+        """
+        self.check()
+        if claim_token(notes_of(place)) != self.token:
+            raise RunError(f"{place}: this run has lost its claim of the store; finished tiles are kept")
 
     def release(self) -> None:
         """Free the store."""
@@ -124,8 +153,9 @@ class Claim:
     def _beat(self) -> None:
         while not self.lost:
             moved = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
+            begin = time.monotonic()
             if self._notes.put(CLAIM, moved.pack(), expected=self._data):
-                self._record, self._data = moved, moved.pack()
+                self._record, self._data, self._moved = moved, moved.pack(), begin
                 return
             found = self._notes.read(CLAIM)
             record = Record.unpack(found) if found is not None else None
@@ -139,12 +169,16 @@ class Claim:
 
 @contextmanager
 def claimed(
-    notes: Notes, name: str, say: Callable[[str], None] = lambda _: None, timing: Timing = TIMING
+    notes: Notes,
+    name: str,
+    say: Callable[[str], None] = lambda _: None,
+    timing: Timing = TIMING,
+    patience: float = 0.0,
 ) -> Iterator[Claim]:
     """Hold the claim of a store; InputError, naming ``name``, where another run that is alive holds it.
 
     Watching the claim of a holder that is not known to be dead takes up to ``timing.dead`` seconds; ``say`` gets a
-    line about it.
+    line about it. ``patience`` is that of a ``Claim``.
     """
     mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
@@ -157,7 +191,7 @@ def claimed(
         raise
     except OSError as error:
         raise InputError(f"{name}: cannot be written: {error.strerror or error}") from None
-    claim = Claim(notes, mine, timing.beat)
+    claim = Claim(notes, mine, timing, patience)
     try:
         yield claim
     finally:
@@ -275,7 +309,8 @@ def noted_end(notes: Notes) -> str:
 
 def remove_half_made(store: Path) -> None:
     """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
-    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.*.partial"):
+    run_id = "[0-9a-f]" * 32
+    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
         shutil.rmtree(leftover, ignore_errors=True)
 
 

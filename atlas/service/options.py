@@ -10,6 +10,9 @@ from atlas.service.timing import TIMING, Timing
 from atlas.store.outage import LONG
 from atlas.task.retry import Retry
 
+MOST_WORKERS = 1024
+"""Processes of a local cluster: more than a machine has processors, and few enough to start."""
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -35,8 +38,9 @@ class RunOptions:
     timing: Timing = TIMING
 
     def __post_init__(self) -> None:
-        if self.workers is not None and (self.workers < 1 or self.scheduler is not None):
-            raise InputError(f"workers: found {self.workers}, must be 1 or more, and goes with a local cluster only")
+        if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
+            found, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
+            raise InputError(f"workers: found {found}, {most}, and goes with a local cluster only")
         if not self.patience >= 0:
             raise InputError(f"patience: found {shown(self.patience)}, must be 0 s or more")
 

@@ -6,16 +6,22 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from atlas.errors import InputError
+from atlas.errors import ChunkError, InputError
 from atlas.service.lease import Observer
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
+from atlas.store.curves import GROUP as CURVES
+from atlas.store.groups import read_group
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
-from atlas.store.store import Header, done_tiles, read_header
+from atlas.store.store import Header, chunk_key, done_tiles, read_header
+from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.text import byte_size, plural
+
+SHOWN = 3
+"""Lost chunks that a message names."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +62,9 @@ def pack(
 
     The file's name ends in .zip. It appears whole or not at all, in the place of one of that name only with ``force``.
     Of an atlas that is not complete what there is is packed.
-    Raises InputError for another suffix, where there is a file already, where there is no store, and where a run is at
-    work on it: of a tile that is being written the file would have a part.
+    ChunkError where a chunk of a finished tile, or of a table, is missing: the file would be without it for good.
+    Raises InputError for another suffix, where there is a file already, where there is no store, where something in it
+    is a link or no file, and where a run is at work on it: of a tile that is being written the file would have a part.
     """
     target = Path(file).absolute()
     if target.suffix.lower() != SUFFIX:
@@ -70,10 +77,13 @@ def pack(
     if target.exists() and not force:
         raise InputError(f"{file}: exists already; --force (force=True) replaces it")
     _refuse_running(header, timing)
-    done, keys = len(done_tiles(header)), sorted(header.place.list_keys())
+    if header.place.local is not None:
+        _refuse_links(header.place.local)
+    tiles, keys = done_tiles(header), sorted(header.place.list_keys())
+    _refuse_lost(header, tiles, set(keys))
     with reporting(on_progress) as report:
         size = _pack(header, keys, target, report or (lambda _: None), timing)
-    return Packed(str(file), len(keys), size, header.tiling.count, done)
+    return Packed(str(file), len(keys), size, header.tiling.count, len(tiles))
 
 
 def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
@@ -95,6 +105,26 @@ def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progr
         return write_zip(target, members())
     except OSError as error:
         raise InputError(f"{target}: cannot be packed: {error.strerror or error}") from None
+
+
+def _refuse_links(store: Path) -> None:
+    """InputError where something in a store is neither a folder nor a file of its own."""
+    for folder, folders, files in os.walk(store):
+        for name in (*folders, *files):
+            path = Path(folder) / name
+            if path.is_symlink() or not (path.is_dir() or path.is_file()):
+                what = "a link" if path.is_symlink() else "no file"
+                raise InputError(f"{store}: {path.relative_to(store)} is {what}; only folders and files are packed")
+
+
+def _refuse_lost(header: Header, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
+    """ChunkError where a chunk is not among the keys that has to be."""
+    needed = [variable for variable in header.variables if not variable.sparse]
+    lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
+    if lost:
+        raise ChunkError(header.place, dict.fromkeys(lost[:SHOWN], "is missing"))
+    for group in (CURVES, *[ATTRACTORS] * header.spec.basins, *[LABELS] * header.spec.coexistence):
+        read_group(header, group)
 
 
 def _refuse_running(header: Header, timing: Timing) -> None:

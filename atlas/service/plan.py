@@ -25,6 +25,11 @@ LARGEST_CHUNK = 2**31 - 1
 """Bytes that the codecs of a store take at once."""
 FILE_BLOCK = 4096
 """Bytes that a small file takes on a disk."""
+NO_BASINS = (
+    "all axes are initial states, and each cell is solved by itself; for basins of attraction: "
+    "atlas basins SPEC -o ANOTHER_STORE"
+)
+"""For a spec whose user may not know of basins: the store of a run cannot become one of basins."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,7 @@ class Plan:
     workers   how many are to share the work
     bytes     an upper bound of the store's size: no compression assumed
     probe     measured time, or None
+    note      what else its user may have meant, empty for most
     """
 
     dims: tuple[str, ...]
@@ -58,6 +64,7 @@ class Plan:
     workers: int
     bytes: int
     probe: Probe | None = None
+    note: str = ""
 
     @property
     def seconds(self) -> float | None:
@@ -89,6 +96,7 @@ class Plan:
             "processor_seconds": self.probe and self.probe.seconds_per_cell * self.tiling.cells,
             "periods": self.probe and self.probe.periods_per_cell * self.tiling.cells,
             "cells_probed": self.probe.cells if self.probe else 0,
+            "note": self.note,
         }
 
     def __str__(self) -> str:
@@ -104,7 +112,7 @@ class Plan:
             f"cells  {self.tiling.cells} ({shape}; {', '.join(self.dims)}) in "
             f"{plural(self.tiling.count, 'tile')} of {tile}\n"
             f"cost   {cost}"
-        )
+        ) + (f"\nnote   {self.note}" if self.note else "")
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
@@ -117,7 +125,8 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
     _check_chunks(spec, chosen)
     tiling = Tiling(spec.shape, chosen)
-    return Plan(spec.dims, spec.described, tiling, count, _bytes_needed(spec, tiling))
+    note = NO_BASINS if spec.of_states and spec.attractors is None else ""
+    return Plan(spec.dims, spec.described, tiling, count, _bytes_needed(spec, tiling), note=note)
 
 
 def default_workers() -> int:
@@ -125,14 +134,15 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def check_disk(plan: Plan, target: Path, tiles: int | None = None) -> None:
-    """Raise InputError where the disk that is to hold ``target`` has no room for that many tiles, or for all."""
+def disk_shortage(plan: Plan, target: Path, tiles: int | None = None) -> str:
+    """What to say where the disk that is to hold ``target`` has no room for that many tiles, or for all; else empty."""
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
     bytes_needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
-    if bytes_needed > free:
-        needed, room = byte_size(bytes_needed), byte_size(free)
-        raise InputError(f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk")
+    if bytes_needed <= free:
+        return ""
+    needed, room = byte_size(bytes_needed), byte_size(free)
+    return f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk"
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:

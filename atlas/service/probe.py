@@ -53,7 +53,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     not count. Cells that are continued are measured in short parts of lines; where all
     attractors are sought, what a budget above the probed one would add is not known and left out.
     """
-    warm_up(spec.settings)
+    warm_up()
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     if spec.attractors is not None:

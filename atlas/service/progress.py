@@ -1,13 +1,14 @@
 """How a run reports where it is: one frozen snapshot, and two ways to show it, on a terminal and in a log."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import IO
 
 from atlas.service.plan import Plan
+from atlas.task.compile import Compilation, compile_once, warming
 from atlas.text import duration, plural, shares
 from workers.results import FAILED, REASONS, REGIMES
 
@@ -23,7 +24,7 @@ class Progress:
     plan                      known from its stage on, else None
     tiles, cells              in all: of the atlas, or of those that are to be solved again
     tiles_done, cells_done    in the store, those of earlier runs included
-    cells_solved, seconds     of this run, since its first tile was submitted
+    cells_solved, seconds     of this run, since its first tile was submitted; before it of the stage, where it counts
     counts                    cells solved in this run by regime
     failures                  tiles that ended with an error in this run
     passing                   of interest only while it lasts: not for a log
@@ -64,11 +65,11 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
-    """A line for each reason why results are missing or uncertain: ``3 cells invalid: the initial state lies ...``."""
+    """A line for each reason why results are missing or uncertain: ``3 invalid cells: the initial state lies ...``."""
     regimes = {regime.code: regime.name for regime in REGIMES}
     # How a process died has words of its own.
     meant = {reason.text: regimes[reason.regime] for reason in REASONS}
-    return [f"{plural(count, 'cell')} {meant.get(text, regimes[FAILED])}: {text}" for text, count in reasons.items()]
+    return [f"{plural(count, f'{meant.get(text, regimes[FAILED])} cell')}: {text}" for text, count in reasons.items()]
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
@@ -152,10 +153,23 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
         self._live.stop()
 
 
+def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
+    """See to it that the kernels of cells, and ``more``, are compiled on this machine, and report how far that is."""
+    stage = warming(*more)
+
+    def told(now: Compilation) -> None:
+        what = stage if now.of else "waiting for another process, which compiles the kernels"
+        report(Progress(what, cells=now.of, cells_done=now.done, seconds=now.seconds))
+
+    report(Progress(stage))
+    compile_once(*more, report=told)
+
+
 def status_line(progress: Progress) -> str:
-    """One line: tiles, cells, speed, time left, regimes."""
+    """One line: tiles, cells, speed, time left, regimes; before the first tile how far and how long the stage is."""
     if not progress.tiles:
-        return progress.stage
+        share = f"{100 * progress.cells_done / progress.cells:.0f} % after " if progress.cells else ""
+        return f"{progress.stage}: {share}{duration(progress.seconds)}" if progress.seconds else progress.stage
     done = f"{progress.tiles_done}/{progress.tiles} tiles, {progress.cells_done}/{progress.cells} cells"
     return ", ".join(part for part in (done, _speed(progress), _outcome(progress)) if part)
 

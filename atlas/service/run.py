@@ -1,9 +1,10 @@
 """Running an atlas: plan, claim, create or resume, solve the tiles due, add up their receipts."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,25 +12,25 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import tile_outcomes
-from atlas.service.lease import CLAIM, Claim, claimed, remove_half_made
+from atlas.service.dispatch import Workers, tile_outcomes
+from atlas.service.lease import Claim, claimed, remove_half_made
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.plan import Plan, check_disk, default_workers, make_plan
+from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
 from atlas.service.probe import CELLS, probe
-from atlas.service.progress import Progress
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, Totals
 from atlas.spec.spec import Spec
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.schema import Origin
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Header, add_allowances, create, done_tiles, find
 from atlas.store.tally import TallyKeeper, done_mask
-from atlas.store.tiles import read_tile
+from atlas.store.tiles import finish_replacement, read_tile, replacements
 from atlas.task.basins import complete_basins
-from atlas.task.compile import compile_once, warming
 from atlas.task.retry import NEEDED, Retry
+from atlas.task.solving import kernels_of
 from atlas.task.task import Job, Receipt
 from atlas.text import plural
 
@@ -98,7 +99,9 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
         client = joined(client, options, stack)
         plan = make_plan(target.spec, worker_count(client, options), header.tile if header else None)
         if target.place.local is not None:
-            check_disk(plan, target.place.local, plan.tiling.count - (len(done_tiles(header)) if header else 0))
+            due = plan.tiling.count - (len(done_tiles(header)) if header else 0)
+            if shortage := disk_shortage(plan, target.place.local, due):
+                raise InputError(shortage)
         claim = stack.enter_context(claimed_place(target.place, options))
         return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
 
@@ -109,14 +112,19 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
     It is looked for once more: before the claim, when it was only read so that bad input leaves no trace, another run
     may have made it, with tiles of another shape, or have finished some of them.
     """
+
+    held = partial(claim.confirm, target.place)
     header = target.find()
-    if header is not None and header.tile != plan.tiling.tile:
-        plan = make_plan(target.spec, plan.workers, header.tile)
+    if header is not None:
+        _finish_replacements(header, held)
+        if header.tile != plan.tiling.tile:
+            plan = make_plan(target.spec, plan.workers, header.tile)
     work = _work(header, plan, options)
     if work.due.any():
         work = _prepared(work, target.spec, client, options)
     totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
     options.report(totals.progress(work.beginning))
+    held()
     header = header or target.create(plan.tiling.tile)
     if options.retry is not None:
         add_allowances(header, options.retry.raises)
@@ -127,8 +135,8 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
 
         # Before the first tile is written: what overviews and tally say of tiles that are solved again is dropped.
         again = work.again
-        tallies = stack.enter_context(TallyKeeper(header, again))
-        overviews = stack.enter_context(Overviews(header, pending=again))
+        tallies = stack.enter_context(TallyKeeper(header, again, held))
+        overviews = stack.enter_context(Overviews(header, again, held))
 
         def written(receipt: Receipt) -> None:
             overviews.add(receipt.index)
@@ -138,10 +146,17 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
             _solve(client, header, work.due, options, claim, totals, written)
         if target.spec.basins:
             options.report(totals.progress("labelling the attractors"))
-            complete_basins(header)
+            complete_basins(header, held)
         overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
         tallies.finish(lambda tiles: options.report(totals.progress(f"counting the cells of {plural(tiles, 'tile')}")))
     return totals.summary(str(header.place))
+
+
+def _finish_replacements(header: Header, held: Callable[[], None]) -> None:
+    """Write what a run that was killed while it replaced finished tiles has put beside them."""
+    for index in sorted(replacements(header)):
+        held()
+        finish_replacement(header, index)
 
 
 def _check_retry(target: Target, header: Header | None) -> None:
@@ -184,14 +199,20 @@ def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
     """The claim of a store. What dead runs left half made is removed when it begins, their notes when it ends.
 
     Its beats have the place's own patience: one that fails is followed by another, and none may delay for long the end
-    of a run whose store is away. Only removing the notes waits as long as the options say.
+    of a run whose store is away. Only removing the notes waits as long as the options say; and a run waits that long
+    for a beat to succeed, since what it writes meanwhile is written only after a look at the claim.
     """
     notes = notes_of(waiting(place, options.patience))
 
     def say(text: str) -> None:
         options.report(Progress(text))
 
-    with claimed(notes_of(place), str(place), say, options.timing) as claim:
+    def tidy() -> None:
+        if claim_token(notes) == claim.token:  # else they are another run's
+            notes.clear(keep=CLAIM)
+
+    patience = options.patience if place.local is None else 0.0
+    with claimed(notes_of(place), str(place), say, options.timing, patience) as claim:
         if place.local is not None:
             remove_half_made(place.local)
         try:
@@ -199,9 +220,9 @@ def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
         except Exception:
             raise  # tiles that were begun may have something to do with it: their notes stay
         except BaseException:
-            notes.clear(keep=CLAIM)
+            tidy()
             raise
-        notes.clear(keep=CLAIM)
+        tidy()
 
 
 @dataclass(frozen=True)
@@ -255,8 +276,7 @@ def _retried(header: Header, plan: Plan, done: np.ndarray, retry: Retry) -> _Wor
 def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOptions) -> _Work:
     """The work after the kernels are compiled, where this machine needs them, and its cost probed, where asked for."""
     if client is None or options.probe:
-        options.report(Progress(warming(spec.attractors is not None)))
-        compile_once(spec.settings, spec.attractors is not None)
+        prepare_kernels(options.report, *kernels_of(spec))
     if not options.probe or work.plan.tiling.cells <= CELLS:  # a probe would solve them all
         return work
     options.report(Progress("probing a few cells"))
@@ -274,14 +294,16 @@ def _solve(
 ) -> None:
     """Send the tiles due to the workers, and add up their receipts."""
 
-    def tick(threads: int, refused: Mapping[str, str]) -> None:
+    def tick(workers: Workers) -> None:
         claim.check()
-        totals.workers, totals.refused = max(totals.workers, threads), refused
-        claim.report(totals.report(threads))
-        options.report(totals.progress("solving" if threads else "waiting for a worker: there is none left"))
+        totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
+        totals.trouble = workers.trouble
+        claim.report(totals.report(workers.threads))
+        doing = "solving" if workers.threads else "waiting for a worker: there is none left"
+        options.report(totals.progress(workers.trouble or doing))
 
     order = Order(due)
-    job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience)
+    job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience, claim.token)
     totals.start()
     try:
         for outcome in tile_outcomes(client, (replace(job, index=index) for index in order), tick, options.timing):

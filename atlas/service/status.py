@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.service.lease import Observer, Record, noted_end
+from atlas.service.lease import Observer, Record, Sighting, noted_end
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
 from atlas.store.sidecar import notes_of
@@ -23,7 +23,8 @@ class Status:
     """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
 
     ``reasons`` has the cells without a certain result, by the reason in words; none of a store too old to keep them.
-    ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged.
+    ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged; or
+    why the run at work comes to nothing.
     ``ended`` is how the last submitted run ended. Both are empty where all is well.
     """
 
@@ -52,7 +53,7 @@ class Status:
             tiles_done=self.tiles_done,
             cells_done=self.cells_done,
             cells_solved=int(self._reported("cells_solved")),
-            seconds=self._reported("seconds"),
+            seconds=0.0 if self.trouble else self._reported("seconds"),
             counts=self.regimes,
         )
 
@@ -85,7 +86,7 @@ class Status:
             trouble = f"; {self.trouble}" if self.trouble else ""
             return "complete" if self.fraction == 1 and not ended + trouble else f"none at work{ended}{trouble}"
         if self.trouble:
-            return self.trouble
+            return f"{self.run}: {self.trouble}" if self.trouble == self.run.trouble else self.trouble
         workers = int(self._reported("workers"))
         speed = "" if self.seconds_left is None else f", {self.progress.rate:.3g} cells/s"
         left = "" if self.seconds_left is None else f", {duration(self.seconds_left)} left"
@@ -144,7 +145,25 @@ class Census:
         self.explained = False
 
     def take(self, settled: bool = False) -> Status:
-        """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved."""
+        """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved.
+
+        Where the run that was at work before the tiles were counted has ended since, they are counted again: its last
+        ones may have come between.
+        """
+        seen = self.observer.look()
+        while True:
+            before = _token(seen)
+            regimes, reasons = self._count()
+            seen = self.observer.settle() if settled else self.observer.look()
+            if before in ("", _token(seen)):
+                break
+        tiles, done = int(self.counted.sum()), int(self.header.tiling.sizes()[self.counted].sum())
+        run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
+        trouble = trouble or (run.trouble if run else "")
+        return Status(self.header, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
+
+    def _count(self) -> tuple[dict[str, int], dict[str, int]]:
+        """Count the tiles that have been finished since the last time; all cells counted by regime and by reason."""
         new = done_mask(self.header) & ~self.counted
         if new.any():
             root = open_group(self.header.place, "r")
@@ -162,11 +181,11 @@ class Census:
         regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
         found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
         named = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
-        reasons = named if self.explained else {}  # an older store knows those of the newest tiles at best
-        tiles, done = int(self.counted.sum()), int(self.header.tiling.sizes()[self.counted].sum())
-        seen = self.observer.settle() if settled else self.observer.look()
-        run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
-        return Status(self.header, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
+        return regimes, named if self.explained else {}  # an older store knows those of the newest tiles at best
+
+
+def _token(seen: Sighting | None) -> str:
+    return seen.record.token if seen and seen.record else ""
 
 
 def read_status(header: Header, timing: Timing = TIMING) -> Status:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.service.cluster import LOST, connected, count_threads, worker_threads
-from atlas.service.dispatch import Refusal
+from atlas.service.fitness import Refusal
 from atlas.service.lease import note_end
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress

@@ -14,10 +14,14 @@ from atlas.text import duration, plural, shares
 
 @dataclass(frozen=True)
 class TileFailure:
-    """A tile that ended with an exception: its index and what was raised."""
+    """A tile that ended with an exception: its index, what was raised, and on which worker at last."""
 
     index: tuple[int, ...]
     message: str
+    worker: str = ""
+
+    def __str__(self) -> str:
+        return f"tile {self.index} failed{f' on {self.worker}' if self.worker else ''}: {self.message}"
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Summary:
     processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
-    failures, refused              tiles that raised; workers that would not do them, with their reasons
+    failures, refused              tiles that raised; workers that got no more of them, and why
     retried, changed               cells of finished tiles were solved again, and nothing else; those of them that
                                    came out of another regime
     """
@@ -106,6 +110,7 @@ class Totals:
         self.reasons: Counter[str] = Counter()
         self.failures: list[TileFailure] = []
         self.refused: Mapping[str, str] = {}
+        self.trouble = ""
         self.solve_seconds = self.write_seconds = self.processor_seconds = 0.0
         self.seconds = 0.0
         self.start()
@@ -154,6 +159,7 @@ class Totals:
             "cells_done": self.cells_done,
             "cells_solved": self.cells_solved,
             "seconds": self.seconds,
+            "trouble": self.trouble,
         }
 
     def summary(self, store: str) -> Summary:

@@ -16,6 +16,7 @@ class Timing:
     beat      between two steps of a claim's counter
     look      between two looks at the claim of another run
     silent    after which a counter that stands still is reported: one beat may be late, two rarely are
+    stalled   after which, where no tile has ended, the run says why if it knows
     dead      after which its holder counts as dead: ten beats, for a busy network disk
     """
 
@@ -26,6 +27,7 @@ class Timing:
     beat: float = 2.0
     look: float = 0.2
     silent: float = 5.0
+    stalled: float = 30.0
     dead: float = 20.0
 
     def __post_init__(self) -> None:

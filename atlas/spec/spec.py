@@ -203,10 +203,14 @@ class Spec:
 
     @property
     def basins(self) -> bool:
-        """Whether it asks which attractor each initial state of one machine reaches: all its axes are such states."""
-        states = {*self.record.states}
+        """Whether it asks which attractor each initial state of one machine reaches."""
+        return self.attractors is not None and self.of_states
+
+    @property
+    def of_states(self) -> bool:
+        """Whether all its axes are components of the initial state: its cells are of one machine."""
         names = [*self.points] if self.points else [axis.name for axis in self.axes]
-        return self.attractors is not None and states.issuperset(names)
+        return {*self.record.states}.issuperset(names)
 
     @property
     def coexistence(self) -> bool:
@@ -278,7 +282,8 @@ def differences(stored: Spec, given: Spec) -> list[str]:
             if (old.values, old.continuation) != (new.values, new.continuation)
         ]
     if (stored.attractors is None) != (given.attractors is None):
-        found.append("only one of the two asks for all attractors")
+        one, all_of_them = ("store", "spec") if stored.attractors is None else ("spec", "store")
+        found.append(f"one attractor for each cell in the {one}, all attractors in the {all_of_them}")
     for before, after in (
         (stored.parameters, given.parameters),
         (stored.resolved()["solve"], given.resolved()["solve"]),

@@ -1,13 +1,16 @@
 """An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, so that xarray opens it too."""
 
 import errno
+import fcntl
+import glob
 import os
+import re
 import threading
 import uuid
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +20,9 @@ from atlas.errors import InputError
 SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, so that equal atlases are equal files."""
+_LARGEST_UNPACKED = 2**28
+"""Bytes that a member may have that is compressed, as none of ours is: its few bytes may say that they are many."""
+_PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 """What zipfile raises for bytes that nobody packed: a wrong checksum, an unknown method, a mark of encryption."""
 
@@ -90,6 +96,9 @@ class _Archive:
 @lru_cache(maxsize=8)  # its table of contents is read once, and again where another file or process is meant
 def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _Archive:
     file = zipfile.ZipFile(path)
+    for member in file.infolist():
+        if member.compress_size > size or member.file_size > max(member.compress_size, _LARGEST_UNPACKED):
+            raise zipfile.BadZipFile(f"{member.filename} says that it has {member.file_size} bytes")
     return _Archive(file, dict.fromkeys(name for name in file.namelist() if not name.endswith("/")), threading.Lock())
 
 
@@ -108,14 +117,27 @@ def refuse_packed(place: object) -> None:
         raise InputError(f"{place}: a zip file is read only; give a folder such as {place.path.with_suffix('.zarr')}")
 
 
+def _remove_left(target: Path) -> None:
+    begin = f".{target.name}"
+    for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
+        if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
+            with suppress(OSError), left.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                left.unlink()
+
+
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
     """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
 
-    Nothing is compressed: the chunks of a store are, and its few metadata are small.
+    Nothing is compressed: the chunks of a store are, and its few metadata are small. What writers left behind that were
+    killed is removed: the files that nobody holds a lock on.
     """
+    _remove_left(target)
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
         with unfinished.open("wb") as file:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
             with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
                 for key, data in members:
                     member = zipfile.ZipInfo(key, _SINCE)

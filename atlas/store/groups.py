@@ -1,21 +1,29 @@
 """Groups of arrays beside the results of a store, each written whole.
 
 A group's own metadata are written last: before them there is none, and a kill at any moment leaves the group whole or
-absent.
+absent. They have a checksum of all that the group holds. Groups made before there were checksums have none.
 """
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError, message_of
 from atlas.store.build import codecs
 from atlas.store.schema import StoredArray
 from atlas.store.store import ROOT, Header, open_group
 
+ARRAYS, CHECKSUM = "arrays", "checksum"
+"""Attributes of a group: the names of its arrays; the checksum."""
+
 
 def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Write a group, in the place of one that is there."""
-    header.place.remove(f"{group}/{ROOT}")
+    drop_group(header, group)
     root: Any = open_group(header.place, "r+")
     for name, (values, dims, described) in arrays.items():
         array = root.create_array(
@@ -30,11 +38,93 @@ def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], a
         )
         if values.size:
             array.with_config({"write_empty_chunks": True})[...] = values
-    own = {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes)}
-    header.place.put(f"{group}/{ROOT}", json.dumps(own).encode())
+    own = {**attributes, ARRAYS: list(arrays)}
+    whole = {
+        "zarr_format": 3,
+        "node_type": "group",
+        "attributes": own | {CHECKSUM: _checksum(header, group, arrays, own)},
+    }
+    header.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
+
+
+def drop_group(header: Header, group: str) -> None:
+    """Make a group absent."""
+    header.place.remove(f"{group}/{ROOT}")
 
 
 def group_attributes(header: Header, group: str) -> dict[str, Any] | None:
-    """The attributes of a group, None where it is not there. ValueError where they cannot be read."""
-    stored = header.place.get(f"{group}/{ROOT}")
-    return None if stored is None else dict(json.loads(stored).get("attributes", {}))
+    """The attributes of a group, None where it is not there. ChunkError where they cannot be read."""
+    key = f"{group}/{ROOT}"
+    stored = header.place.get(key)
+    try:
+        return None if stored is None else dict(json.loads(stored)["attributes"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ChunkError(header.place, {key: f"is damaged ({message_of(error)})"}) from None
+
+
+def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+    """The arrays of a group by name, and its attributes; None where it is not there.
+
+    ChunkError, which names what is missing or damaged, where they are not those that were written together.
+    """
+    attributes = group_attributes(header, group)
+    if attributes is None:
+        return None
+    names = attributes.get(ARRAYS) or _names(header, group)
+    arrays: dict[str, NDArray[Any]] = {}
+    faults: dict[str, str] = {}
+    for name in names:
+        found = _read(header, f"{group}/{name}")
+        if isinstance(found, np.ndarray):
+            arrays[name] = found
+        else:
+            faults |= found
+    own = {name: value for name, value in attributes.items() if name != CHECKSUM}
+    if not faults and CHECKSUM in attributes and attributes[CHECKSUM] != _checksum(header, group, names, own):
+        faults[f"{group}/{ROOT}"] = "is damaged, or not of these arrays"
+    if faults:
+        raise ChunkError(header.place, faults)
+    return arrays, attributes
+
+
+def values_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """A digest of arrays by name: of their shapes and values."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        values = arrays[name]
+        found.update(f"{name} {values.shape} ".encode())
+        texts = values.dtype.kind not in "biuf"
+        found.update(json.dumps(values.tolist()).encode() if texts else np.ascontiguousarray(values).tobytes())
+    return found.hexdigest()
+
+
+def _names(header: Header, group: str) -> list[str]:
+    """The names of the arrays of a group that does not list them, by a listing."""
+    keys = (key.split("/") for key in header.place.list_keys(f"{group}/"))
+    return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
+
+
+def _read(header: Header, path: str) -> NDArray[Any] | dict[str, str]:
+    """An array of one chunk, or what is wrong with it, by key."""
+    key = f"{path}/{ROOT}"
+    try:
+        array: Any = open_group(header.place, "r")[path]
+        key = "/".join([path, "c", *("0" for _ in array.shape)])
+        if array.size and not header.place.exists(key):
+            return {key: "is missing"}
+        return np.asarray(array[...])
+    except OSError:
+        raise
+    except KeyError:
+        return {key: "is missing"}
+    except Exception as error:  # metadata or a codec that meet bytes nobody wrote may raise anything
+        return {key: f"is damaged ({message_of(error)})"}
+
+
+def _checksum(header: Header, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
+    """A digest of a group: of its attributes, and of all objects of its arrays."""
+    found = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
+    for name in names:
+        for key in sorted(header.place.list_keys(f"{group}/{name}/")):
+            found.update(f"{key} ".encode() + hashlib.sha256(header.place.get(key) or b"").digest())
+    return found.hexdigest()

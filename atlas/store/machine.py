@@ -28,6 +28,14 @@ class Machine:
         return f"{facts.get('processor', 'unknown processor')}, {facts.get('software', 'unknown software')}"
 
 
+def machine_of(facts: Mapping[str, str]) -> Machine:
+    """The machine of these facts."""
+    return Machine(hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16], facts)
+
+
+UNKNOWN = machine_of({"processor": "unknown: its record was damaged"})
+
+
 @lru_cache(maxsize=1)
 def this_machine() -> Machine:
     """The machine that this process runs on: processor, instructions that kernels are compiled for, versions."""
@@ -44,7 +52,7 @@ def this_machine() -> Machine:
             [f"python {platform.python_version()}", *(f"{package} {package_version(package)}" for package in PACKAGES)]
         ),
     }
-    return Machine(hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16], facts)
+    return machine_of(facts)
 
 
 def package_version(package: str) -> str:

@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import math
 import random
 import re
 import time
@@ -58,11 +59,11 @@ def first_line(error: Exception) -> str:
 
 
 class _Outage:
-    """The failed attempts at one call."""
+    """The failed attempts at one call; the outage begins with the first, however long that was under way."""
 
     def __init__(self, url: str, patience: float) -> None:
         self.url, self.patience = url, patience
-        self.begin, self.next = time.monotonic(), _FIRST_PAUSE
+        self.begin, self.next = math.inf, _FIRST_PAUSE
 
     def pause_after(self, error: Exception) -> float:
         """Seconds until the next attempt; raises where there is to be none."""
@@ -73,7 +74,9 @@ class _Outage:
             raise PermissionError(errno.EACCES, line) from None
         if not _PASSING.search(line):
             raise OSError(line) from None
-        tried = time.monotonic() - self.begin
+        now = time.monotonic()
+        self.begin = min(self.begin, now)
+        tried = now - self.begin
         if tried >= self.patience:
             raise NetworkError(f"{self.url}: no answer for {tried:.0f} s ({line})") from None
         pause = min(self.next * random.uniform(0.5, 1.0), self.patience - tried)  # not all workers at once

@@ -94,11 +94,17 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
 
 
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
-    """What the store as a whole says of itself; a run id is drawn where none is given."""
+    """What the store as a whole says of itself; a run id is drawn where none is given.
+
+    Ten attributes or more: a notebook then shows them folded, and the spec, which names every value, fills no screen.
+    """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
+    references = {"references": spec.record.source} if spec.record.source else {}
+    origins = {"origin": origin.store, "origin_run_id": origin.run_id} if origin else {}
     return {
         "Conventions": "CF-1.11",
         "title": f"Impact atlas: {spec.record.title}",
+        "source": f"impact-atlas {package_version('impact-atlas')}, solver version {SOLVER_VERSION}",
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "solver_version": SOLVER_VERSION,
@@ -107,7 +113,9 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
         # As text, since netCDF attributes cannot nest.
         "spec": json.dumps(spec.resolved()),
         "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
-    } | ({"origin": origin.store, "origin_run_id": origin.run_id} if origin else {})
+        **references,
+        **origins,
+    }
 
 
 def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write."""
 
 import fcntl
+import json
 import os
 import time
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
 from atlas.store.notes import notes_at_url
 
+CLAIM = "claim"
+"""The note by which one run at a time has the store."""
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
 """How often, and at which distance in seconds, a note is read that its maker has opened and not yet written."""
 
@@ -38,13 +41,25 @@ class Notes(Protocol):
 
 
 def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
-    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside."""
+    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside.
+
+    Of a store that is named by a link they are next to what the link leads to: a store has one claim.
+    """
     place = place_of(store)
     if isinstance(place, ObjectPlace):
         return notes_at_url(place)
     path = place.path if isinstance(place, ZipPlace) else place.local  # nobody claims a file, so there are none
     assert path is not None
+    path = Path(os.path.realpath(path))
     return Folder(path.parent / f".{path.name}.run")
+
+
+def claim_token(notes: Notes) -> str:
+    """The token of the run that has claimed a store, by one read; empty where there is none or it is damaged."""
+    try:
+        return str(json.loads(notes.read(CLAIM) or b"{}").get("token", ""))
+    except (ValueError, AttributeError, RecursionError):
+        return ""
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,19 @@ import shutil
 import tempfile
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from atlas.errors import InputError, NetworkError, RunError
+from atlas.errors import ChunkError, InputError, NetworkError, RunError, message_of, shown
 from atlas.spec.spec import Spec, differences
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.build import build, consolidate, create_variable
 from atlas.store.digests import DIGESTS, TILES
 from atlas.store.location import LocalPlace, Place, place_of
-from atlas.store.machine import MACHINES, Machine
+from atlas.store.machine import MACHINES
 from atlas.store.schema import (
     ALLOWANCES,
     FORMAT,
@@ -71,18 +71,30 @@ class Header:
 
     @cached_property
     def spec(self) -> Spec:
-        """The spec that the store was made from; what has been added to specs since is at its default."""
+        """The spec that the store was made from; what has been added to specs since is at its default.
+
+        InputError where this version cannot read it, and where the store's cells are not those of the spec.
+        """
         try:
-            return Spec.from_resolved(self.resolved)
+            spec = Spec.from_resolved(self.resolved)
         except InputError as error:
             raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
+        shape = self.arrays[REGIME.name].get("shape")
+        if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
+            found = f"{REGIME.name} has shape {shown(shape)}, must be {spec.shape}"
+            raise InputError(f"{self.place}: its metadata are damaged: {found}")
+        return spec
 
     @property
     def tile(self) -> tuple[int, ...]:
-        """Cells of a tile along each dimension."""
+        """Cells of a tile along each dimension. ValueError where the metadata have no such numbers."""
         regime = self.arrays[REGIME.name]
-        sizes = zip(regime["dimension_names"], regime["chunk_grid"]["configuration"]["chunk_shape"], strict=True)
-        return tuple(size for name, size in sizes if name != ATTRACTOR)
+        sizes = regime["chunk_grid"]["configuration"]["chunk_shape"]
+        cells = zip(regime["dimension_names"], sizes, regime["shape"], strict=True)
+        if not all(type(size) is int and 1 <= size <= max(1, count) for _, size, count in cells):
+            raise ValueError(f"{REGIME.name} has chunks of {shown(sizes)} in a shape of {shown(regime['shape'])}")
+        named = zip(regime["dimension_names"], sizes, strict=True)
+        return tuple(size for name, size in named if name != ATTRACTOR)
 
     @cached_property
     def tiling(self) -> Tiling:
@@ -181,7 +193,7 @@ def _read_header(place: Place) -> Header:
         _ = header.tile
     except InputError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         if isinstance(attrs, dict) and attrs.get("format") == FORMAT:
             raise InputError(f"{place}: its metadata are damaged: {error}") from None
         raise foreign from None
@@ -254,39 +266,24 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
 
 
-def record_machine(header: Header, machine: Machine) -> None:
-    """Put a machine on the list of those that solved this store's tiles."""
-    _recorded(header.place, header.run_id, machine)
-
-
-@lru_cache(maxsize=64)  # once a process and store is enough
-def _recorded(place: Place, run_id: str, machine: Machine) -> None:
-    import zarr
-    from zarr.errors import ContainsGroupError
-
-    path = f"{MACHINES}/{machine.name}"
-    if place.exists(f"{path}/{ROOT}"):
-        return
-    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
-        zarr.create_group(_zarr_store(place, "r+"), path=path, zarr_format=3, attributes=dict(machine.facts))
-
-
-def machines(header: Header) -> tuple[Machine, ...]:
-    """The machines that solved tiles of this store, in no order; empty where no tile is written yet."""
-    group: Any = open_group(header.place, "r")
-    if MACHINES not in group:
-        return ()
-    return tuple(Machine(name, dict(entry.attrs)) for name, entry in group[MACHINES].groups())
-
-
 def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     """All Zarr arrays of the store's root by name, results and coordinates, for reading.
 
     Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
+    ChunkError where they are damaged.
     """
     group = open_group(header.place, "r", consolidated)
     results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
-    return {name: group[name] for name in (*(v.name for v in results), *coordinates(header.spec)) if name in group}
+    found = {}
+    for name in (*(v.name for v in results), *coordinates(header.spec)):
+        try:
+            if name in group:
+                found[name] = group[name]
+        except (OSError, MemoryError):
+            raise
+        except Exception as error:  # what is no JSON, or no metadata, may raise anything
+            raise ChunkError(header.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
+    return found
 
 
 def open_digests(header: Header, consolidated: bool = False) -> Any | None:

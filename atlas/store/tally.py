@@ -13,7 +13,7 @@ counted by the next run. In a tally from before there was some regime or reason,
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, suppress
 from functools import reduce
@@ -23,16 +23,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError
+from atlas.errors import ChunkError, message_of
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Spec
 from atlas.store.build import codecs
-from atlas.store.store import READERS, Header, done_tiles, open_arrays, open_group
+from atlas.store.store import READERS, ROOT, Header, done_tiles, open_arrays, open_group
 from atlas.store.tiles import read_tile
 from atlas.store.tiling import Tiling
 from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES
 
 GROUP, ARRAY = "tally", "tiles"
+_ABOUT = {"long_name": "what the finished tiles hold, a cache"}
 CELLS, AREAS = slice(0, len(REGIMES)), slice(len(REGIMES), 2 * len(REGIMES))
 BY_REASON = slice(2 * len(REGIMES), 2 * len(REGIMES) + len(REASONS))
 """Where an entry has its cells by regime, their areas, and its cells by reason, in the order of the tables."""
@@ -111,15 +112,54 @@ def read_tally(root: Any, tiling: Tiling) -> tuple[Entries, NDArray[np.bool_]]:
     return entries, entries[..., CELLS].sum(axis=-1) == tiling.sizes()
 
 
+def tally_faults(header: Header, counted: Mapping[Index, Entries]) -> list[str]:
+    """What is wrong with a store's tally, by the entries that finished tiles have by their cells."""
+    key = f"{GROUP}/{ARRAY}"
+    if not any(header.place.exists(f"{path}/{ROOT}") for path in (GROUP, key)):
+        return []
+    root: Any = open_group(header.place, "r")
+    array = _array_of(root, header.tiling)
+    try:
+        about = dict(root[GROUP].attrs)
+    except OSError:
+        raise
+    except Exception:  # what is no metadata may raise anything
+        about = {}
+    if array is None or about != _ABOUT:
+        return [f"metadata of the {GROUP} are damaged"]
+    faults = []
+    for block in _blocks(array):
+        try:
+            array[block]
+        except OSError:
+            raise
+        except Exception as error:  # a codec that meets bytes it never wrote may raise anything
+            chunk = (part.start // size for part, size in zip(block, array.chunks, strict=False))
+            faults.append(f"{'/'.join([key, 'c', *map(str, chunk), '0'])} is damaged ({message_of(error)})")
+    entries, known = read_tally(root, header.tiling)
+    told = slice(0, None if REASON in header.variables else BY_REASON.start)  # an older store keeps no reasons
+    wrong = [
+        i for i, e in counted.items() if known[i] and not np.allclose(entries[i][told], e[told], rtol=1e-9, atol=0)
+    ]
+    return faults + [f"{key} does not say of tile {index} what its cells do" for index in wrong]
+
+
+def drop_tally(header: Header) -> None:
+    """Make the tally absent: the next run counts the tiles anew."""
+    for path in (GROUP, f"{GROUP}/{ARRAY}"):
+        header.place.remove(f"{path}/{ROOT}")
+
+
 class TallyKeeper(AbstractContextManager["TallyKeeper"]):
     """The tally of a store kept up during a run: a thread of the coordinator writes it every few seconds.
 
     On entry the entries of tiles that are to be solved are cleared: of unfinished ones and of ``again``. ``add`` takes
     the entry of a tile that is written; ``finish`` counts what an earlier run has left uncounted, and writes all.
+    ``held`` is called before each write, and raises where another run has the store.
     """
 
-    def __init__(self, header: Header, again: Iterable[Index] = ()) -> None:
-        self._header = header
+    def __init__(self, header: Header, again: Iterable[Index] = (), held: Callable[[], None] = lambda: None) -> None:
+        self._header, self._held = header, held
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._new: dict[Index, Entries] = {}
         settled = done_mask(header)
@@ -148,6 +188,7 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
         while not self._counting.done():
             on_wait(len(self._uncounted))
             wait([self._counting], timeout=WAIT_SECONDS)
+        self._counting.result()
         self._thread.submit(self._flush).result()
 
     def _count(self) -> None:
@@ -179,6 +220,7 @@ class TallyKeeper(AbstractContextManager["TallyKeeper"]):
             values = _read(self._array, block)
             for index in indices:
                 values[tuple(i - part.start for i, part in zip(index, block, strict=True))] = entries[index]
+            self._held()
             self._array[block] = values
 
     def __exit__(
@@ -214,7 +256,7 @@ def _ensured(header: Header) -> Any:
     array = _array_of(root, header.tiling)
     if array is not None and _columns_of(array) == COLUMNS:
         return array
-    group = root.create_group(GROUP, overwrite=True, attributes={"long_name": "what the finished tiles hold, a cache"})
+    group = root.create_group(GROUP, overwrite=True, attributes=_ABOUT)
     side = round(CHUNK ** (1.0 / len(grid)))
     return group.create_array(
         ARRAY,

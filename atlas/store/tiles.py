@@ -1,6 +1,9 @@
 """The tiles of a store: written whole, and read so that nothing missing or damaged goes unnoticed."""
 
 import errno
+import io
+import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -10,29 +13,59 @@ from atlas.errors import ChunkError, RunError, message_of
 from atlas.spec.spec import Slices
 from atlas.store.digests import COVERED, DIGESTS, digest_of
 from atlas.store.machine import this_machine
+from atlas.store.machines import record_machine
 from atlas.store.schema import ALLOWANCES, Allowance
-from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group, record_machine
-from workers.results import Variable
+from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group
+from atlas.store.tiling import chunk_index
+from workers.results import REGIME, Variable
+
+REPLACED = f"{REGIME.name}/replaced/"
+"""Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
 
 
 def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     """Write all variables that the store has of one tile as whole chunks, ``regime`` last: with it the tile is done.
 
-    A finished tile that is written again is unfinished meanwhile, so that a kill leaves no mixture of two solutions.
+    A finished tile that is written again stays as it is until all that is new lies beside it in one object. It is
+    unfinished while its chunks are written, so that a kill leaves no mixture of two solutions; then
+    ``finish_replacement`` writes them from that object.
     """
     group = open_group(header.place, "r+")
     if group.attrs.get("run_id") != header.run_id:
         raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
     record_machine(header, this_machine())
-    if is_done(header, index):
-        drop_tile(header, index)
     arrays = {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
+    replaced = is_done(header, index)
+    if replaced:
+        header.place.put(_replacement_key(index), _packed(arrays))
+        drop_tile(header, index)
     for each in ALLOWANCES:
         if each.name in group:
             _write(group[each.name], index, arrays[each.name], sparse=True)
     _write_digest(group, header, index, arrays)
     for variable in header.variables:
         _write(group[variable.name], index, arrays[variable.name], variable.sparse)
+    if replaced:
+        header.place.remove(_replacement_key(index))
+
+
+def finish_replacement(header: Header, index: tuple[int, ...]) -> bool:
+    """Write a tile from what ``write_tile`` put beside it and did not live to write; False where there is nothing."""
+    key = _replacement_key(index)
+    packed = header.place.get(key)
+    arrays = _unpacked(packed) if packed is not None else None
+    if arrays is not None:
+        write_tile(header, index, arrays)
+    if packed is not None:
+        header.place.remove(key)
+    return arrays is not None
+
+
+def replacements(header: Header) -> set[tuple[int, ...]]:
+    """Indices of the tiles with contents beside them that are still to be written, from one listing."""
+    keys = (key.removeprefix(REPLACED) for key in header.place.list_keys(REPLACED))
+    found = (chunk_index(key, header.tiling.grid) for key in keys)
+    return {index for index in found if index is not None}
 
 
 def write_digest(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
@@ -118,6 +151,25 @@ def _write_digest(group: Any, header: Header, index: tuple[int, ...], arrays: Ma
     digests = group.get(DIGESTS)
     if digests is not None:
         _write(digests, index, np.uint64(digest_of(index, covered_variables(header, digests), arrays)))
+
+
+def _replacement_key(index: tuple[int, ...]) -> str:
+    return REPLACED + "/".join(map(str, index))
+
+
+def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    return file.getvalue()
+
+
+def _unpacked(data: bytes) -> dict[str, np.ndarray] | None:
+    """The inverse; None where the bytes are damaged, which the checksums of the archive's members show."""
+    try:
+        with np.load(io.BytesIO(data)) as arrays:
+            return dict(arrays)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
 
 
 def _as_in_spec(header: Header, index: tuple[int, ...], allowance: Allowance) -> np.ndarray:

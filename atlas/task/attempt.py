@@ -8,10 +8,19 @@ import numpy as np
 from atlas.errors import NetworkError
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, is_done
-from atlas.store.tiles import write_tile
 from atlas.task.isolated import run_isolated
 from atlas.task.reuse import known_cells
-from atlas.task.task import Job, Receipt, checked_header, file_errors, receipt_of, solve_and_write, stored_tile
+from atlas.task.task import (
+    Job,
+    Receipt,
+    checked_header,
+    commit,
+    file_errors,
+    finished_tile,
+    receipt_of,
+    solve_and_write,
+    stored_tile,
+)
 from workers.results import FAILED, PROCESS_ENDED, REASON, REGIME
 
 
@@ -30,13 +39,14 @@ def run_job(job: Job) -> Receipt:
         if job.retry is None and is_done(header, job.index):
             return _receipt_of_stored(header, job.index)
         first = notes.put(name, b"1", expected=None)
-        try:
-            if first:
-                return solve_and_write(job)
-            outcome = run_isolated(job)
-            return _mark_failed(header, job, outcome) if isinstance(outcome, str) else outcome
-        finally:
-            if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
+    try:
+        if first:
+            return solve_and_write(job)
+        outcome = run_isolated(job)
+        return _mark_failed(header, job, outcome) if isinstance(outcome, str) else outcome
+    finally:
+        if not isinstance(sys.exception(), NetworkError):  # it would only be waited for once more
+            with file_errors(job.store):
                 notes.remove(name, b"1")
 
 
@@ -46,7 +56,7 @@ def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
     if job.retry is None:
         stored, solved = known_cells(header, header.tiling.at(job.index).slices)
     else:
-        stored = stored_tile(header, job.index)
+        stored = finished_tile(header, job)
         solved = job.retry.selects(stored)
         for name, given in job.retry.allowances(stored).items():
             stored[name] = np.where(solved, given, stored[name])
@@ -56,7 +66,8 @@ def _mark_failed(header: Header, job: Job, died: str) -> Receipt:
         return _receipt_of_stored(header, job.index)
     first = header.leading(stored)  # views: what is written into them is in the tile
     first[REGIME.name][solved], first[REASON.name][solved] = FAILED, PROCESS_ENDED
-    write_tile(header, job.index, stored)
+    with file_errors(job.store):
+        commit(header, job, stored)
     receipt = replace(receipt_of(header, job.index, stored, solved), reasons={died: int(solved.sum())})
     return receipt if job.retry else replace(receipt, taken=int((~solved).sum()))
 

@@ -1,6 +1,6 @@
 """The last step of an atlas of basins: labels of attractors that the reference set missed, and the table of all."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,11 +21,12 @@ POINTS = 256
 """Section states of each attractor in the table."""
 
 
-def complete_basins(header: Header) -> None:
+def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
     Cells are gone through in the order of the plane, so that neither the tiles nor the workers, nor an interruption,
-    decide a label. Nothing is done while tiles are missing, or where all of it is done.
+    decide a label. Nothing is done while tiles are missing, or where all of it is done. ``held`` is called before each
+    write, and raises where another run has the store.
     """
     from workers.basins import Table, added, fixed_values
 
@@ -50,9 +51,11 @@ def complete_basins(header: Header) -> None:
             if beyond[part].any():
                 arrays = read_tile(header, index)
                 arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
+                held()
                 write_tile(header, index, arrays)
     solved = np.concatenate([_solved(header, index) for index in tiles])
     columns = _columns(header, table, labels, int(solved.sum()))
+    held()
     write_table(header, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
 

@@ -3,16 +3,40 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+
+
+def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
+    """Run code in a child process, pass on each line that it writes; its exit status. It ends where ``told`` raises."""
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        env=_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as child:
+        try:
+            for line in child.stdout or ():
+                told(line)
+        except BaseException:
+            child.kill()
+            raise
+        return child.wait()
 
 
 def python(code: str, *arguments: str, own_session: bool = False) -> subprocess.CompletedProcess[str]:
     """Run code in a child process, its output captured; in a session of its own, Ctrl-C on this terminal spares it."""
     return subprocess.run(
         [sys.executable, "-c", code, *arguments],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        env=_environment(),
         start_new_session=own_session,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
     )
+
+
+def _environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

@@ -3,85 +3,197 @@
 import fcntl
 import gc
 import json
+import os
 import sys
-from contextlib import suppress
-from dataclasses import asdict, replace
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
-from atlas.task.child import python
+from atlas.task.child import watched
 from workers.model.system import DEFAULT
 from workers.settings import Settings
 
+CELLS, ATTRACTORS, ORBITS = "", "attractors", "orbits"
+"""Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
+as equations of their impacts, for branches, curves and labels."""
+
+SECONDS = {CELLS: 70, ATTRACTORS: 10, ORBITS: 10}
+"""What each part takes, roughly: processors differ by a factor of two."""
+FUNCTIONS = {CELLS: 215, ATTRACTORS: 77, ORBITS: 85}
+"""How many functions each part compiles in a process that has compiled nothing else."""
+
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 """A cell of the default system whose initial states all reach one orbit, soon."""
+AN_ORBIT = {"omega": 3.5, "b": 0.15}
+"""A cell of the default system whose orbit has impacts."""
 
 YOUNG_OBJECTS = 50_000
 """So many new objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
 them as often as is usual takes time."""
+TICK = 1.0
+"""Seconds between two reports."""
 
 
-def warming(attractors: bool = False) -> str:
-    """What compile_once is about to do, for the user who waits for it."""
-    marker = _marker(attractors)
-    return "loading the kernels" if marker and marker.exists() else "compiling the kernels (kept for the next run)"
+@dataclass(frozen=True)
+class Compilation:
+    """How far a compilation is: functions compiled, about how many there are, and seconds since it began.
 
-
-def compile_once(settings: Settings, attractors: bool = False) -> None:
-    """See to it that all kernels are in the cache on disk, which other processes read; they serve every system.
-
-    With ``attractors`` those too by which motions are compared with known attractors. Processes of one machine, or
-    with one cache folder, wait for the first of them. It leaves that to a child, since compiling takes twice the memory
-    that solving does. Nothing is done without a folder.
+    Of none where another process compiles, which is waited for.
     """
-    marker = _marker(attractors)
-    if marker is None or marker.exists():
+
+    done: int
+    of: int
+    seconds: float
+
+
+Report = Callable[[Compilation], None]
+
+
+def warming(*more: str) -> str:
+    """What compile_once is about to do, for the user who waits for it."""
+    missing = _missing(more)
+    if not missing:
+        return "loading the kernels"
+    once = ", once for this version" if _cache() else ""
+    return f"compiling the kernels, about {sum(SECONDS[part] for part in missing)} s{once}"
+
+
+def compile_once(*more: str, report: Report | None = None) -> None:
+    """See to it that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
+
+    They serve every system and all settings. Processes of one machine, or with one cache folder, wait for the first of
+    them. It leaves that to a child, since compiling takes twice the memory that solving does. ``report`` hears how far
+    that is, every second. Nothing is done without a folder.
+    """
+    folder = _cache()
+    if folder is None or not _missing(more):
         return
-    with marker.with_name("compiling.lock").open("w") as lock:
-        with suppress(OSError):  # a file system without locks: each for itself
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        if not marker.exists() and warm_up_in_child(settings, attractors):
-            marker.touch()
+    with (folder / "compiling.lock").open("w") as lock:
+        _wait_for(lock, report)
+        missing = _missing(more)
+        if missing and warm_up_in_child(missing, report):
+            for part in missing:
+                _marker(folder, part).touch()
 
 
-def warm_up_in_child(settings: Settings, attractors: bool = False) -> bool:
+def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
     """warm_up in a process of its own; whether that came to its end. If not, who needs a kernel compiles it."""
-    given = json.dumps([asdict(settings), attractors])
-    return python("from atlas.task.compile import main; main()", given).returncode == 0
+    begin, of = time.monotonic(), sum(FUNCTIONS[part] for part in parts)
+
+    def told(line: str) -> None:
+        if report is not None:
+            report(Compilation(min(int(line), of), of, time.monotonic() - begin))
+
+    return watched("from atlas.task.compile import main; main()", json.dumps(parts), told=told) == 0
 
 
 def main() -> None:
-    """warm_up for arguments that are given as JSON."""
+    """warm_up for parts that are given as JSON; the number of functions compiled goes to stdout every second."""
+    from numba.core import event
+
+    class Counter(event.Listener):
+        done = 0
+
+        def on_start(self, event: object) -> None:
+            """Nothing: it is counted at its end."""
+
+        def on_end(self, event: object) -> None:
+            self.done += 1
+
+    counter = Counter()
+
+    def tell() -> None:
+        while True:
+            time.sleep(TICK)
+            try:
+                os.write(1, f"{counter.done}\n".encode())
+            except OSError:  # nobody listens any more
+                os._exit(1)
+
     gc.set_threshold(YOUNG_OBJECTS)
-    settings, attractors = json.loads(sys.argv[1])
-    warm_up(Settings(**settings), attractors)
+    event.register("numba:compile", counter)
+    threading.Thread(target=tell, daemon=True).start()
+    warm_up(*json.loads(sys.argv[1]))
 
 
-def warm_up(settings: Settings, attractors: bool = False) -> None:
-    """Compile the kernels, or load them, by one period of the default cell: every kernel is called.
+def warm_up(*parts: str) -> None:
+    """Compile the kernels of cells, or load them, by one period of the default cell: every kernel is called.
 
-    Those of attractors by all of a cell with one orbit, and by means over a section state, which chaos alone has.
-
-    What a kernel is compiled for depends neither on the system nor on the settings: they make arrays longer or empty.
+    Those of attractors by all of a cell with one orbit, and by means over a section state, which chaos alone has; those
+    of orbits by a short branch. What a kernel is compiled for depends neither on the system nor on the settings: they
+    make arrays longer or empty.
     """
     from workers.tile import solve_cells
 
-    solve_cells(DEFAULT, {}, replace(settings, method="adaptive", max_periods=1))
-    if attractors:
+    solve_cells(DEFAULT, {}, Settings(max_periods=1))
+    if ATTRACTORS in parts:
         from workers.attractors import solve_attractors
         from workers.identity import batch_moments
         from workers.starts import Starts
 
         solve_attractors(DEFAULT, ONE_ORBIT, Settings(exponents="none", survival=0), Starts(4))
         batch_moments(np.zeros((1, 1, 1, 2)), np.zeros(1, dtype=np.int64), 1)
+    if ORBITS in parts:
+        _follow_an_orbit()
 
 
-def _marker(attractors: bool = False) -> Path | None:
-    """The file that says that all has been compiled for this kind of processor; None without a folder for it."""
+def _follow_an_orbit() -> None:
+    """A short branch of an orbit; its motion between impacts, and its equations at a complex multiplier."""
+    from workers.model.system import find_system
+    from workers.orbit import branch, family_of, orbit_from_state
+    from workers.orbit.equations import Impacts, linearised, motion_at
+    from workers.tile import solve_cells
+
+    record = find_system(DEFAULT)
+    values = {p.name: p.default for p in record.parameters} | AN_ORBIT
+    cell = solve_cells(record, values, Settings(exponents="none", survival=0)).arrays
+    orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]), bool(cell["symmetric"]))
+    (along, value), *_ = AN_ORBIT.items()
+    family = family_of(record, values, (along,))
+    branch(family, orbit, value, (0.999 * value, 1.001 * value))
+    lin, _ = family.model(np.array([[value]]))
+    points = Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))
+    motion_at(lin, orbit.itinerary, points, orbit.times[None] + 0.1)
+    linearised(lin, orbit.itinerary, points, 1j)
+
+
+def _wait_for(lock: IO[str], report: Report | None) -> None:
+    """Hold the lock; until then, as long as another process does, say so."""
+    begin = time.monotonic()
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if report is not None:
+                report(Compilation(0, 0, time.monotonic() - begin))
+            time.sleep(TICK)
+            continue
+        except OSError:  # a file system without locks: each for itself
+            pass
+        return
+
+
+def _missing(more: tuple[str, ...]) -> tuple[str, ...]:
+    """The parts that are not in the cache; without one, all."""
+    folder = _cache()
+    return tuple(part for part in (CELLS, *more) if folder is None or not _marker(folder, part).exists())
+
+
+def _marker(folder: Path, part: str) -> Path:
+    """The file that says that a part has been compiled for this kind of processor."""
     import llvmlite.binding
 
+    name = f"compiled-{part}-" if part else "compiled-"
+    return folder / f"{name}{llvmlite.binding.get_host_cpu_name()}"
+
+
+def _cache() -> Path | None:
+    """The folder of the compiled kernels, None where there is none."""
     from workers.kernel.jit import CACHE
 
-    what = "compiled-attractors" if attractors else "compiled"
-    return CACHE and CACHE / f"{what}-{llvmlite.binding.get_host_cpu_name()}"
+    return CACHE

@@ -31,7 +31,7 @@ def run_isolated(job: Job) -> Receipt | str:
             return Receipt(**answer | {"index": tuple(answer["index"]), "entry": tuple(answer["entry"])})
         if -ended.returncode in _ORDERLY:
             raise RunError(f"the process of tile {job.index} was ended by {signal.Signals(-ended.returncode).name}")
-    return f"its tile ends the process that solves it, each of {ATTEMPTS + 1} times ({_how(ended.returncode)})"
+    return f"the process that solved its tile died, each of {ATTEMPTS + 1} times ({_how(ended.returncode)})"
 
 
 def main() -> None:

@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 from atlas.errors import InputError, RunError
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import place_of
+from atlas.store.machines import machines, record_machine
 from atlas.store.outage import LONG
 from atlas.store.schema import ALLOWANCES, extra_sizes
-from atlas.store.store import Header, is_done, machines, open_arrays, read_header, record_machine
+from atlas.store.store import Header, is_done, open_arrays, read_header
 from atlas.store.tiles import read_tile
 from atlas.task.solving import solve_block
 from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results
-
-
-class Filled(NamedTuple):
-    """A tile's arrays, and the mask of the cells that were solved for it."""
-
-    arrays: dict[str, np.ndarray]
-    solved: NDArray[np.bool_]
 
 
 class Shared(NamedTuple):
@@ -32,31 +26,31 @@ class Shared(NamedTuple):
     there: NDArray[np.intp]
 
 
-def fill_tile(header: Header, slices: Slices) -> Filled:
-    """The results of a tile: solved, but for the cells that the store's origin has.
+def solve_unknown(
+    spec: Spec, slices: Slices, arrays: dict[str, np.ndarray], unknown: NDArray[np.bool_]
+) -> dict[str, np.ndarray]:
+    """The results of a tile: ``arrays`` with the unknown cells solved.
 
-    A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those copied are those
-    it would get here. Cells that failed there are solved again. RunError where the origin is not there any more.
+    A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those known from the
+    store's origin are those it would get here.
     """
     from workers.tile import solve_cells
 
-    spec = header.spec
-    arrays, unknown = known_cells(header, slices)
-    if not unknown.any():
-        return Filled(arrays, unknown)
     if unknown.all():
-        solution = solve_block(spec, slices)
-        return Filled(solution.arrays, unknown)
-    params = spec.cell_params(slices)
-    cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
-    solution = solve_cells(spec.record, cells, spec.settings)
-    for name, values in solution.arrays.items():
-        arrays[name][unknown] = values
-    return Filled(arrays, unknown)
+        return solve_block(spec, slices).arrays
+    if unknown.any():
+        params = spec.cell_params(slices)
+        cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
+        for name, values in solve_cells(spec.record, cells, spec.settings).arrays.items():
+            arrays[name][unknown] = values
+    return arrays
 
 
 def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
-    """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved."""
+    """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved.
+
+    Cells that failed there are to be solved again. RunError where the origin is not there any more.
+    """
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
     if header.origin is not None:

@@ -5,10 +5,16 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.errors import RunError
 from atlas.spec.spec import Slices, Spec
+from atlas.task.compile import ATTRACTORS
 from workers import Settings
 
 if TYPE_CHECKING:
     from workers.tile import Solution
+
+
+def kernels_of(spec: Spec) -> tuple[str, ...]:
+    """The kernels that cells of the spec take beside those of all cells."""
+    return () if spec.attractors is None else (ATTRACTORS,)
 
 
 def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Solution":

@@ -12,16 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from atlas.errors import InputError, RunError
-from atlas.store.location import place_of
+from atlas.errors import ChunkError, InputError, RunError
+from atlas.store.location import Place, place_of
 from atlas.store.outage import BRIEF, LONG
 from atlas.store.schema import extra_sizes
+from atlas.store.sidecar import claim_token, notes_of
 from atlas.store.store import Header, is_done, read_header
 from atlas.store.tally import tile_entry
-from atlas.store.tiles import read_tile, write_tile
+from atlas.store.tiles import finish_replacement, read_tile, write_tile
 from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
-from atlas.task.reuse import fill_tile
+from atlas.task.reuse import known_cells, solve_unknown
+from atlas.task.solving import kernels_of
 from workers import SOLVER_VERSION
 from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
 
@@ -42,7 +44,8 @@ class Job:
     """Which tile of which store. All that crosses the scheduler; ``attempt.run_job`` redoes it by hand.
 
     ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one; ``patience`` is for how
-    many seconds a store at a URL that does not answer is waited for.
+    many seconds a store at a URL that does not answer is waited for. ``claim`` is the token of the run's claim of the
+    store: a job whose run has lost it writes nothing. A job done by hand has none.
     """
 
     index: tuple[int, ...]
@@ -51,6 +54,7 @@ class Job:
     solver_version: int
     retry: Retry | None = None
     patience: float = LONG
+    claim: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,28 +90,48 @@ def solve_and_write(job: Job) -> Receipt:
     with file_errors(job.store):
         header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
         spec, tile = header.spec, header.tiling.at(job.index)
-        compile_once(spec.settings, spec.attractors is not None)
-        stored = stored_tile(header, job.index) if job.retry is not None else {}
-        begin, busy = time.perf_counter(), time.thread_time()
         if job.retry is None:
-            arrays, solved = fill_tile(header, tile.slices)
+            stored, unknown = known_cells(header, tile.slices)
         else:
-            cells = {name: np.broadcast_to(value, tile.shape) for name, value in spec.cell_params(tile.slices).items()}
-            arrays, solved = solve_again(spec, cells, stored, job.retry)
-        middle, processor = time.perf_counter(), time.thread_time() - busy
+            stored = finished_tile(header, job)
+    compile_once(*kernels_of(spec))  # its own disk may be full, which is not the store's
+    begin, busy = time.perf_counter(), time.thread_time()
+    if job.retry is None:
+        arrays, solved = solve_unknown(spec, tile.slices, stored, unknown), unknown
+    else:
+        cells = {name: np.broadcast_to(value, tile.shape) for name, value in spec.cell_params(tile.slices).items()}
+        arrays, solved = solve_again(spec, cells, stored, job.retry)
+    middle, processor = time.perf_counter(), time.thread_time() - busy
+    with file_errors(job.store):
         # Another attempt may have finished meanwhile: what is stored then stays.
         if solved.any() if job.retry is not None else not is_done(header, job.index):
-            write_tile(header, job.index, arrays)
+            commit(header, job, arrays)
         else:
             arrays = stored_tile(header, job.index)
-        return replace(
-            receipt_of(header, job.index, arrays, solved),
-            taken=int((~solved).sum()) if job.retry is None else 0,
-            changed=0 if job.retry is None else int((arrays[REGIME.name] != stored[REGIME.name])[solved].sum()),
-            solve_seconds=middle - begin,
-            processor_seconds=processor,
-            write_seconds=time.perf_counter() - middle,
-        )
+    return replace(
+        receipt_of(header, job.index, arrays, solved),
+        taken=int((~solved).sum()) if job.retry is None else 0,
+        changed=0 if job.retry is None else int((arrays[REGIME.name] != stored[REGIME.name])[solved].sum()),
+        solve_seconds=middle - begin,
+        processor_seconds=processor,
+        write_seconds=time.perf_counter() - middle,
+    )
+
+
+def commit(header: Header, job: Job, arrays: dict[str, np.ndarray]) -> None:
+    """Write a tile, unless the run of the job has lost its claim of the store while it was solved.
+
+    What is not excluded is a worker that stands still for so long between this look and the end of its writes that
+    another run replaces the claim. It then writes the bits that the other run writes too, except in a retry.
+    """
+    check_claim(header.place, job.claim)
+    write_tile(header, job.index, arrays)
+
+
+def check_claim(place: Place, token: str) -> None:
+    """Raise RefusedError where the claim of a store is not the one of that token; one read, none for no token."""
+    if token and claim_token(notes_of(place)) != token:
+        raise RefusedError(f"{place}: the run of this tile has lost its claim of the store; nothing more is written")
 
 
 def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
@@ -149,6 +173,17 @@ def file_errors(store: str) -> Iterator[None]:
         if error.errno in _FORBIDDEN:
             raise RefusedError(what) from error
         raise
+
+
+def finished_tile(header: Header, job: Job) -> dict[str, np.ndarray]:
+    """``stored_tile`` of a tile that is to be solved again; an attempt that died may have left its new contents."""
+    try:
+        return stored_tile(header, job.index)
+    except ChunkError:
+        check_claim(header.place, job.claim)
+        if not finish_replacement(header, job.index):
+            raise
+        return stored_tile(header, job.index)
 
 
 def stored_tile(header: Header, index: tuple[int, ...]) -> dict[str, np.ndarray]:

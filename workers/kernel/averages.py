@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.elementary import exp_minus
 from workers.kernel.jit import inlined, kernel
 
 LEVELS = 40
@@ -52,13 +53,14 @@ def add_to_blocks(levels, x):
 
 @kernel
 def standard_error(levels):
-    """Standard error of the mean with correlations, from the shortest blocks that are long enough.
+    """Standard error of the mean with correlations: the largest from blocks that are long enough.
 
-    Blocks of B = 2^k values give e_k, rising from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long
-    enough once B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). NaN with fewer than FEWEST_BLOCKS values; with no
-    such k, the largest e_k of the levels that have as many blocks.
+    Blocks of B = 2^k values give e_k, going from sigma / sqrt(N) to sqrt(sigma^2 tau / N). They are long enough from the
+    first with B^3 > 2 N (e_k / e_0)^4 on (Lee et al. 2011). Longer ones show correlations that are weak beside the noise
+    of single periods, such as those of motion that now and then misses its stops for long. NaN with fewer than
+    FEWEST_BLOCKS values; with no such k, the largest e_k of the levels that have as many blocks.
     """
-    error, first, count = np.nan, np.nan, levels[0, COUNT]
+    error, first, count, enough = np.nan, np.nan, levels[0, COUNT], False
     for k in range(LEVELS):
         blocks = levels[k, COUNT]
         if blocks < FEWEST_BLOCKS:
@@ -66,9 +68,9 @@ def standard_error(levels):
         here = math.sqrt(levels[k, SQUARES] / (blocks - 1.0) / blocks)
         if k == 0:
             first = here
-        error = here if not here < error else error
-        if 8.0**k > 2.0 * count * (here / first) ** 4:
-            return here
+        starts = not enough and 8.0**k > 2.0 * count * (here / first) ** 4
+        error = here if starts or not here < error else error
+        enough = enough or starts
     return error
 
 
@@ -80,7 +82,7 @@ def add_growth(levels, weighted, growth, k, periods):
     which converges faster than any power of their number on a torus (Das et al. 2017).
     """
     u = (k + 0.5) / periods
-    weight = math.exp(-1.0 / (u * (1.0 - u)))
+    weight = exp_minus(1.0 / (u * (1.0 - u)))
     weighted[0] += weight * growth
     weighted[1] += weight
     add_to_blocks(levels, growth)

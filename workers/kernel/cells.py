@@ -8,11 +8,22 @@ import math
 import numpy as np
 
 from workers.kernel.averages import COUNT, MEAN, standard_error
-from workers.kernel.coordinates import enter_blocks, leave_blocks
+from workers.kernel.coordinates import enter_blocks, leave_blocks, placed, put_on_stop
 from workers.kernel.jit import kernel
-from workers.kernel.motion import FREE, LOST, MIN_SPEED, STATUS, TALLIES, WORK, motion_of, oscillator_of, signal_of
+from workers.kernel.motion import (
+    AT_REST,
+    FREE,
+    LOST,
+    MIN_SPEED,
+    STATUS,
+    TALLIES,
+    WORK,
+    motion_of,
+    oscillator_of,
+    signal_of,
+)
 from workers.kernel.signal import derivative_bounds
-from workers.kernel.stroboscopic import contact_at, reset_frame_of
+from workers.kernel.stroboscopic import contact_at_rest, reset_frame_of
 
 
 @kernel
@@ -38,18 +49,35 @@ def scale_at(metric, swing, h):
 
 @kernel
 def start_motions(oscillators, motions, states, cells):
-    """Start motions at physical section states (N, 2n); the scale of each (N,)."""
+    """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
     # Taken out once: an oscillator of its own costs a reference count for each of its fields.
     o, h, contact = oscillators, motions.h, motions.contact
     to_blocks, response, rest, row, tau = o.to_blocks, o.forced, o.rest, o.gap_row, o.tau
     upper, lower, metric, swing = o.upper, o.lower, o.gap.metric, o.swing
     scales = np.zeros(len(states))
     for r in cells:
-        y, v = enter_blocks(to_blocks[r], response[r], rest[r], row[r], tau[r], states[r], h[r])
-        inside = lower[r] < y < upper[r]
-        contact[r, 0] = FREE if inside else contact_at(oscillator_of(oscillators, r), y, v, h[r])
+        y, v, y_error, v_error = enter_blocks(to_blocks[r], response[r], rest[r], row[r], tau[r], states[r], h[r])
+        contact[r, 0] = placed(y, v, y_error, v_error, upper[r], lower[r])
+        if abs(contact[r, 0]) == AT_REST:
+            contact[r, 0] = contact_at_rest(oscillator_of(oscillators, r), np.sign(contact[r, 0]), h[r])
         scales[r] = scale_at(metric[r], swing[r], h[r])
     return scales
+
+
+@kernel
+def put_inside(row, upper, lower, states):
+    """Move those of physical states (N, 2n) that lie beyond a stop onto it, along the gap row (N, n), in place."""
+    n = row.shape[1]
+    for r in range(len(states)):
+        y, square = 0.0, 0.0
+        for i in range(n):
+            y += row[r, i] * states[r, i]
+            square += row[r, i] * row[r, i]
+        stop = min(max(y, lower[r]), upper[r])
+        if y != stop:
+            for i in range(n):
+                states[r, i] += row[r, i] / square * (stop - y)
+            put_on_stop(row[r], stop, states[r], 0)
 
 
 @kernel

@@ -59,6 +59,13 @@ def exp_minus(x):
 
 
 @inlined
+def exp(x):
+    """exp(x) of either sign, by exp_minus; infinity from 708 on."""
+    power = exp_minus(abs(x))
+    return 1.0 / power if x > 0.0 else power
+
+
+@inlined
 def log(x):
     """log x of a normal number x > 0, k ln 2 + log(1 + f) with 1 / sqrt(2) < 1 + f < sqrt(2); -inf at 0."""
     bits = np.float64(x).view(np.int64) + (_EXPONENT_OF_ONE - _HALF_ROOT)

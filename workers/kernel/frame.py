@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from workers.kernel.elementary import cosc_sinc, exp, log, sin_cos
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN
 
@@ -39,7 +40,7 @@ def orthonormalise(metric, V, growth, triangle, rank):
                 V[k, j, 1] -= overlap * V[i, j, 1]
             if triangle.shape[0] > 0:
                 add_row(triangle, growth, i, k, overlap * inverse)
-        growth[i] += math.log(norm)
+        growth[i] += log(norm)
     for i in range(rank, m):
         for j in range(len(metric)):
             V[i, j, 0] = V[i, j, 1] = 0.0
@@ -49,14 +50,14 @@ def orthonormalise(metric, V, growth, triangle, rank):
 @inlined
 def log_length(metric, V, growth):
     """Log of the length of the first vector, with what was taken out of it so far."""
-    return growth[0] + 0.5 * math.log(inner(metric, V, 0, V, 0))
+    return growth[0] + 0.5 * log(inner(metric, V, 0, V, 0))
 
 
 @kernel
 def add_row(triangle, growth, i, k, factor):
     """Take into the triangle that vector k had this multiple of vector i taken off, of which exp(growth) was in it."""
     if factor != 0.0:  # exp(...) may be infinite between blocks that never couple
-        factor *= math.exp(growth[k] - growth[i])
+        factor *= exp(growth[k] - growth[i])
         for c in range(k, triangle.shape[1]):
             triangle[i, c] += factor * triangle[k, c]
 
@@ -92,14 +93,16 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
             # exp(eta s) times the flow: C and S without their decay
             d = -w2
             x = d * s * s
-            if abs(x) < 1e-3:
-                C = 1.0 - x / 2.0 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0)))
-                S = s * (1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0))))
+            if abs(x) < 0.1:
+                C, S = cosc_sinc(x)
+                S *= s
             elif d > 0.0:
                 wd = math.sqrt(d)
-                C, S = math.cos(wd * s), math.sin(wd * s) / wd
+                S, C = sin_cos(wd * s)
+                S /= wd
             else:
-                C, S = math.cosh(w * s), math.sinh(w * s) / w
+                power = exp(w * s)
+                C, S = 0.5 * (power + 1.0 / power), 0.5 * (power - 1.0 / power) / w
             for i in range(m):
                 h0, h1 = V[i, j, 0], V[i, j, 1]
                 X[2 * j, i] = (C + eta * S) * h0 + S * h1
@@ -115,17 +118,17 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
         for i in range(2 * n):
             if not used[i] and X[i, k] != 0.0:
                 norm = math.sqrt(blocks[i // 2, COLUMN.metric] * back[i, 0] ** 2 + back[i, 1] ** 2)
-                size = math.log(abs(X[i, k]) * norm) - decay[i]
+                size = log(abs(X[i, k]) * norm) - decay[i]
                 if size > best:
                     pivot, best = i, size
         if pivot < 0:
             break
         used[pivot] = True
         p = X[pivot, k]
-        gain = math.log(abs(p)) - decay[pivot]
+        gain = log(abs(p)) - decay[pivot]
         for i in range(2 * n):
             if X[i, k] != 0.0 and (i == pivot or not used[i]):
-                share = math.copysign(math.exp(math.log(abs(X[i, k])) - decay[i] - gain), X[i, k])
+                share = math.copysign(exp(log(abs(X[i, k])) - decay[i] - gain), X[i, k])
                 V[k, i // 2, 0] += share * back[i, 0]
                 V[k, i // 2, 1] += share * back[i, 1]
         for later in range(k + 1, m):

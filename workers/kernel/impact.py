@@ -3,6 +3,7 @@
 import numpy as np
 
 from workers.kernel.borrow import borrowed
+from workers.kernel.elementary import sin_cos
 from workers.kernel.flight import next_crossing
 from workers.kernel.flow import dot, dot_vector, flow, flow_with_tangent
 from workers.kernel.frame import graded_flow
@@ -22,6 +23,12 @@ COMPLETION = 1e-4
 def load_at_rest(side, v, a, cA2k):
     """side * (a - cA^2k v): the acceleration that would press the mass on the stop with v taken off."""
     return side * (a - cA2k * v)
+
+
+@inlined
+def chatter_time(load, w, R):
+    """The time that chatter takes under this load on the stop after a rebound at speed w, to leading order."""
+    return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
 
 
 @inlined
@@ -53,7 +60,7 @@ def outcome(osc, h, side, v, a, scale, remaining):
     if w * w <= 200.0 * load * EPS * scale:
         return REST
     M3 = derivative_bounds(osc.gap, h)[2]
-    duration = 2.0 * w / (load * (1.0 - osc.R))
+    duration = chatter_time(load, w, osc.R)
     return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
 
 
@@ -121,8 +128,8 @@ def forced_state(response, phase, j, k):
     """Component k of the forced response of block j at a phase; see Oscillator.forced."""
     total = 0.0
     for harmonic in range(response.shape[2]):
-        angle = (harmonic + 1.0) * phase
-        total += response[j, k, harmonic, 0] * np.sin(angle) + response[j, k, harmonic, 1] * np.cos(angle)
+        sin, cos = sin_cos((harmonic + 1.0) * phase)
+        total += response[j, k, harmonic, 0] * sin + response[j, k, harmonic, 1] * cos
     return total
 
 

@@ -8,6 +8,9 @@ from workers.kernel.jit import inlined, kernel, piece
 
 EPS = float(np.finfo(np.float64).eps)
 
+NOTHING = 1e-290
+"""What the largest entry next to one leaves of a matrix entry that counts for nothing: products with it underflow."""
+
 MOST_SWEEPS = 60
 """Steps of the QR method for one eigenvalue; it needs two or three."""
 
@@ -107,6 +110,8 @@ def over(z, real):
 @inlined
 def couples(below, before, here):
     """Whether an entry below the diagonal is more than rounding of its two neighbours there."""
+    if max(abs(below.real), abs(below.imag)) < NOTHING:
+        return False
     sides = abs(before.real) + abs(before.imag) + abs(here.real) + abs(here.imag)
     if max(abs(below.real), abs(below.imag)) > 2.0 * EPS * sides:  # mostly: spares the roots
         return True
@@ -142,9 +147,22 @@ def rotate_once(H, cosines, sines, start, end, shift):
         H[k, k] += shift
 
 
+@piece
+def exponent_of(matrix):
+    """The power of two that the largest entry of a matrix is next to; 0 of a matrix of zeros."""
+    largest = 0.0
+    for row in matrix:
+        for entry in row:
+            largest = max(largest, abs(entry))
+    return math.frexp(largest)[1]
+
+
 @kernel
 def moduli(matrix):
-    """|eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite."""
+    """|eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite.
+
+    Of the matrix with its entries brought to the range of one, where no product of two that count underflows.
+    """
     size = len(matrix)
     failed, found = np.empty(size), np.empty(size)
     A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
@@ -157,6 +175,10 @@ def moduli(matrix):
         for k in range(size):
             if not math.isfinite(A[i, k]):
                 return failed
+    exponent = exponent_of(A)
+    for i in range(size):
+        for k in range(size):
+            A[i, k] = math.ldexp(A[i, k], -exponent)
     balance(A)
     to_hessenberg(A)
     for i in range(size):
@@ -169,7 +191,7 @@ def moduli(matrix):
             start -= 1
         if start == end - 1:
             end, sweeps = end - 1, 0
-            found[end] = abs(H[end, end])
+            found[end] = math.ldexp(abs(H[end, end]), exponent)
         elif sweeps == MOST_SWEEPS:
             return failed
         else:

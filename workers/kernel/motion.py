@@ -11,7 +11,7 @@ from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import Held, Oscillator, Signal
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
-"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it."""
+"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no motion."""
 
 (
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
@@ -22,7 +22,7 @@ the square of y', time at rest; evaluations, evaluations still allowed, directio
 was last orthonormal, impacts recorded, status. An impact that completes a chatter to rest is the fastest and takes
 speed off like any other, but is neither counted at its stop nor summed: their number is infinite."""
 
-RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE = range(4)
+RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND = range(5)
 """Status: fine, or why a cell cannot go on."""
 
 WORK_OF_A_TRIAL = 1_000_000

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.coordinates import enter_blocks, leave_blocks
+from workers.kernel.coordinates import enter_blocks, leave_blocks, placed
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.frame import graded_flow, orthonormalise
@@ -18,6 +18,7 @@ from workers.kernel.impact import (
     REBOUND,
     REST,
     add_column,
+    chatter_time,
     is_rebound,
     load_at_rest,
     load_on_stop,
@@ -45,6 +46,7 @@ from workers.kernel.motion import (
     RUNNING,
     SPEEDS,
     SPREAD,
+    STARTED_BEYOND,
     STATUS,
     STUCK,
     UPPER,
@@ -54,6 +56,7 @@ from workers.kernel.motion import (
 )
 from workers.kernel.signal import evaluate
 from workers.model.oscillator import COLUMN, Oscillator
+from workers.results import BEYOND_STOP, InvalidError
 
 OVERDRAFT = 1_000_000
 """Evaluations by which a period may exceed what is left, so that motions can end at a section."""
@@ -73,27 +76,27 @@ digits of the most contracted direction. One flight with its impact may go furth
 def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at physical section state (x..., v...).
 
-    Its contact is the one that the state is: on a stop with v = 0 held or about to leave, BEYOND outside.
+    Its contact is the one that the state shows: on a stop with v = 0 held or about to leave, else free. InvalidError
+    beyond a stop.
     """
     h = np.zeros(osc.kick.shape)
-    return motion_at(h, start_at(osc, np.asarray(state, dtype=np.float64), h), vectors, record)
+    contact = start_at(osc, np.asarray(state, dtype=np.float64), h)
+    if contact == BEYOND:
+        raise InvalidError(BEYOND_STOP)
+    return motion_at(h, contact, vectors, record)
 
 
 @kernel
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
-    y, v = enter_blocks(osc.to_blocks, osc.forced, osc.rest, osc.gap_row, osc.tau, state, h)
-    return contact_at(osc, y, v, h)
+    y, v, y_error, v_error = enter_blocks(osc.to_blocks, osc.forced, osc.rest, osc.gap_row, osc.tau, state, h)
+    contact = placed(y, v, y_error, v_error, osc.upper, osc.lower)
+    return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
 
 
 @kernel
-def contact_at(osc, y, v, h):
-    """The contact of a state at a section whose gap coordinate is y and moves at v; h (n, 2) are its blocks."""
-    if y > osc.upper or y < osc.lower:
-        return BEYOND
-    if v != 0.0 or osc.lower < y < osc.upper:
-        return FREE
-    side = 1 if y == osc.upper else -1
+def contact_at_rest(osc, side, h):
+    """The contact of a state that lies on this stop with v = 0: held where the load presses, else about to leave."""
     u = np.zeros((h.shape[0] - 1, 2))
     to_held(osc, h, osc.tau, side, u)
     return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
@@ -101,7 +104,7 @@ def contact_at(osc, y, v, h):
 
 @kernel
 def blocks_to_physical(osc, motion):
-    """Physical section state (2n,) of a motion; exactly on the stop with v = 0 where it rests there."""
+    """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there, see ``placed``."""
     state = np.empty(2 * motion.h.shape[0])
     leave_blocks(
         osc.to_physical, osc.forced, osc.rest, osc.gap_row, osc.tau, osc.upper, osc.lower, motion.h, motion.contact[0],
@@ -213,11 +216,14 @@ def spend(tally, evaluations):
 
 
 @piece
-def leave_stop(osc, motion, phase, contact, remaining):
-    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there."""
+def leave_stop(osc, motion, phase, contact, remaining, chatter):
+    """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there.
+
+    The first part of it, ``chatter``, the mass spends hopping.
+    """
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
-    tally[STUCK] += s
+    tally[STUCK] += min(s, max(s - chatter, TINY))  # a rest counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
@@ -233,7 +239,7 @@ def leave_stop(osc, motion, phase, contact, remaining):
 def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 
-    Stops early with tally[STATUS] set if it cannot be completed.
+    Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
     """
     osc, motion = borrowed(osc), borrowed(motion)
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
@@ -241,17 +247,20 @@ def propagate(osc, motion, duration):
     column, column1, R, cA2k = osc.kick, osc.kick1, osc.R, osc.cA2k
     upper, lower = osc.b_upper, -osc.b_lower
     contact = motion.contact[0]
+    if abs(contact) == BEYOND:
+        tally[STATUS] = STARTED_BEYOND
+        return
     motion.contact[0] = FREE
     vectors, frame = V.shape[0] > 0, motion.growth.shape[0] > 0
     rate = spread_rate(block) if vectors else 0.0
     unit, loss = osc.time_unit, loss_spread(R)
-    own, kind = 0, ON_STOP_MOVING
+    own, kind, chatter = 0, ON_STOP_MOVING, 0.0
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
     t, phase = 0.0, osc.tau
     while True:
         if contact != FREE:
-            s, released = leave_stop(osc, motion, phase, contact, duration - t)
+            s, released = leave_stop(osc, motion, phase, contact, duration - t, chatter)
             if not released:
                 return
             t += s
@@ -290,7 +299,7 @@ def propagate(osc, motion, duration):
         own, kind, contact = side, ON_STOP_MOVING, FREE
         if following == REST:
             come_to_rest(osc, motion, v)
-            contact = side
+            contact, chatter = side, chatter_time(load_at_rest(side, v, a, cA2k), R * abs(v), R)
             continue
         record_impact(tally, impacts, t, side, abs(v), R)
         add_column(h, -(1.0 + R) * v, column)

@@ -78,10 +78,10 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     force = complex_force(few)
     frame = frame_of(few.mass, few.damping, few.stiffness, few.gap_row)
     push = push_of(frame.modes, frame.flexibility, force, few.load)
-    clamped = _clamped(few, force, frame, centred(push, frame, few.upper, few.lower)[0])
+    clamped = _clamped(few, force, frame, push)
     even = np.any(force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     frame, push, clamped = taken(frame, kind), taken(push, kind), taken(clamped, kind)
-    free = free_motion(frame, push, machines.omega, machines.upper, machines.lower)
+    free = free_motion(frame, push, machines)
     modes, kick, driven, gap = frame.modes, frame.kick, free.driven, free.gap
     held, held_resonant = _held(clamped, machines.omega)
     R, upper, lower = machines.R, machines.upper, machines.lower
@@ -138,10 +138,12 @@ def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clamped:
-    """What holds y of these machines, whose force, frame and push these are; see Clamped."""
-    mass, damping, stiffness, gap_row, load = (
-        machines.mass, machines.damping, machines.stiffness, machines.gap_row, machines.load
-    )  # fmt: skip
+    """What holds y of these machines, whose force, frame and push these are; see Clamped.
+
+    Positions are counted from rest, so that what holds y at either stop is opposite where the stops are equally far.
+    """
+    push, b_upper, b_lower, _ = centred(push, frame, machines)
+    mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
     accelerance, free = frame.accelerance, frame.modes
     d = accelerance / frame.softness[:, None]
@@ -159,15 +161,18 @@ def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clampe
     pulls, drags = times(accelerance, stiffness), times(accelerance, damping)
     rows = times(-np.concatenate([times(pulls, null), times(drags, null)], axis=1), modes.to_physical)
     into, out, pushes = np.zeros((N, 2, n - 1, 2)), np.zeros((N, 2, n, 2)), np.zeros((N, 2))
-    into_rest = (down @ push.rest.reshape(N, 2 * n, 1))[..., 0].reshape(N, n - 1, 2)
-    for side, position in enumerate((machines.upper, machines.lower)):
+    drift = (free.to_physical[:, :, 1::2] @ push.load[..., None])[..., 0]  # what no rest position balances
+    load = times(drift[:, n:], mass) + times(drift[:, :n], damping)  # both are symmetric
+    coasts = (free.to_blocks[:, :, n:] @ drift[:, :n, None])[..., 0].reshape(N, n, 2)
+    into_rest = (down @ coasts.reshape(N, 2 * n, 1))[..., 0].reshape(N, n - 1, 2)
+    for side, position in enumerate((b_upper, -b_lower)):
         y = np.where(np.isfinite(position), position, 0.0)[:, None]
         pull = load - times(d, stiffness) * y  # K is symmetric
         q = stacked(np.linalg.solve, (N, n - 1, 1), across @ stiffness @ null, (across @ pull[..., None]))[..., 0]
         at_rest = (modes.to_blocks[:, :, : n - 1] @ q[..., None])[..., 0].reshape(N, n - 1, 2)
         lifted = (free.to_blocks[:, :, :n] @ (d * y)[..., None])[..., 0].reshape(N, n, 2)
         into[:, side] = into_rest - at_rest
-        out[:, side] = (up @ at_rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - push.rest
+        out[:, side] = (up @ at_rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
         pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
     row = rows.reshape(N, n - 1, 2)
     row1 = derivative(row, modes)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.expression import Expression
-from workers.model.free import finite
+from workers.model.free import ULPS, finite
 from workers.model.oscillator import Machines
 from workers.model.parameter import OMEGA, TAU
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -88,7 +88,7 @@ class Definition:
             return np.stack([entry(named) for entry in entries], axis=-1)
 
         def matrix(rows: Matrix) -> Array:
-            return np.stack([row(entries) for entries in rows], axis=-2)
+            return symmetrised(np.stack([row(entries) for entries in rows], axis=-2))
 
         made: dict[str, Callable[[], Array]] = {
             "mass": lambda: matrix(self.mass),
@@ -146,7 +146,7 @@ class Definition:
 def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArray[np.int8]:
     """The reason why each of many machines is none, or NO_REASON, as far as the numbers of some fields alone tell.
 
-    Matrices have to be symmetric, the lower stop below the upper one, and 0 <= R <= 1.
+    Matrices have to be symmetric to rounding, the lower stop below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
     for name in {"mass", "damping", "stiffness"}.intersection(of):
@@ -161,6 +161,20 @@ def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArra
         known = ~np.isnan(field) if name in ("upper", "lower") else finite((field,))  # a stop may be infinitely far
         reasons[~known] = OUT_OF_DOUBLES
     return reasons
+
+
+def symmetrised(matrices: Array) -> Array:
+    """Matrices (N, n, n) with each pair of entries [i][k] and [k][i] made equal that differs by rounding alone.
+
+    That is by at most ULPS of the larger one, or of sqrt([i][i] [k][k]), which bounds it in a matrix that is positive.
+    """
+    other = matrices.swapaxes(1, 2)
+    if np.array_equal(matrices, other):
+        return matrices
+    root = np.sqrt(np.abs(np.diagonal(matrices, axis1=1, axis2=2)))
+    size = np.maximum(np.maximum(np.abs(matrices), np.abs(other)), root[:, :, None] * root[:, None, :])
+    near = np.abs(matrices - other) <= ULPS * np.finfo(np.float64).eps * size
+    return np.where(near & (matrices != other), 0.5 * matrices + 0.5 * other, matrices)
 
 
 def _entry(expression: Expression) -> float | str:

@@ -68,7 +68,7 @@ class FreeMotions:
                 machines = machines._replace(**{name: np.ascontiguousarray(field) for name, field in changed.items()})
             frame = _frame(machines) if self._new_frame else still.frame
             push = _push(frame, machines) if self._new_push else still.push
-            free = free_motion(frame, push, machines.omega, machines.upper, machines.lower)
+            free = free_motion(frame, push, machines)
             reasons = self._reasons(rows, still, machines, frame, free)
         return Motions(machines, frame, free, reasons)
 

@@ -16,6 +16,10 @@ UNSEEN = 1e-9
 """Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
 
 
+ULPS = 8.0
+"""Units in the last place by which entries of a machine may be wrong: what a few operations leave of exact ones."""
+
+
 class Frame(NamedTuple):
     """What mass, damping, stiffness and gap row alone decide, of N machines.
 
@@ -119,14 +123,13 @@ def push_of(modes: Modes, flexibility: Array, force: Any, load: Array) -> Push:
     )
 
 
-def free_motion(frame: Frame, push: Push, omega: Array, upper: Array, lower: Array) -> Free:
-    """The free motion of machines of that frame under that push, at forcing frequencies and between stops (N,)."""
-    push, unseen = centred(push, frame, upper, lower)
-    driven = drive(frame.modes, push, omega)
-    y0 = np.sum(frame.row * driven.rest, axis=(1, 2))
+def free_motion(frame: Frame, push: Push, machines: Machines) -> Free:
+    """The free motion of machines of that frame under that push."""
+    push, b_upper, b_lower, unseen = centred(push, frame, machines)
+    driven = drive(frame.modes, push, machines.omega)
     none = np.zeros(push.waves.shape[:2], dtype=np.complex128)
-    gap = signal_of(driven, (frame.row, frame.row1, frame.row2), none, omega)
-    return Free(driven, gap, upper - y0, y0 - lower, unseen)
+    gap = signal_of(driven, (frame.row, frame.row1, frame.row2), none, machines.omega)
+    return Free(driven, gap, b_upper, b_lower, unseen)
 
 
 def faults_of(free: Free) -> list[tuple[int, NDArray[np.bool_]]]:
@@ -191,23 +194,64 @@ def _response(modes: Modes, waves: Any, omega: Array) -> tuple[Array, NDArray[np
     return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
 
 
-def centred(push: Push, frame: Frame, upper: Array, lower: Array) -> tuple[Push, NDArray[np.bool_]]:
-    """The push with a rigid mode's position counted from between the stops, or from the only one; and where it is one
-    that the gap does not see.
+def centred(push: Push, frame: Frame, machines: Machines) -> tuple[Push, Array, Array, NDArray[np.bool_]]:
+    """The push with rest positions midway between the stops where machines are balanced; the stops seen from rest; and
+    where a rigid mode is one that the gap does not see.
+
+    A rigid mode's position is counted from between the stops, or from the only one.
     """
-    rigid = frame.modes.lam == 0.0
-    if not np.any(rigid):
-        return push, np.zeros(len(upper), dtype=np.bool_)
+    upper, lower, modes = machines.upper, machines.lower, frame.modes
+    rigid, even = modes.lam == 0.0, balanced(machines)
     moving = np.any(rigid, axis=1)
     share = np.sum(np.where(rigid, frame.row[..., 0], 0.0), axis=1)
     unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.softness))
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
-    y0 = np.sum(frame.row * push.rest, axis=(1, 2))
-    move = np.where(moving & ~unseen, (middle - y0) / np.where(share != 0.0, share, 1.0), 0.0)
-    rest = push.rest.copy()
+    rest, load, block = push.rest.copy(), push.load, push.block
+    move = np.where(moving & ~unseen, (middle - _at_rest(frame, rest)) / np.where(share != 0.0, share, 1.0), 0.0)
     rest[..., 0] += np.where(rigid, move[:, None], 0.0)
-    return push._replace(rest=rest), unseen
+    rounding = np.where(even, middle - _at_rest(frame, rest), 0.0)
+    if np.any(rounding != 0.0):
+        d = frame.accelerance / frame.softness[:, None] * rounding[:, None]
+        rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
+    if np.any(load[even] != 0.0):
+        load, block = np.where(even[:, None], 0.0, load), block.copy()
+        block[..., COLUMN.load] = load
+    y0, half = _at_rest(frame, rest), 0.5 * (upper - lower)
+    b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
+    return push._replace(rest=rest, load=load, block=block), b_upper, b_lower, unseen
+
+
+def _at_rest(frame: Frame, rest: Array) -> Array:
+    """y (N,) at rest."""
+    return np.asarray(np.sum(frame.row * rest, axis=(1, 2)))
+
+
+def balanced(machines: Machines) -> NDArray[np.bool_]:
+    """Whether y rests midway between both stops, or anywhere, to rounding: motion is symmetric where the force is.
+
+    That is where no force f holds y in their middle m, K x + f g = load and g . x = m: where |f| is at most what ULPS
+    of each entry make of it. With K v + s g = 0 and g . v = 1 they change it by
+    |v| . (|load| + |K| |x|) + |s| (|g| . |x| + |upper| + |lower|).
+    """
+    stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
+    middle = 0.5 * (machines.upper + machines.lower)
+    found = np.isnan(middle) | (~np.any(load != 0.0, axis=1) & (middle == 0.0))  # NaN: both are infinitely far away
+    rows = np.flatnonzero(~found & np.isfinite(middle))
+    K, g, n = stiffness[rows], row[rows], row.shape[1]
+    size = np.max(np.abs(K), axis=(1, 2), initial=0.0)
+    size = np.where(size > 0.0, size, 1.0)[:, None]  # for the border to be of the size of the rest
+    matrix, right = np.zeros((len(rows), n + 1, n + 1)), np.zeros((len(rows), n + 1, 2))
+    matrix[:, :n, :n] = K
+    matrix[:, :n, n] = matrix[:, n, :n] = size * g
+    right[:, :n, 0], right[:, n, 0], right[:, n, 1] = load[rows], middle[rows] * size[:, 0], size[:, 0]
+    both = stacked(np.linalg.solve, right.shape, matrix, right)
+    x, v = np.abs(both[:, :n, 0]), np.abs(both[:, :n, 1])
+    f, s = np.abs(size * both[:, n]).T
+    ends = np.abs(machines.upper[rows]) + np.abs(machines.lower[rows])
+    change = dot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (dot(np.abs(g), x) + ends)
+    found[rows] = f <= ULPS * np.finfo(np.float64).eps * change
+    return found
 
 
 def finite(record: Any) -> NDArray[np.bool_]:

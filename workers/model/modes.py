@@ -6,6 +6,7 @@ state space into planes, one for each pair of eigenvalues.
 
 import math
 from collections.abc import Callable
+from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +14,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-COUPLED = 1e-9
-"""Coupling of the modes by the damping, relative to the largest damping, from which on it is not classical."""
+COUPLED = 1e-13
+"""Coupling of the modes by the damping, relative to the largest damping, that is more than rounding."""
+
+LIGHT = 1e-9
+"""Coupling below which modes stay the blocks where planes nearly coincide: it changes less than rounding of these does.
+Negative damping below it is none."""
+
+GRADED = 1e3
+"""Ratio of squared frequencies from which on modes are refined: rounding of the largest one shows in the least."""
 
 FREE = 8.0 * np.finfo(np.float64).eps
 """Squared frequency, relative to the largest one and for each coordinate, below which a mode is rigid; likewise damping
@@ -23,6 +31,10 @@ below which it is undamped: what rounding leaves of zero."""
 SINGULAR = 1e-10
 """Determinant, relative to its size, below which a plane's coordinates are no h and h'; its inverse bounds how much
 larger than its eigenvalues' the entries of the transformation may be."""
+
+
+NEIGHBOUR = 1e-3
+"""Mixing of two modes up to which refinement takes it off."""
 
 
 class Modes(NamedTuple):
@@ -49,7 +61,7 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
         none, nothing = np.zeros((N, 0)), np.zeros(N, dtype=np.bool_)
         matrix = np.zeros((N, 0, 0))
         return Modes(none, none, matrix, matrix, np.zeros(N, dtype=np.int64), nothing, nothing)
-    lam, modes = undamped_modes(mass, stiffness)
+    lam, modes = _refined(mass, stiffness, *undamped_modes(mass, stiffness))
     largest = np.max(np.abs(lam), axis=1)
     lam = np.where(np.abs(lam) <= FREE * n * largest[:, None], 0.0, lam)
     modal = np.ascontiguousarray(modes.swapaxes(1, 2)) @ damping @ modes
@@ -57,7 +69,7 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     size = np.max(np.abs(modal), axis=(1, 2))
     beside = np.abs(modal) * (1.0 - np.eye(n))
     coupled = np.max(beside, axis=(1, 2)) > COUPLED * size
-    unstable = np.any(lam < 0.0, axis=1) | np.any(eta < -COUPLED * size[:, None], axis=1)
+    unstable = np.any(lam < 0.0, axis=1) | np.any(eta < -LIGHT * size[:, None], axis=1)
     weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
     found = Modes(
         eta=np.where(eta <= FREE * n * size[:, None], 0.0, eta),
@@ -99,6 +111,29 @@ def undamped_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(modes)
 
 
+def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[Array, Array]:
+    """Modes whose squared frequencies have errors of their own size, not of the largest one's.
+
+    modes (I + X), first order in R = I - modes.T M modes and S = modes.T K modes, with X_ij = (S_ij + lam_j R_ij) /
+    (lam_j - lam_i), or R_ij / 2 where these are too near; twice, since neighbours take X to more than first order.
+    (Ogita & Aishima, Japan J. Indust. Appl. Math. 35 (2018) 1007)
+    """
+    n = lam.shape[1]
+    elastic = lam > FREE * n * np.max(np.abs(lam), axis=1)[:, None]
+    ratio = np.max(lam, axis=1) / np.min(np.where(elastic, lam, np.inf), axis=1)
+    rows = np.flatnonzero((ratio > GRADED) & np.isfinite(modes).all(axis=(1, 2)))
+    lam, modes = lam.copy(), modes.copy()
+    for _ in range(2 if len(rows) else 0):
+        found = modes[rows]
+        turned = np.ascontiguousarray(found.swapaxes(1, 2))
+        R, S = np.eye(n) - turned @ mass[rows] @ found, turned @ stiffness[rows] @ found
+        values = np.diagonal(S, axis1=1, axis2=2) / (1.0 - np.diagonal(R, axis1=1, axis2=2))
+        gap, off = values[:, None, :] - values[:, :, None], S + values[:, None, :] * R
+        near = np.eye(n, dtype=np.bool_) | (np.abs(off) > NEIGHBOUR * np.abs(gap))
+        lam[rows], modes[rows] = values, found + found @ np.where(near, 0.5 * R, off / np.where(near, 1.0, gap))
+    return lam, modes
+
+
 def _values_and_vectors(matrix: Array) -> Array:
     """Eigenvalues and, below them, eigenvectors of symmetric matrices."""
     values, vectors = np.linalg.eigh(matrix)
@@ -124,11 +159,16 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     inner, coupled = lam[idle:], damping[idle:, idle:]
     k = n - idle
     unit = _time_unit(inner, coupled)
+    w = np.where(inner > 0.0, np.sqrt(np.maximum(inner, 0.0)) * unit, 1.0)  # of (w q, q') neither outweighs the other
     A = np.zeros((2 * k, 2 * k))
-    A[:k, k:] = np.eye(k)
-    A[k:, :k], A[k:, k:] = -np.diag(inner * unit * unit), -coupled * unit
-    eta, stiffness, planes = _planes(A)
-    condition = np.linalg.cond(planes) if np.isfinite(planes).all() else np.inf
+    A[:k, k:], A[k:, k:] = np.diag(w), -coupled * unit
+    A[k:, :k] = -np.diag(np.where(inner > 0.0, w, 0.0))
+    eta, stiffness, planes = _refined_planes(A, *_planes(A))
+    condition = _condition(planes)
+    planes[:, :k] *= w
+    coupling = np.max(np.abs(damping) * (1.0 - np.eye(n)))
+    if coupling <= min(LIGHT, FREE * n * condition) * size:
+        return
     eta, stiffness = eta / unit, stiffness / unit / unit
     planes[0::2, k:] *= unit  # rows of h and h', of displacements and velocities
     planes[1::2, :k] /= unit
@@ -138,16 +178,23 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     to_blocks[2 * idle :, idle:n], to_blocks[2 * idle :, n + idle :] = planes[:, :k], planes[:, k:]
     if inner[0] == 0.0:
         stiffness[np.argmin(stiffness)] = 0.0
-    modal = np.zeros((2 * n, 2 * n))
+    modal, back = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     modal[:n, :n] = modal[n:, n:] = weighted
+    back[:n, :n] = back[n:, n:] = modes
     found.eta[r, :idle], found.lam[r, :idle] = 0.0, 0.0
     found.eta[r, idle:], found.lam[r, idle:] = np.maximum(eta, 0.0), stiffness
-    whole = to_blocks @ modal
-    found.to_blocks[r] = whole
+    found.to_blocks[r] = to_blocks @ modal
     found.inseparable[r] = not condition < 1.0 / SINGULAR
-    found.unstable[r] |= bool(np.any(eta < -COUPLED * size) or np.any(stiffness < 0.0))
+    found.unstable[r] |= bool(np.any(eta < -LIGHT * size) or np.any(stiffness < 0.0))
     if not found.inseparable[r]:
-        found.to_physical[r] = np.linalg.inv(whole)
+        found.to_physical[r] = back @ np.linalg.inv(to_blocks)
+
+
+def _condition(planes: Array) -> float:
+    """How nearly planes coincide, whose rows these are: the condition of the matrix of rows of unit length."""
+    if not np.isfinite(planes).all():
+        return math.inf
+    return float(np.linalg.cond(planes / np.linalg.norm(planes, axis=1, keepdims=True)))
 
 
 def _time_unit(lam: Array, damping: Array) -> float:
@@ -184,6 +231,29 @@ def _planes(A: Array) -> tuple[Array, Array, Array]:
         scale = 1.0 / np.linalg.norm(rate[n:])
         rows[2 * j], rows[2 * j + 1] = scale * h, scale * rate
     return eta, lam, rows
+
+
+def _refined_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Array, Array, Array]:
+    """Planes whose eta and lam have errors of their own size, not of the largest one's: one step of Newton's method.
+
+    With P A P^-1 = B + E, B the blocks [[0, 1], [-lam, -2 eta]], the rows (I + X) P are first order in E where
+    X_ij B_j - B_i X_ij = E_ij for i != j; B_i + E_ii is then the plane's, which b11 h + b12 h' takes to h'.
+    """
+    n = len(eta)
+    if not _condition(planes) < 1.0 / SINGULAR:
+        return eta, lam, planes
+    B = np.zeros((n, 2, 2))
+    B[:, 0, 1], B[:, 1, 0], B[:, 1, 1] = 1.0, -lam, -2.0 * eta
+    E = (planes @ A @ np.linalg.inv(planes)).reshape(n, 2, n, 2).swapaxes(1, 2)  # [i, j] is the block of both
+    E[np.arange(n), np.arange(n)] -= B
+    B += E[np.arange(n), np.arange(n)]
+    X, unit = np.zeros((n, n, 2, 2)), np.eye(2)
+    for i, j in permutations(range(n), 2):
+        X[i, j] = np.linalg.solve(np.kron(unit, B[j].T) - np.kron(B[i], unit), E[i, j].ravel()).reshape(2, 2)
+    found = planes + X.swapaxes(1, 2).reshape(2 * n, 2 * n) @ planes
+    h = found[0::2]
+    found[1::2] = B[:, 0, :1] * h + B[:, 0, 1:] * found[1::2]
+    return -0.5 * np.trace(B, axis1=1, axis2=2), np.linalg.det(B), found
 
 
 def _pairs(T: Array) -> list[tuple[int, int]]:

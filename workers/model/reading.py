@@ -9,9 +9,8 @@ from typing import Any
 
 from workers.model.definition import Definition, Harmonic, Matrix, Row
 from workers.model.expression import RESERVED, Expression, ExpressionError, constant, parse
+from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
-from workers.results import REASON, result_variables
-from workers.settings import Settings
 
 LARGEST = 8
 """Coordinates of a system."""
@@ -27,14 +26,6 @@ _GREEK = (
     "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Xi", "Sigma", "Phi", "Psi",
     "Omega",
 )  # fmt: skip
-_everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
-_TAKEN = {
-    *(variable.name for variable in result_variables(_everything)),
-    *(name for variable in result_variables(_everything) for name in variable.extra),
-    "component", "budget", "survival", "tiles", "machines", "overviews", "curves", "attractors", "attractor", "zoom",
-    "share", "share_error", REASON.name,
-}  # fmt: skip
-"""Names that a store has for something else."""
 _short = Repr()
 _short.maxstring = _short.maxlong = _short.maxother = 60
 
@@ -72,9 +63,9 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
         TAU: Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
     }
     for name in coordinates:
-        built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", f"initial displacement {name}", 0.0)
+        built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0)
     for name, of in zip(velocities, coordinates, strict=True):
-        built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", f"initial velocity {name}", 0.0)
+        built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
     for name in (*coordinates, *velocities):
         for key in ("low", "high"):
             if isinstance(given.get(name), Mapping) and key in given[name]:
@@ -308,8 +299,22 @@ def _names(where: str, given: object) -> tuple[str, ...]:
 def _check_name(where: str, name: object) -> None:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise _found(where, name, "must be a name of letters, digits and underscores, 40 at most")
-    if name in RESERVED or name in _TAKEN:
-        raise DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
+    if name in RESERVED:
+        raise _taken(where, name)
+
+
+def refuse_taken(coordinates: Iterable[str], velocities: Iterable[str], parameters: Iterable[str]) -> None:
+    """DefinitionError at the first name that is one of an atlas's own."""
+    for key, names in (("coordinates", coordinates), ("velocities", velocities)):
+        for i, name in enumerate(names):
+            if is_taken(name):
+                raise _taken(f"system.{key}[{i}]", name)
+    for name in filter(is_taken, parameters):
+        raise _taken(f"system.parameters.{name}", name)
+
+
+def _taken(where: str, name: str) -> DefinitionError:
+    return DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
 
 
 def _read_words(where: str, value: object, default: str) -> str:

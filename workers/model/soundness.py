@@ -64,8 +64,15 @@ def _check_matrix(where: str, matrix: Array, definite: bool) -> None:
 
 def _check_free_motions(mass: Array, stiffness: Array, gap: Array) -> None:
     """The gap sees one free motion at most: of two, some combination leaves y as it is."""
-    half = np.linalg.inv(np.linalg.cholesky(mass))
-    values, vectors = np.linalg.eigh(half @ stiffness @ half.T)
+    with np.errstate(all="ignore"):
+        half = np.linalg.inv(np.linalg.cholesky(mass))
+        squares = half @ stiffness @ half.T
+    if not np.isfinite(squares).all():
+        raise DefinitionError(
+            f"system.mass: found {_shown(mass)} at the defaults, with stiffness {_shown(stiffness)}, must be large "
+            "enough that stiffness over mass is within double precision"
+        )
+    values, vectors = np.linalg.eigh(squares)
     free = half.T @ vectors[:, values <= ROUNDING * max(float(values[-1]), 1e-300)]
     seen = np.abs(gap @ free)
     if free.shape[1] > 1 or np.any(seen <= ROUNDING * np.abs(gap) @ np.abs(free)):

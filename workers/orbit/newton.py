@@ -19,6 +19,7 @@ from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillato
 from workers.orbit.attraction import falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
+from workers.orbit.rest import is_followed
 from workers.orbit.section import back_at_section, quiet_section, seen_later
 
 Array = NDArray[np.float64]
@@ -26,6 +27,9 @@ Array = NDArray[np.float64]
 NEWTON_STEPS = 12
 CYCLES = 60
 """Turns of the orbit that the Floquet frame may take to settle."""
+
+UNDERFLOWS = 1e-290
+"""Spectral radius below which the product of an orbit's Jacobians has lost its digits."""
 
 HOPELESS = 30.0
 """Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
@@ -190,8 +194,8 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
             return NEAR, orbit, spent
     again, J = map_with_jacobian(osc, point.image, contact, steps, half)
     spent += unit
-    if again.tally[STATUS] == RUNNING:
-        rounding = max(rounding, 4.0 * abs(spectral_radius(J) / max(radius, 1e-300) - 1.0))
+    if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
+        rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
     orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
     # Else it is too near a bifurcation for these digits.
@@ -306,6 +310,7 @@ def no_orbits(count: int, n: int) -> Orbits:
 def settle_each(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
     """settle for each of these cells, of which the last ``kept`` (N,) sections (N, K, n, 2) are known; near (N,).
 
+    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest.
     Fills in the rows of orbits and spent (N,) of these cells; returns which of them were found.
     """
     settled = np.zeros(len(cells), dtype=np.bool_)
@@ -314,11 +319,13 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         osc = borrowed(oscillator_of(oscillators, r))
         known = sections[r, sections.shape[1] - kept[r] :]
         result, orbit, shift, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
+        there = borrowed(seen_later(osc, shift))
         settled[e] = result == SETTLED
+        if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:
+            settled[e] = is_followed(there, orbit.h, orbit.contact, orbit.steps)
         orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
-        there = borrowed(seen_later(osc, shift))
         turn = iterate_alone(there, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # no literal, as in run_batch
         here = back_at_section(osc, shift, orbit.h, orbit.contact)
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error

@@ -1,0 +1,61 @@
+"""All attractors of one cell, found here and now; and how an entry of a list of attractors reads."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from atlas.spec.attractors import checked_attractors, resolved_attractors
+from atlas.spec.spec import checked_parameters
+from atlas.spec.system import checked_system
+from workers import Settings
+from workers.model.system import DEFAULT, System
+from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
+from workers.starts import MOST_KEPT, Starts
+
+_NAMES = {regime.code: regime.name for regime in REGIMES}
+
+
+def attractors(
+    given: Mapping[str, Any] | None = None,
+    *,
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+    starts: int = Starts.count,
+) -> dict[str, Any]:
+    """All attractors that initial states of one cell reach, with their shares: those that ``[attractors]`` would find.
+
+    ``given`` are the parameters that differ from the defaults; ``starts`` initial states are solved, the cell's own and
+    others that fill a box evenly, half of them where these all reach one attractor.
+    By name: ``attractors`` found, ``starts`` solved, ``own``, the place of the one that the cell's own initial state
+    reaches, ``undecided`` initial states, ``unseen_share``, that of an attractor that 5 % of such cells miss, and the
+    ``periods_used`` by all; ``coexisting`` lists the attractors, the largest share first, with all their numbers; where
+    there is none, ``regime`` and ``reason`` say what became of the cell's own initial state. And ``system``,
+    ``parameters``, ``solve`` and ``search`` in full.
+    Raises InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
+    """
+    from workers.attractors import solve_attractors
+
+    record, settings = checked_system(system), settings or Settings()
+    parameters = checked_parameters(record, given or {})
+    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
+    assert search is not None
+    arrays = solve_attractors(record, parameters, settings, search).arrays
+    many = [each.name for each in result_variables(settings, attractors=True) if ATTRACTOR in each.extra]
+    found = {name: array.tolist() for name, array in arrays.items() if name not in many}
+    kept = min(found["attractors"], search.keep)
+    each = [in_words({name: arrays[name][place].tolist() for name in many}) for place in range(kept)]
+    if not each:  # then the first place has what became of the cell's own initial state
+        found |= in_words({name: arrays[name][0].tolist() for name in (REGIME.name, REASON.name)})
+    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
+    return record.resolved() | described | found | {"coexisting": each}
+
+
+def in_words(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of one attractor, its shares first, the regime and the reason by name."""
+    words = {REGIME.name: _NAMES[int(values[REGIME.name])]}
+    if REASON.name in values and values[REASON.name] != NO_REASON:
+        words[REASON.name] = REASONS[int(values[REASON.name])].text
+    first = ("share", "share_low", "share_high")
+    ordered = {name: values[name] for name in first if name in values}
+    rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}
+    return words | ordered | rest

@@ -1,0 +1,75 @@
+"""What a store has beside its cells and overviews: tables, curves, the tally, records of machines, zoom levels."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from atlas.check.metadata import copy_faults, restore
+from atlas.errors import MADE_BY, ChunkError
+from atlas.overview.pyramid import drop_all
+from atlas.store.curves import GROUP as CURVES
+from atlas.store.curves import damaged_parts
+from atlas.store.groups import drop_group, read_group
+from atlas.store.machines import damaged_machines, forget_machine
+from atlas.store.schema import OVERVIEWS
+from atlas.store.store import Header
+from atlas.store.tables import ATTRACTORS, LABELS
+from atlas.store.tally import GROUP as TALLY
+from atlas.store.tally import Entries, Index, drop_tally, tally_faults
+
+
+@dataclass(frozen=True)
+class GroupReport:
+    """What is wrong with the groups of a store: faults, each in a line; the groups and objects that they are in.
+
+    copies   keys of metadata of other groups that are not as the root's copy has them
+    """
+
+    faults: tuple[str, ...]
+    groups: tuple[str, ...]
+    parts: tuple[str, ...]
+    machines: tuple[str, ...]
+    copies: tuple[str, ...]
+
+
+def check_groups(header: Header, counted: Mapping[Index, Entries]) -> GroupReport:
+    """Read all groups; ``counted`` are the entries of the tally that sound tiles have by their cells."""
+    found: dict[str, list[str]] = {}
+    for group in (CURVES, *[ATTRACTORS] * header.spec.basins, *[LABELS] * header.spec.coexistence):
+        try:
+            read_group(header, group)
+        except ChunkError as error:
+            found[group] = [f"{key} {fault}" for key, fault in error.faults.items()]
+    if tally := tally_faults(header, counted):
+        found[TALLY] = tally
+    copies = copy_faults(header)
+    for key in copies:
+        found.setdefault(key.partition("/")[0], []).append(f"{key} is damaged, or its copy is")
+    parts, machines = damaged_parts(header), damaged_machines(header)
+    faults = [f"{fault}{_remedy(header, group)}" for group, several in found.items() for fault in several]
+    faults += [f"{key} is damaged" for key in (*parts, *machines)]
+    groups = tuple(group for group in found if group in (CURVES, ATTRACTORS, LABELS, TALLY, OVERVIEWS))
+    others = tuple(key for key in copies if key.partition("/")[0] not in groups)
+    return GroupReport(tuple(faults), groups, tuple(parts), tuple(machines), others)
+
+
+def mend_groups(header: Header, report: GroupReport) -> list[str]:
+    """Drop the groups that are damaged, and restore what can be; what was done, each in a line."""
+    done = []
+    for group in report.groups:
+        drop = {TALLY: drop_tally, OVERVIEWS: drop_all}.get(group)
+        drop(header) if drop else drop_group(header, group)
+        command = f"{MADE_BY[group]} {header.place}" if group in MADE_BY else "the next run"
+        done.append(f"{group} dropped: {command} makes them anew")
+    for key in report.parts:
+        header.place.remove(key)
+        done.append(f"{key} dropped: {MADE_BY[CURVES]} {header.place} finds it again")
+    for key in report.machines:
+        forget_machine(header, key)
+        done.append(f"{key} replaced by the record of an unknown machine")
+    copies = copy_faults(header) if report.copies else {}
+    restore(header, {key: copies[key] for key in report.copies if key in copies})
+    return done + [f"{key} written again, as its copy has it" for key in report.copies]
+
+
+def _remedy(header: Header, group: str) -> str:
+    return f" ({MADE_BY[group]} {header.place} makes it anew)" if group in MADE_BY else ""

@@ -1,0 +1,123 @@
+"""What a verification found, as a value, for a person and as JSON."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from atlas.text import plural
+
+SHOWN = 50
+"""Faults that a terminal gets to see; ``--json`` has all."""
+
+Index = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong: the tile it is in, None where it is the store as a whole, and what, in a line."""
+
+    tile: Index | None
+    what: str
+
+    def __str__(self) -> str:
+        return self.what if self.tile is None else f"tile {self.tile}: {self.what}"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a verification found.
+
+    tiles, tiles_done, chunks    in all; finished; their chunks read whole, their checksums right
+    overview_chunks              read whole, and held against the cells below them
+    digests                      whether the tiles have digests, by which an exchange of tiles is found
+    cells_checked                held against the rules
+    cells_solved                 of the sample that was asked for, solved again
+    comparison                   "bits", "error", or why none was made
+    faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
+    doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
+    repaired                     tiles made unfinished, so that the next run solves them again
+    dropped                      chunks of overviews made missing, so that the next run makes them anew
+    removed                      names among the chunks that are none
+    mended                       what else a repair did, each in a line
+    sheets                       of the zoom levels, verified as the stores that they are
+    """
+
+    store: str
+    tiles: int
+    tiles_done: int
+    chunks: int
+    cells_checked: int
+    cells_solved: int
+    comparison: str
+    seed: int
+    faults: tuple[Fault, ...]
+    doubts: tuple[Fault, ...]
+    overview_chunks: int = 0
+    digests: bool = True
+    repaired: tuple[Index, ...] | None = None
+    dropped: int = 0
+    removed: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()
+    sheets: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every tile is finished."""
+        return self.tiles_done == self.tiles
+
+    @property
+    def fine(self) -> bool:
+        """Whether the store is complete and nothing speaks against it."""
+        return self.complete and not self.faults and not self.doubts
+
+    def __str__(self) -> str:
+        how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
+        lines = [
+            f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
+            f"chunks   {self.chunks} read, their checksums right",
+            f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
+            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
+            f"cells    {self.cells_checked} held against the rules",
+            f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
+            if self.comparison in how
+            else f"sample   not solved again: {self.comparison}",
+        ]
+        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells held against the same"] * bool(
+            self.sheets
+        )
+        for title, found in (("found", self.faults), ("in doubt", self.doubts)):
+            lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
+            lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []
+        if self.repaired is not None:
+            what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
+            lines.append(what if self.repaired else "no tile to drop")
+            if self.dropped:
+                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: run it again to make them")
+            lines += [f"removed: {key}" for key in self.removed]
+            lines += self.mended
+        bad = bool(self.faults or self.doubts)
+        lines.append("fine" if self.fine else "not fine" if bad else "nothing wrong, but not complete")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``atlas verify --json`` prints."""
+        return {
+            "store": self.store,
+            "fine": self.fine,
+            "complete": self.complete,
+            "tiles": self.tiles,
+            "tiles_done": self.tiles_done,
+            "chunks": self.chunks,
+            "cells_checked": self.cells_checked,
+            "cells_solved": self.cells_solved,
+            "comparison": self.comparison,
+            "seed": self.seed,
+            "faults": [{"tile": fault.tile, "what": fault.what} for fault in self.faults],
+            "doubts": [{"tile": fault.tile, "what": fault.what} for fault in self.doubts],
+            "overview_chunks": self.overview_chunks,
+            "digests": self.digests,
+            "repaired": self.repaired,
+            "dropped": self.dropped,
+            "removed": self.removed,
+            "mended": self.mended,
+            "sheets": self.sheets,
+        }

@@ -1,0 +1,53 @@
+"""One cell of an atlas as it was solved: what it takes to solve it again."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from atlas.errors import InputError
+from atlas.query.attractors import leading
+from atlas.query.queries import at
+from atlas.query.window import axis_names
+from atlas.spec.system import resolved_system
+from workers import Settings
+from workers.model.system import System
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass(frozen=True)
+class SolvedCell:
+    """A cell's system, the value of each of its parameters, initial state included, and the settings of its solver."""
+
+    system: System
+    parameters: Mapping[str, float]
+    settings: Settings
+
+
+def solved_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> SolvedCell:
+    """The cell of an atlas nearest to a point.
+
+    Of an atlas of all attractors its initial state is on the one with the largest share, or on the one selected: the
+    cell's own initial state may reach another.
+    Raises InputError as ``queries.at`` does, and where the dataset lacks the spec of its atlas.
+    """
+    ds = leading(ds)
+    cell = at(ds, point)
+    try:
+        spec = json.loads(ds.attrs["spec"])
+        system, settings = resolved_system(spec), Settings(**spec["solve"])
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError):
+        raise InputError("this dataset does not say how it was solved: it lacks the spec of its atlas") from None
+    names = [each.name for each in system.parameters if each.name in ds.coords]
+    values = {name: float(cell[name] if name in cell else ds[name]) for name in names}
+    if "attractors" in ds and "state" in ds:
+        state = ds["state"].sel({name: cell[name] for name in axis_names(ds)}).values
+        if np.isfinite(state).all():
+            values |= dict(zip(system.states, state.tolist(), strict=True))
+    return SolvedCell(system, values, settings)

@@ -1,0 +1,104 @@
+"""The options of pictures, with the names that the commands give them, as keyword arguments of functions."""
+
+import inspect
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar
+
+from atlas.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Sheet(TypedDict, total=False):
+    """The options of every picture."""
+
+    width: float | str | None
+    height: float | str | None
+    font_size: float | None
+    dpi: float | None
+    title: bool
+    legend: bool
+    style: str | Path | None
+
+
+class Look(Sheet, total=False):
+    """The options of every picture that has a scale."""
+
+    vmin: float | None
+    vmax: float | None
+
+
+class MapLook(Look, total=False):
+    """The options of a picture of one atlas."""
+
+    overlay: str | Sequence[str]
+    curves: str | Sequence[str] | None
+    names: bool
+    against: "xr.Dataset | None"
+    variable: str | None
+    log: bool
+    ax: "Axes | Sequence[Axes] | None"
+
+
+MEANINGS = {
+    "overlay": "lines over a map or a sweep, one or several of OVERLAYS",
+    "curves": 'kinds of exact curves to draw, of CURVES, "fold,graze" or a list; default: all',
+    "names": "whether names of points and motions, and levels of lines, stand on a map",
+    "against": "a second sweep of the same axis, for hysteresis",
+    "variable": "the number of each cell to map, such as max_impact_speed",
+    "log": "whether on a logarithmic scale, with variable",
+    "ax": "matplotlib axes to draw into, for a sweep one for each of its plots; they are returned",
+    "width": 'width of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"; default: 7 in',
+    "height": "height of the picture, given likewise; default: by the width",
+    "font_size": "points of the type; default: by the width",
+    "dpi": "dots per inch; default: 300",
+    "title": "whether the fixed parameters stand above",
+    "legend": "whether there is a legend",
+    "style": "a matplotlib style: a file, or the name of one of matplotlib's own",
+    "vmin": "lower end of the scale of numbers, or of the axis of exponents in a sweep",
+    "vmax": "its upper end",
+}
+"""What each option says."""
+
+_DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title": True, "legend": True}
+
+
+def takes(options: type, others: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Give a function with ``**look: Unpack[options]`` these keyword arguments in its signature and its docstring.
+
+    A call with another one raises InputError, which lists all that are possible, unless the function takes ``others``.
+    """
+    asked: dict[str, Any] = options.__annotations__
+    names = [name for name in MEANINGS if name in asked]
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+        parameters = signature.parameters.values()
+        own = [each for each in parameters if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        rest = [each for each in parameters if each not in own and others]
+        possible = [each.name for each in own if each.name != "self"] + names
+
+        @wraps(function)
+        def call(*args: P.args, **given: P.kwargs) -> T:
+            unknown = [name for name in given if name not in possible]
+            if unknown and not others:
+                raise InputError(f"unknown option {unknown[0]!r}; possible: {', '.join(possible)}")
+            return function(*args, **given)
+
+        added = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS.get(name), annotation=asked[name])
+            for name in names
+        ]
+        call.__signature__ = signature.replace(parameters=[*own, *added, *rest])  # type: ignore[attr-defined]
+        listed = "\n".join(f"    {name:9} {MEANINGS[name]}" for name in names)
+        call.__doc__ = f"{inspect.getdoc(function)}\n\nOptions::\n\n{listed}\n"
+        return call
+
+    return decorate

@@ -1,0 +1,103 @@
+"""Which workers are fit for the jobs of a run, as far as the ends of their attempts show.
+
+A worker may refuse: it knows that it cannot do them. Or it fails, and then worker or job may be at fault. A job speaks
+against a worker while it has failed there and at no other worker that has done a job; FAILURES of them in a row, and
+the worker gets no more. What failed at such a worker does not count against the job.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+Index = tuple[int, ...]
+
+FAILURES = 3
+"""Jobs that speak against a worker, without one that it did between them, after which it is left out."""
+HOPELESS = 16
+"""Jobs that failed at every attempt, without any that was done, after which a run with no fit worker ends."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A worker that refuses this run's tiles, and why. ``passing``: the store may answer it later."""
+
+    worker: str
+    reason: str
+    passing: bool = False
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What a job raised, and on which worker, empty where nobody knows. ``full``: the store has no room."""
+
+    worker: str
+    reason: str
+    full: bool = False
+
+
+class Fitness:
+    """The workers left out of a run."""
+
+    def __init__(self) -> None:
+        self.refused: dict[str, str] = {}
+        self._away: set[str] = set()
+        self._proven: set[str] = set()
+        self._failing: dict[str, dict[Index, str]] = {}
+        self._failed: set[Index] = set()
+
+    def refuse(self, refusal: Refusal) -> None:
+        """A worker has refused a job."""
+        self.refused[refusal.worker] = refusal.reason
+        if refusal.passing:
+            self._away.add(refusal.worker)
+
+    def finish(self, worker: str) -> None:
+        """A worker has done a job."""
+        self._proven.add(worker)
+        self._failing.pop(worker, None)
+        for each in self._away:  # the store answers, so perhaps these too
+            self.refused.pop(each, None)
+        self._away.clear()
+
+    def fail(self, index: Index, failure: Failure, before: Iterable[Failure]) -> None:
+        """A job has failed; ``before`` are its earlier failures."""
+        self._failed.add(index)
+        others = {each.worker for each in before} - {failure.worker}
+        if others and failure.worker in self._proven:
+            for worker in others:
+                self._failing.get(worker, {}).pop(index, None)
+        elif failure.worker:
+            self._failing.setdefault(failure.worker, {})[index] = failure.reason
+
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """The workers that get no job, and why."""
+        unfit = {worker: jobs for worker, jobs in self._failing.items() if len(jobs) >= FAILURES}
+        return {worker: _in_words(jobs) for worker, jobs in unfit.items()} | self.refused
+
+    def is_at_fault(self, failures: Iterable[Failure], attempts: int) -> bool | None:
+        """Whether a job has failed that often at fit workers; None where not all of these have done a job yet."""
+        left_out = self.left_out
+        workers = [each.worker for each in failures if each.worker not in left_out]
+        if len(workers) < attempts:
+            return False
+        return True if {*workers} <= self._proven | {""} else None
+
+    def restored(self) -> bool:
+        """Give workers that failed another chance, and count what failed there against the jobs.
+
+        False where there is no such worker, or too much has failed without a single job done.
+        """
+        if not self.left_out.keys() - self.refused.keys() or (not self._proven and len(self._failed) >= HOPELESS):
+            return False
+        self._failing.clear()
+        return True
+
+
+def host_of(worker: str) -> str:
+    """What workers of one machine have in common in their addresses."""
+    return worker.rpartition(":")[0]
+
+
+def _in_words(jobs: Mapping[Index, str]) -> str:
+    index, reason = next(iter(jobs.items()))
+    return f"{len(jobs)} tiles in a row failed there, the first being {index}: {reason}"

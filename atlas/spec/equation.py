@@ -1,0 +1,89 @@
+"""The equation of motion of a system, in text: its author's, or its definition written out."""
+
+import re
+from collections.abc import Iterable
+
+from workers.model.definition import Harmonic
+from workers.model.expression import Expression
+from workers.model.system import System
+
+
+def equation_of(system: System) -> str:
+    """The equation as the system's definition gives it in words; where it gives none, written out of its entries.
+
+    A line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, with what is zero left
+    out; then the stops, the impact law and the names that expressions use.
+    """
+    if system.equation.strip():
+        return system.equation
+    machine = system.definition
+    matrices = ((machine.mass, "''"), (machine.damping, "'"), (machine.stiffness, ""))
+    lines = []
+    for i in range(len(machine.coordinates)):
+        left = [
+            (entry, f"{x}{primes}")
+            for matrix, primes in matrices
+            for entry, x in zip(matrix[i], machine.coordinates, strict=True)
+        ]
+        right = [(machine.load[i], ""), *((each.force[i], _sine(each, i)) for each in machine.harmonics)]
+        lines.append(f"{_sum(left)} = {_sum(right)}")
+    gap = _sum(zip(machine.gap, machine.coordinates, strict=True))
+    name = gap if gap in machine.coordinates else "gap"
+    if machine.lower is None and machine.upper is None:
+        return "\n".join([*lines, "no stop"])
+    if name != gap:
+        lines.append(f"gap = {gap}")
+    ends = [name if each is None else _number(each) for each in (machine.lower, machine.upper)]
+    lines.append(" <= ".join([ends[0], name, ends[1]] if name not in ends else ends))
+    lines.append(f"at a stop {name}' -> -{_factor(machine.restitution)} * {name}'")
+    return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
+
+
+def _sine(harmonic: Harmonic, i: int) -> str:
+    """sin(order (omega t + tau) + phase)."""
+    angle = "omega t + tau" if harmonic.order == 1 else f"{harmonic.order} (omega t + tau)"
+    phase = harmonic.phase[i]
+    return f"sin({angle})" if phase.constant == 0.0 else f"sin({_sum([(None, angle), (phase, '')])})"
+
+
+def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
+    """Coefficients times what they are of, added up; a coefficient of None is 1, and what has one of 0 is left out."""
+    text = ""
+    for coefficient, of in terms:
+        if coefficient is not None and coefficient.constant == 0.0:
+            continue
+        term = of if coefficient is None else _term(coefficient, of)
+        if not text:
+            text = term
+        elif term.startswith("-"):
+            text += f" - {term[1:]}"
+        else:
+            text += f" + {term}"
+    return text or "0"
+
+
+def _term(coefficient: Expression, of: str) -> str:
+    """A coefficient times what it is of, or the coefficient alone."""
+    if not of:
+        return _factor(coefficient)
+    if coefficient.constant in (1.0, -1.0):
+        return of if coefficient.constant == 1.0 else f"-{of}"
+    return f"{_factor(coefficient)} * {of}"
+
+
+def _factor(expression: Expression) -> str:
+    """An expression that a product may have: a sum in parentheses."""
+    text, outside = _number(expression), _number(expression)
+    while "(" in outside:
+        outside = re.sub(r"\([^()]*\)", "", outside)
+    return f"({text})" if " + " in outside or " - " in outside else text
+
+
+def _number(expression: Expression) -> str:
+    """An expression as one writes it: its text has a space between all its parts, and whole numbers with a point."""
+    if expression.constant is not None:
+        return f"{expression.constant:.12g}"
+    text = re.sub(r"(?<![\w.])(\d+)\.0(?!\d)", r"\1", expression.text)
+    text = re.sub(r"(^|[-+*/(,] )([-+]) (?=[^ ])", r"\1\2", text)  # a sign, not a difference
+    text = re.sub(r"\b([A-Za-z_]\w*) \(", r"\1(", text)  # of a function
+    return text.replace(" ** ", "**").replace("( ", "(").replace(" )", ")").replace(" ,", ",")

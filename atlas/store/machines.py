@@ -1,0 +1,61 @@
+"""The records of the machines that solved the tiles of a store: each an empty group, named by a digest of its facts."""
+
+import json
+from contextlib import suppress
+from functools import lru_cache
+
+from atlas.store.location import Place
+from atlas.store.machine import MACHINES, UNKNOWN, Machine, machine_of
+from atlas.store.store import ROOT, Header
+
+
+def record_machine(header: Header, machine: Machine) -> None:
+    """Put a machine on the list of those that solved this store's tiles."""
+    _recorded(header.place, header.run_id, machine)
+
+
+@lru_cache(maxsize=64)  # once a process and store is enough
+def _recorded(place: Place, run_id: str, machine: Machine) -> None:
+    import zarr
+    from zarr.errors import ContainsGroupError
+
+    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+
+    path = f"{MACHINES}/{machine.name}"
+    if place.exists(f"{path}/{ROOT}"):
+        return
+    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
+        zarr.create_group(zarr_store(place, read_only=False), path=path, zarr_format=3, attributes=dict(machine.facts))
+
+
+def machines(header: Header) -> tuple[Machine, ...]:
+    """The machines that solved tiles of this store, in no order; empty where no tile is written yet.
+
+    One whose record is damaged, so that its facts are not those that it is named by, has the name UNKNOWN has.
+    """
+    return tuple(_recorded_in(header.place, key) or UNKNOWN for key in _machine_keys(header))
+
+
+def damaged_machines(header: Header) -> list[str]:
+    """The keys of the records of machines that are damaged."""
+    return [key for key in _machine_keys(header) if _recorded_in(header.place, key) is None]
+
+
+def forget_machine(header: Header, key: str) -> None:
+    """Put an unknown machine in the place of one whose record is damaged: that there was one still counts."""
+    record_machine(header, UNKNOWN)
+    header.place.remove(key)
+
+
+def _machine_keys(header: Header) -> list[str]:
+    keys = header.place.list_keys(f"{MACHINES}/")
+    return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
+
+
+def _recorded_in(place: Place, key: str) -> Machine | None:
+    """The machine of a record, None where it is damaged."""
+    try:
+        found = machine_of(json.loads(place.get(key) or b"")["attributes"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return found if found.name == key.split("/")[1] else None

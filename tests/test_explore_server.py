@@ -1,0 +1,77 @@
+"""Claims about who is served by the explorer's server: requests that name its own address, and no others.
+
+A name that an attacker resolves to this machine (DNS rebinding) makes the attacker's page the origin of the answer, so
+that the host, which browsers send as it was typed, is what tells.
+"""
+
+import http.client
+from collections.abc import Iterator
+
+import pytest
+from bokeh.document import Document
+from bokeh.models import Div
+
+from atlas.explore.server import PageServer
+
+UPGRADE = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+}
+PATHS = ["/", "/ws", "/autoload.js?bokeh-autoload-element=x", "/metadata", "/static/js/bokeh.min.js", "/nothing"]
+
+
+def fill(document: Document) -> None:
+    document.add_root(Div(text="secret"))
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[PageServer]:
+    made = PageServer(fill)
+    yield made
+    made.stop()
+
+
+def answer(server: PageServer, path: str, **headers: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30.0)
+    try:
+        connection.putrequest("GET", path, skip_host=True)
+        for name, value in headers.items():
+            connection.putheader(name.replace("_", "-"), value)
+        connection.endheaders()
+        found = connection.getresponse()
+        return found.status, b"" if found.status == 101 else found.read()
+    finally:
+        connection.close()
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "localhost.evil.example:{port}"]
+)
+def test_a_foreign_host_gets_403_and_no_token(server: PageServer, host: str, path: str) -> None:
+    headers = {"Host": host.format(port=server.port)} | (UPGRADE if path == "/ws" else {})
+    status, body = answer(server, path, **headers)
+    assert status == 403
+    assert b"token" not in body and b"secret" not in body
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
+def test_a_page_from_elsewhere_gets_403(server: PageServer, origin: str, path: str) -> None:
+    headers = {"Host": f"127.0.0.1:{server.port}", "Origin": origin} | (UPGRADE if path == "/ws" else {})
+    assert answer(server, path, **headers)[0] == 403
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LOCALHOST"])
+def test_the_servers_own_address_is_served(server: PageServer, name: str) -> None:
+    host = f"{name}:{server.port}"
+    status, body = answer(server, "/", Host=host, Origin=f"http://{host}")
+    assert (status, b"token" in body) == (200, True)
+    assert answer(server, "/static/js/bokeh.min.js", Host=host)[0] == 200
+
+
+@pytest.mark.parametrize("query", ["omega=%ff", "%fe=1&kind=%c3"])
+def test_an_address_that_is_no_text_gets_400(server: PageServer, query: str) -> None:
+    assert answer(server, f"/?{query}", Host=f"127.0.0.1:{server.port}")[0] == 400

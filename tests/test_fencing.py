@@ -1,0 +1,239 @@
+"""A run that has lost its claim of a store writes nothing more into it: neither its jobs nor its coordinator.
+
+Truth: the bytes of the store before and after.
+"""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client
+
+import atlas
+from atlas.errors import RunError
+from atlas.overview.upkeep import Overviews
+from atlas.service import run as running
+from atlas.service.extend import refined
+from atlas.service.lease import Claim, Record
+from atlas.service.progress import Progress
+from atlas.store.location import LocalPlace
+from atlas.store.schema import Origin
+from atlas.store.sidecar import CLAIM, Folder, notes_of
+from atlas.store.store import create, done_tiles, read_header
+from atlas.store.tally import TallyKeeper
+from atlas.store.tiles import read_tile, write_tile
+from atlas.task import attempt
+from atlas.task.attempt import run_job
+from atlas.task.retry import Retry
+from atlas.task.task import Job, RefusedError
+from tests.planes import plane_of
+from workers import tile as solving
+from workers.results import FAILED
+
+LOST = "the run of this tile has lost its claim of the store; nothing more is written"
+OURS = Record("ours", 3, "here", 1, "")
+THEIRS = replace(OURS, token="theirs", host="far")
+
+
+def contents(store: Path) -> dict[str, bytes]:
+    """Every object of a store but the list of machines, which anybody may add to."""
+    keys = (key for key in LocalPlace(store).list_keys() if not key.startswith("machines/"))
+    return {key: (store / key).read_bytes() for key in keys}
+
+
+def take_over(store: Path) -> None:
+    """Replace our claim of a store by that of another run."""
+    assert notes_of(store).put(CLAIM, THEIRS.pack(), expected=OURS.pack())
+
+
+def claimed_job(store: Path, index: tuple[int, ...], retry: Retry | None = None) -> Job:
+    header = read_header(store)
+    notes_of(store).put(CLAIM, OURS.pack(), expected=None)
+    return Job(index, str(store), header.run_id, header.solver_version, retry, claim=OURS.token)
+
+
+def fail_some(store: Path, index: tuple[int, ...]) -> None:
+    """Mark a cell of a finished tile as failed, so that a retry has something to do."""
+    header = read_header(store)
+    arrays = read_tile(header, index)
+    arrays["regime"][0, 0] = FAILED
+    write_tile(header, index, arrays)
+
+
+def new_store(folder: Path, _: Path) -> Job:
+    return claimed_job(create(folder / "new.zarr", plane_of(), (2, 3)).path, (1, 1))
+
+
+def retried_store(folder: Path, finished: Path) -> Job:
+    fail_some(finished, (1, 1))
+    return claimed_job(finished, (1, 1), Retry((FAILED,)))
+
+
+def extended_store(folder: Path, finished: Path) -> Job:
+    spec = refined(read_header(finished).spec, 2)
+    origin = Origin(str(finished), read_header(finished).run_id)
+    return claimed_job(create(folder / "finer.zarr", spec, (2, 3), origin).path, (1, 1))
+
+
+JOBS: dict[str, Callable[[Path, Path], Job]] = {
+    "of a plain run": new_store,
+    "of a retry": retried_store,
+    "of an extension": extended_store,
+}
+
+
+@pytest.mark.parametrize("kind", JOBS)
+def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    job = JOBS[kind](tmp_path, finished)
+    store, whole = Path(job.store), solving.solve_cells
+    before: dict[str, bytes] = {}
+
+    def slow(*given: Any) -> Any:
+        take_over(store)
+        before.update(contents(store))
+        return whole(*given)
+
+    monkeypatch.setattr(solving, "solve_cells", slow)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert contents(store) == before
+
+
+@pytest.mark.parametrize("kind", JOBS)
+def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finished: Path, kind: str) -> None:
+    job = JOBS[kind](tmp_path, finished)
+    before = contents(Path(job.store))
+    assert run_job(job).cells > 0
+    assert contents(Path(job.store)) != before
+    assert job.index in done_tiles(read_header(job.store))
+
+
+@pytest.mark.parametrize(
+    "claim", [b"", b"{", b"[]", b'{"token": "theirs"}'], ids=["none", "torn", "strange", "another"]
+)
+def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
+    job = new_store(tmp_path, finished)
+    notes_of(job.store).remove(CLAIM, OURS.pack())
+    if claim:
+        notes_of(job.store).put(CLAIM, claim, expected=None)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert done_tiles(read_header(job.store)) == set()
+
+
+def test_a_tile_that_kills_its_process_is_not_marked_after_the_claim_is_lost(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = new_store(tmp_path, finished)
+    take_over(Path(job.store))
+    notes_of(job.store).put("started-1-1", b"1", expected=None)
+    monkeypatch.setattr(attempt, "run_isolated", lambda job: "it died")
+    before = contents(Path(job.store))
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert contents(Path(job.store)) == before
+
+
+def test_the_look_at_the_claim_costs_one_read_a_tile(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job, whole, reads = new_store(tmp_path, finished), Folder.read, []
+
+    def read(notes: Folder, name: str) -> bytes | None:
+        reads.append(name)
+        return whole(notes, name)
+
+    monkeypatch.setattr(Folder, "read", read)
+    run_job(job)
+    assert reads == [CLAIM]
+
+
+def test_every_job_of_a_run_has_the_token_of_its_claim(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, tokens = running.tile_outcomes, set()
+
+    def looking(cluster: Client, jobs: Any, *given: Any) -> Any:
+        def noted() -> Any:
+            for job in jobs:
+                record = Record.unpack(notes_of(job.store).read(CLAIM) or b"")
+                tokens.add((job.claim, record and record.token))
+                yield job
+
+        return whole(cluster, noted(), *given)
+
+    monkeypatch.setattr(running, "tile_outcomes", looking)
+    atlas.run(plane, tmp_path / "out.zarr", client=client)
+    ((job, claim),) = tokens
+    assert job == claim != ""
+
+
+# The coordinator
+
+
+class LostError(RunError):
+    """In place of the error of a claim that is lost."""
+
+
+def lost() -> None:
+    raise LostError
+
+
+def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
+    shutil.rmtree(finished / "overviews", ignore_errors=True)
+    header = read_header(finished)
+    with pytest.raises(LostError), Overviews(header, held=lost, side=2, least=1) as overviews:
+        overviews.finish()
+    assert not any("/regime/c/" in key for key in header.place.list_keys("overviews/"))
+
+
+def test_the_tally_is_not_written_after_the_claim_is_lost(finished: Path) -> None:
+    shutil.rmtree(finished / "tally")
+    header = read_header(finished)
+    with pytest.raises(LostError), TallyKeeper(header, held=lost) as tally:
+        tally.finish()
+    assert not any("/c/" in key for key in header.place.list_keys("tally/"))
+
+
+def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves_the_notes_of_the_other_run(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "out.zarr"
+    written: dict[str, bytes] = {}
+
+    def asleep(progress: Progress) -> None:
+        if progress.tiles_done == 9 and not written:
+            notes = notes_of(store)
+            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes.put("started-0-0", b"1", expected=None)
+            written.update(contents(store))
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    with pytest.raises(RunError, match="this run has lost its claim of the store; finished tiles are kept"):
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
+    assert contents(store) == written
+    assert notes_of(store).read("started-0-0") == b"1"
+    assert notes_of(store).read(CLAIM) == THEIRS.pack()
+
+
+def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_run(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "out.zarr"
+
+    def interrupted(progress: Progress) -> None:
+        if progress.tiles_done == 2:
+            notes = notes_of(store)
+            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes.put("started-9-9", b"1", expected=None)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    with pytest.raises(KeyboardInterrupt):
+        atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=interrupted))
+    assert notes_of(store).read("started-9-9") == b"1"

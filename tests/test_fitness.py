@@ -1,0 +1,86 @@
+"""Which workers are left out for what failed there. Truth: the rules in the module's own words, case by case."""
+
+import pytest
+
+from atlas.service.fitness import FAILURES, HOPELESS, Failure, Fitness, Refusal
+
+BAD, OTHER = "tcp://10.0.0.2:1", "tcp://10.0.0.3:1"
+
+
+def fail_at(fitness: Fitness, worker: str, *jobs: int) -> None:
+    for job in jobs:
+        fitness.fail((job,), Failure(worker, "ImportError: no numba"), ())
+
+
+def test_a_worker_is_left_out_once_several_jobs_in_a_row_failed_there_and_the_reason_is_named() -> None:
+    fitness = Fitness()
+    fail_at(fitness, BAD, 0, 1)
+    assert fitness.left_out == {}
+    fail_at(fitness, BAD, 2)
+    reason = "3 tiles in a row failed there, the first being (0,): ImportError: no numba"
+    assert fitness.left_out == {BAD: reason}
+
+
+def test_one_job_that_fails_over_and_over_leaves_no_worker_out() -> None:
+    fitness = Fitness()
+    fail_at(fitness, BAD, *[0] * 10)
+    assert fitness.left_out == {}
+
+
+def test_a_job_that_is_done_begins_the_count_of_its_worker_anew() -> None:
+    fitness = Fitness()
+    fail_at(fitness, BAD, 0, 1)
+    fitness.finish(BAD)
+    fail_at(fitness, BAD, 2, 3)
+    assert fitness.left_out == {}
+
+
+def test_a_job_that_fails_at_a_worker_that_does_others_speaks_against_none() -> None:
+    fitness = Fitness()
+    fitness.finish(OTHER)
+    fail_at(fitness, BAD, 0, 1, 2)
+    fitness.fail((0,), Failure(OTHER, "ZeroDivisionError"), (Failure(BAD, ""),))
+    assert fitness.left_out == {}
+
+
+def test_two_workers_that_do_nothing_do_not_excuse_each_other() -> None:
+    fitness = Fitness()
+    fail_at(fitness, BAD, 0, 1, 2)
+    for job in range(3):
+        fitness.fail((job,), Failure(OTHER, ""), (Failure(BAD, ""),))
+    assert fitness.left_out.keys() == {BAD, OTHER}
+
+
+def test_what_failed_at_a_worker_that_is_left_out_does_not_count_against_the_job() -> None:
+    fitness = Fitness()
+    fitness.finish(OTHER)
+    fail_at(fitness, BAD, 0, 1, 2)
+    assert fitness.is_at_fault([Failure(BAD, "")] * 3, attempts=3) is False
+    assert fitness.is_at_fault([Failure(OTHER, "")] * 3, attempts=3) is True
+    assert fitness.is_at_fault([Failure("", "")] * 3, attempts=3) is True
+
+
+def test_whether_a_job_is_at_fault_is_open_while_its_workers_have_done_none() -> None:
+    assert Fitness().is_at_fault([Failure(BAD, "")] * 3, attempts=3) is None
+
+
+def test_workers_that_failed_get_another_chance_where_something_was_done() -> None:
+    fitness = Fitness()
+    fitness.finish(OTHER)
+    fail_at(fitness, BAD, *range(HOPELESS + FAILURES))
+    assert fitness.restored()
+    assert fitness.left_out == {}
+
+
+@pytest.mark.parametrize(("jobs", "again"), [(HOPELESS - 1, True), (HOPELESS, False)])
+def test_they_get_none_where_many_jobs_failed_and_none_was_done(jobs: int, again: bool) -> None:
+    fitness = Fitness()
+    fail_at(fitness, BAD, *range(jobs))
+    assert fitness.restored() is again
+
+
+def test_a_worker_that_refuses_gets_no_other_chance() -> None:
+    fitness = Fitness()
+    fitness.refuse(Refusal(BAD, "another solver"))
+    assert not fitness.restored()
+    assert fitness.left_out == {BAD: "another solver"}

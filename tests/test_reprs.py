@@ -1,0 +1,44 @@
+"""What an interpreter and a notebook show of a result: it fits on a screen."""
+
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import xarray as xr
+
+import atlas
+from atlas.accessor import DrawnBranches
+from atlas.store import store
+from tests.synthetic import fill, spec_of
+from workers.model.system import find_system
+
+SCREEN = 50
+"""Lines."""
+
+
+@pytest.fixture(scope="module")
+def header(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
+    made = store.create(tmp_path_factory.mktemp("repr") / "a.zarr", spec_of(), (19, 45))
+    fill(made)
+    return made
+
+
+@pytest.mark.parametrize("opened", [atlas.open, xr.open_zarr])
+def test_a_notebook_shows_an_atlas_with_its_long_attributes_folded(header: store.Header, opened: Any) -> None:
+    """The spec names every value of every axis: thousands of characters."""
+    shown = opened(header.path)._repr_html_()
+    folds = re.findall(r"<input[^>]*type='checkbox'([^>]*)/?>\s*<label[^>]*>\s*(\w+)", shown)
+    assert "checked" not in dict((name, state) for state, name in folds)["Attributes"]
+
+
+def test_an_interpreter_shows_an_atlas_on_one_screen(header: store.Header) -> None:
+    assert len(repr(atlas.open(header.path)).splitlines()) <= SCREEN
+
+
+def test_branches_show_what_they_are_of_in_one_line() -> None:
+    ways = [SimpleNamespace(points=[None] * 55, events=[None]), SimpleNamespace(points=[None] * 20, events=[])]
+    traced: Any = tuple(SimpleNamespace(way=way) for way in ways)
+    found = DrawnBranches(find_system("two-mass"), {"b": 0.15}, "omega", (2.0, 4.0), traced)
+    reach = "two-mass along omega from 2 to 4"
+    assert repr(found) == f"<DrawnBranches of {reach}: 2 branches, 75 points, 1 event>"

@@ -1,0 +1,33 @@
+"""Names that an atlas has for something of its own: no parameter and no coordinate of a user's system may have them."""
+
+from workers.results import result_variables
+from workers.settings import Settings
+
+_everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
+_RESULTS = {
+    variable.name: variable
+    for attractors, basins in ((False, False), (True, False), (False, True))
+    for variable in result_variables(_everything, attractors, basins)
+}
+NAMES = frozenset((
+    *_RESULTS, *(f"{name}_count" for name in _RESULTS), *(dim for each in _RESULTS.values() for dim in each.extra),
+    # groups of a store
+    "attractors", "curves", "labels", "machines", "overviews", "tally", "tiles", "zoom",
+    # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
+    "budget", "survival", "component", "point",
+    "cells", "largest_positive", "regime_share", "regime_shown", "class", "bound",
+    "points", "total_share", "branch", "column", "axis", "corner", "curve", "position", "row_size", "first_end",
+    "last_end", "corner_after", "corner_curve", "corner_kind", "corner_position",
+    # columns and entries that stand beside parameters in tables and answers
+    "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
+    "unstable", "value",
+    # arguments of calls and of addresses that take parameters by name as well
+    "along", "log", "overlay", "self", "variable", "vmax", "vmin", "window",
+))  # fmt: skip
+_BOUNDS = "_bounds"
+"""The end of the name for the edges of the coarse cells along an axis."""
+
+
+def is_taken(name: str) -> bool:
+    """Whether the name is one of an atlas's own."""
+    return name in NAMES or name.endswith(_BOUNDS)
