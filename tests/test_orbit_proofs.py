@@ -156,7 +156,7 @@ def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
     h, period = motion_from(osc, cell["state"]).h, int(cell["period"])
     w, many = weights(osc), many_of(osc)
     scale = float(np.linalg.norm(w * h.ravel()) + np.linalg.norm(w * osc.swing.ravel()))
-    J = turn(many, 0, h, FREE, period, np.bool_(False))[1]
+    J = turn(many, 0, h, FREE, period, np.bool_(False))[-1]
     contraction = 1.0 - np.abs(np.linalg.eigvals(J)).max()
     assert (period, contraction) == (4, pytest.approx(0.479, abs=1e-3))
     assert np.linalg.norm(w[:, None] * J / w, 2) > 10.0

@@ -226,13 +226,10 @@ def test_orbits_of_random_machines_are_what_they_are_from_whatever_section(name:
     checked = 0
     for _ in range(30):
         values = {key: value * rng.uniform(0.8, 1.25) for key, value in given.items()}
-        values["R"] = min(values["R"], 0.9)
         orbit = seen(system, values)
-        if orbit.cell["regime"] != PERIODIC:
+        if orbit.cell["regime"] != PERIODIC or orbit.cell["sticks"]:
             continue
-        sticks = orbit.cell["sticks"]
-        events = [change_of_rest(orbit, bool(rng.integers(2)))] if sticks else impacts_in_a_turn(orbit)
-        for event in events[:4]:
+        for event in impacts_in_a_turn(orbit)[:4]:
             assert wrong(orbit, event) == []
             checked += 1
     assert checked >= 15
