@@ -40,7 +40,7 @@ def test_the_norm_is_the_sum_that_defines_it(n: int, modulus: float) -> None:
 
 @pytest.mark.parametrize("n", [1, 2, 8])
 @pytest.mark.parametrize("modulus", [0.0, 1e-9, 0.3, 0.81, 0.99, 1.0 - 1e-7])
-@pytest.mark.parametrize("skew", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("skew", [0.0, 0.3, 1.0])
 def test_in_its_norm_the_jacobian_shrinks_all_deviations(n: int, modulus: float, skew: float) -> None:
     """By q = (1 + |mu|) / 2 at least; truth: random deviations, and those that J stretches most."""
     rng = np.random.default_rng(3 * n)

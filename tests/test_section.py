@@ -209,11 +209,13 @@ def test_a_symmetric_orbit_that_impacts_at_the_section_starts_a_branch_as_one() 
 def test_motions_that_reach_an_orbit_on_either_side_of_its_impact_reach_one_attractor() -> None:
     """Truth: the attractors of the same ball and the same initial states, seen from half a radian later."""
     starts, settings = Starts(16), Settings(exponents="largest", max_periods=2000, survival=1000)
-    counts = [
-        solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts).arrays["attractors"]
+    found = [
+        solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts).arrays
         for late in (0.0, 1e-14, 0.5)
     ]
-    assert counts[0] == counts[1] == counts[2] == 1
+    assert [int(each["attractors"]) for each in found] == [2, 2, 2]
+    assert all(each["regime"][:2].tolist() == [PERIODIC, PERIODIC] for each in found)
+    assert all(each["sticks"][:2].tolist() == [True, False] for each in found)
 
 
 @pytest.mark.slow
@@ -224,13 +226,10 @@ def test_orbits_of_random_machines_are_what_they_are_from_whatever_section(name:
     checked = 0
     for _ in range(30):
         values = {key: value * rng.uniform(0.8, 1.25) for key, value in given.items()}
-        values["R"] = min(values["R"], 0.9)
         orbit = seen(system, values)
-        if orbit.cell["regime"] != PERIODIC:
+        if orbit.cell["regime"] != PERIODIC or orbit.cell["sticks"]:
             continue
-        sticks = orbit.cell["sticks"]
-        events = [change_of_rest(orbit, bool(rng.integers(2)))] if sticks else impacts_in_a_turn(orbit)
-        for event in events[:4]:
+        for event in impacts_in_a_turn(orbit)[:4]:
             assert wrong(orbit, event) == []
             checked += 1
     assert checked >= 15

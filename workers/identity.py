@@ -19,7 +19,7 @@ from workers.kernel.cells import scale_at
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, oscillator_of
 from workers.kernel.stroboscopic import step
-from workers.orbit.attraction import falls_into
+from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import jacobian_of, separation
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
     """Which known orbit of its cell each of these motions falls into, -1 for none.
 
     sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the cell of each motion. An orbit can
-    be told from two turns of the motion.
+    be told from three turns of the motion, or two on it.
     """
     found = np.full(len(rows), -1)
     last = sections.shape[1] - 1
@@ -79,13 +79,14 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
             scale = scale_at(metric[r], swing[r], sections[r, last - p - at])
             if not nearest <= NEAR_ORBIT * scale:
                 continue
+            P, J, h = known.norm[m], known.jacobian[m], known.h[m]
             k, reached = last - at, nearest <= 1e-9 * scale
-            away = separation(metric[r], sections[r, k], known.h[m])
             while not reached and k - p > last - kept[r]:
                 start, image = sections[r, k - p], sections[r, k]
-                if not falls_into(known.norm[m], known.jacobian[m], known.contraction[m], known.h[m], start, image):
+                if not falls_into(P, J, known.contraction[m], h, start, image):
                     break
-                reached = away < separation(metric[r], start, known.h[m])
+                before = sections[r, last - at - p]
+                reached = k < last - at and stays_nearer(metric[r], P, J, h, before, separation(metric[r], start, h))
                 k -= p
             if reached:
                 found[e] = m

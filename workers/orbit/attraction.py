@@ -7,7 +7,8 @@ A turn takes h* + d to h* + J d + r, where r is what the linear map does not exp
 
 for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion falls into the orbit
 where |r|_P < (1 - q) |d|_P, what is not explained is less than half of the contraction 1 - |mu|, in each turn until it
-is nearer, in the energy norm, than it was: a single turn says nothing of r in the directions into which J takes d.
+has come nearer, in the energy norm, and by J alone stays so, and in one more: a single turn says nothing of r in the
+directions into which J takes d.
 """
 
 import math
@@ -15,6 +16,9 @@ import math
 import numpy as np
 
 from workers.kernel.jit import kernel, piece
+
+LOOK_AHEAD = 256
+"""Turns of the linear map after which a deviation that has not grown back is taken not to."""
 
 MOST_DOUBLINGS = 30
 """Of K. More would take |mu| within 1e-9 of 1, where rounding decides."""
@@ -107,3 +111,30 @@ def falls_into(P, J, contraction, fixed, h, image):
         for k in range(size):
             r[i] -= J[i, k] * d[k]
     return squared(P, r) < (0.5 * contraction) ** 2 * squared(P, d)
+
+
+@kernel
+def stays_nearer(metric, P, J, fixed, h, begun):
+    """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and by J alone stays so.
+
+    That is certain once the deviation is less in the norm of P, which no turn lets grow and is the larger of the two.
+    """
+    size = len(J)
+    d, image = np.empty(size), np.empty(size)
+    for k in range(size):
+        d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
+    for _ in range(LOOK_AHEAD):
+        total = 0.0
+        for k in range(size):
+            total += (weight(metric, k) * d[k]) ** 2
+        if not total < begun * begun:
+            return False
+        if squared(P, d) < begun * begun:
+            break
+        for i in range(size):
+            image[i] = 0.0
+            for k in range(size):
+                image[i] += J[i, k] * d[k]
+        for k in range(size):
+            d[k] = image[k]
+    return True

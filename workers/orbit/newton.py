@@ -16,7 +16,7 @@ from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import kernel, piece
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
-from workers.orbit.attraction import falls_into, shrinking_norm
+from workers.orbit.attraction import falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
 from workers.orbit.rest import is_followed
@@ -34,8 +34,11 @@ UNDERFLOWS = 1e-290
 HOPELESS = 30.0
 """Spectral radius of the Jacobian from which on no stable orbit is expected near: chaos that passes close to itself."""
 
-RESERVED_TURNS = 6
-"""Turns that the other tests of an orbit take: divisors (less than three, or less than two and one under G), one of the
+ON_ORBIT = 1e-9
+"""Distance from an orbit, relative to the motion's scale, up to which a motion is on it."""
+
+RESERVED_TURNS = 7
+"""Turns that the other tests of an orbit take: divisors (less than three, or less than two and one under G), two of the
 motion, one for the error of the multipliers, one last count."""
 
 
@@ -136,19 +139,21 @@ def least_turn(osc, point, steps, half, scale):
 
 
 @piece
-def approaches(osc, point, h, steps, half, contraction, most):
+def approaches(osc, point, h, steps, half, contraction, scale, most):
     """Whether a motion at block state h falls into an orbit, seen in at most ``most`` turns; and these turns.
 
-    Every turn has to pass the test of ``orbit.attraction`` until the motion is nearer, in the energy norm, than it was.
+    Every turn has to pass the test of ``orbit.attraction`` until the motion has come nearer for good, and one more, or
+    is on the orbit.
     """
     metric, norm = osc.gap.metric, shrinking_norm(osc.gap.metric, point.jacobian, contraction)
-    begun, at = separation(metric, h, point.h), h
+    begun, at, nearer = separation(metric, h, point.h), h, False
     for turn in range(1, most + 1):
         image = iterate_alone(osc, at, point.contact, steps, half).h
         if not falls_into(norm, point.jacobian, contraction, point.h, at, image):
             return False, turn
-        if separation(metric, image, point.h) < begun:
+        if nearer or separation(metric, image, point.h) <= ON_ORBIT * scale:
             return True, turn
+        nearer = stays_nearer(metric, norm, point.jacobian, point.h, image, begun)
         at = image
     return False, most
 
@@ -181,9 +186,9 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
-    if separation(osc.gap.metric, h, point.h) > 1e-9 * scale:
-        most = min(CYCLES, turns_left - tried - turns + 1)
-        falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), most)
+    if separation(osc.gap.metric, h, point.h) > ON_ORBIT * scale:
+        most = min(CYCLES, turns_left - tried - turns + 2)
+        falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), scale, most)
         spent += flown * unit
         if not falls:
             return NEAR, orbit, spent
