@@ -8,7 +8,8 @@ periodic       the state recurs after ``period`` periods and not before, with th
 chaotic        followed for as long as the cell was watched, from the state and from neighbours of it, most runs neither
                rest nor become periodic (one that does shows chaos that ends some day, not a wrong class: such cells are
                counted); the mean growth agrees within four standard errors
-undetermined   the simulator finds no short orbit either
+undetermined   the simulator finds no short orbit either; or the mass rests now and then and both say so, and
+               disturbances grow so far from a rest to the next that no double knows where that comes
 All others are wrong here: a mass alone with R < 1 has no tori, and a bouncing ball always lands.
 
 Usage: .venv/bin/python -m scripts.check_free_masses [--cells 200] [--seed 1] [--tolerance .02] [--light]
@@ -45,6 +46,9 @@ METASTABLE = "some neighbours of this chaos settle"
 
 MOST_PERIODS = 64
 """Periods of orbits that an undetermined cell must not have."""
+
+LOST = 18.0
+"""Logarithm of the growth from a rest to the next beyond which doubles have lost half of their digits and more."""
 
 
 @dataclass(frozen=True)
@@ -173,9 +177,22 @@ def recurs(run: Run) -> bool:
 def undetermined_faults(machine: Machine, cell: dict[str, Any]) -> list[str]:
     """What is wrong with a cell that is called undetermined."""
     run = machine.run(cell["state"], LONGEST_WATCH)
-    if recurs(run):
-        return [f"undetermined after {cell['periods_used']} periods, but it repeats"]
+    if bool(cell["sticks"]) != bool(run.rests.any()):
+        return [f"sticks is {bool(cell['sticks'])}, rests in the simulation: {bool(run.rests.any())}"]
+    if recurs(run) or run.rests.any():
+        growth = growth_between_rests(run.stretch)
+        if growth < LOST:
+            return [f"undetermined after {cell['periods_used']} periods, but repeats; growth e^{growth:.1f}"]
     return []
+
+
+def growth_between_rests(stretch: Array) -> float:
+    """The largest logarithm of growth since a rest, over sections before the next one."""
+    since = largest = 0.0
+    for each in stretch:
+        since = 0.0 if np.isneginf(each) else since + each
+        largest = max(largest, since)
+    return largest
 
 
 def faults(machine: Machine, cell: dict[str, Any], rng: np.random.Generator) -> list[str]:
