@@ -22,7 +22,8 @@ NAMES = frozenset((
     "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
     "unstable", "value",
     # arguments of calls and of addresses that take parameters by name as well
-    "along", "log", "overlay", "self", "variable", "vmax", "vmin", "window",
+    "along", "dpi", "font_size", "height", "legend", "log", "overlay", "path", "self", "style", "title", "variable",
+    "vmax", "vmin", "width", "window",
 ))  # fmt: skip
 _BOUNDS = "_bounds"
 """The end of the name for the edges of the coarse cells along an axis."""
