@@ -102,15 +102,6 @@ def test_the_fixed_schedule_and_continuation_are_refused() -> None:
         spec_of(axes={"omega": AXES["omega"] | {"continuation": "forward"}}, store=None)
 
 
-def test_a_system_whose_parameter_is_named_like_a_result_is_refused() -> None:
-    system = {
-        "name": "m", "coordinates": ["y"], "mass": [[1.0]], "stiffness": [[1.0]], "damping": [["left"]],
-        "force": [1.0], "restitution": 0.5, "gap": [1.0], "upper": 1.0, "parameters": {"left": {"default": 0.1}},
-    }  # fmt: skip
-    with pytest.raises(InputError, match="this system has a parameter named left"):
-        atlas.Spec(system, axes={"omega": [1.0, 2.0]}, attractors=STARTS)
-
-
 def test_plain_xarray_finds_every_result_along_the_attractors(solved: Path) -> None:
     ds = xr.open_zarr(solved)
     for name in ("regime", "period", "largest", "share", "share_error", "symmetric", "reason"):

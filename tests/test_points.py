@@ -249,12 +249,3 @@ def test_a_table_has_no_overviews(tmp_path: Path) -> None:
     from atlas.store.store import create
 
     assert levels_of(create(tmp_path / "out.zarr", spec, (64,))).count == 0
-
-
-def test_a_system_with_a_parameter_of_that_name_takes_no_table() -> None:
-    from dataclasses import replace
-
-    system = find_system("two-mass")
-    named = replace(system, parameters=(*system.parameters, replace(system.parameters[0], name="point")))
-    with pytest.raises(InputError, match="this system has a parameter named point"):
-        checked_points(TABLE, named)

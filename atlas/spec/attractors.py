@@ -6,7 +6,6 @@ from typing import Any
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import number
 from workers.model.system import System
-from workers.results import result_variables
 from workers.settings import Settings
 from workers.starts import Starts
 
@@ -36,10 +35,6 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
             f"attractors.starts: found {made.count}, of at most {each} periods each "
             f"(solve.max_periods and survival); together they must be at most {MOST_COST}"
         )
-    names = {variable.name for variable in result_variables(settings, attractors=True)}
-    taken = next((p.name for p in record.parameters if p.name in names), None)
-    if taken is not None:
-        raise InputError(f"attractors: this system has a parameter named {taken}, as a result is; rename it")
     return made
 
 

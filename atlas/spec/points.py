@@ -107,8 +107,6 @@ def _check_header(where: str, names: Sequence[object], record: System) -> None:
     twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if twice is not None:
         raise InputError(f"{where}: column {twice} is there twice")
-    if POINT in (parameter.name for parameter in record.parameters):
-        raise InputError(f"{where}: this system has a parameter named {POINT}, as the rows of a table are; rename it")
 
 
 def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:
