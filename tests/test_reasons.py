@@ -179,7 +179,8 @@ def test_an_export_names_the_reason_of_every_cell(store: Path, tmp_path: Path) -
 
 def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) -> None:
     (store / "reason" / "c" / "0" / "1").unlink()
-    fault, digest = verify(store, sample=0).faults
+    fault, digest, tally = verify(store, sample=0).faults
+    assert tally.what.startswith("tally/tiles contradicts the cells of tile")
     assert digest.what.startswith("its chunks are not those that were written here together")
     assert fault.what.startswith("reason is missing in an invalid or failed cell: 6 cells")
 
@@ -187,7 +188,8 @@ def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) ->
 @pytest.mark.parametrize(("cell", "code"), [((0, 0), WORK_SPENT), ((0, 0), 99), ((4, 0), BEYOND_STOP)])
 def test_a_reason_of_another_regime_is_a_fault(store: Path, cell: tuple[int, int], code: int) -> None:
     zarr.open_group(store, mode="r+")["reason"][cell] = code
-    fault, digest = verify(store, sample=0).faults
+    fault, digest, tally = verify(store, sample=0).faults
+    assert tally.what.startswith("tally/tiles contradicts the cells of tile")
     assert digest.what.startswith("its chunks are not those that were written here together")
     assert fault.what.startswith("reason is not one for this regime: 1 cell,")
 

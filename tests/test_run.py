@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -199,7 +200,7 @@ def test_an_interrupt_leaves_no_task_on_the_callers_cluster(tmp_path: Path, plan
 
 
 def test_what_a_killed_run_left_half_made_is_cleared_away(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:
-    left = tmp_path / ".out.zarr.0123abcd.partial"
+    left = tmp_path / f".out.zarr.{uuid4().hex}.partial"
     left.mkdir()
     (left / "zarr.json").write_text("{}")
     atlas.run(plane, tmp_path / "out.zarr", client=client)

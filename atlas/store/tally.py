@@ -141,7 +141,7 @@ def tally_faults(header: Header, counted: Mapping[Index, Entries]) -> list[str]:
     wrong = [
         i for i, e in counted.items() if known[i] and not np.allclose(entries[i][told], e[told], rtol=1e-9, atol=0)
     ]
-    return faults + [f"{key} does not say of tile {index} what its cells do" for index in wrong]
+    return faults + [f"{key} contradicts the cells of tile {index}" for index in wrong]
 
 
 def drop_tally(header: Header) -> None:
