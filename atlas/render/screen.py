@@ -27,6 +27,13 @@ drawing = threading.Lock()
 """Held while something is drawn in one of several threads: Matplotlib's settings belong to the whole process."""
 
 
+LEAST_TYPE = 2.0
+"""Points of the type of a legend: nobody reads a smaller one, and on pixels it takes no less room."""
+
+MOST_LEGEND = 0.9
+"""Share of the height that a legend leaves no colour bar of."""
+
+
 @dataclass(frozen=True)
 class Screen:
     """Pixels of a map, (rows, columns, 4) in bytes from the top: its cells, and its colour bar and legend.
@@ -103,12 +110,12 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
             fontsize=size,
         )
         share = float(made.get_window_extent().height / drawn.bbox.height)
-        if share <= 1.0:
+        if share <= 1.0 or size <= LEAST_TYPE:
             break
         made.remove()
-        size *= 0.97 / share  # no entry may be lost above
+        size = max(LEAST_TYPE, 0.97 * size / share)  # no entry may be lost above
     legend.remove()
-    return share
+    return min(share, MOST_LEGEND)
 
 
 def _bare(ax: Axes, ds: xr.Dataset) -> None:
