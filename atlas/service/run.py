@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atlas.errors import InputError, RunError
+from atlas.errors import ChunkError, InputError, RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Workers, tile_outcomes
@@ -25,8 +25,8 @@ from atlas.spec.spec import Spec
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Header, add_allowances, create, done_tiles, find
-from atlas.store.tally import TallyKeeper, done_mask
+from atlas.store.store import Header, add_allowances, create, done_tiles, find, is_done
+from atlas.store.tally import TallyKeeper, count_tiles, done_mask
 from atlas.store.tiles import finish_replacement, read_tile, replacements
 from atlas.task.basins import complete_basins
 from atlas.task.retry import NEEDED, Retry
@@ -113,10 +113,10 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
     may have made it, with tiles of another shape, or have finished some of them.
     """
 
-    held = partial(claim.confirm, target.place)
+    held, finished = partial(claim.confirm, target.place), []
     header = target.find()
     if header is not None:
-        _finish_replacements(header, held)
+        finished = _finish_replacements(header, held)
         if header.tile != plan.tiling.tile:
             plan = make_plan(target.spec, plan.workers, header.tile)
     work = _work(header, plan, options)
@@ -142,6 +142,10 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
             overviews.add(receipt.index)
             tallies.add(receipt.index, receipt.entry)
 
+        for index, entry in zip(finished, count_tiles(header, finished), strict=True):
+            if not work.due[index] and not isinstance(entry, ChunkError):
+                overviews.add(index)
+                tallies.add(index, entry)
         if work.due.any() and client is not None:
             _solve(client, header, work.due, options, claim, totals, written)
         if target.spec.basins:
@@ -152,11 +156,13 @@ def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, 
     return totals.summary(str(header.place))
 
 
-def _finish_replacements(header: Header, held: Callable[[], None]) -> None:
-    """Write what a run that was killed while it replaced finished tiles has put beside them."""
-    for index in sorted(replacements(header)):
+def _finish_replacements(header: Header, held: Callable[[], None]) -> list[tuple[int, ...]]:
+    """Write what a run that was killed while it replaced finished tiles has put beside them; these tiles."""
+    found = sorted(replacements(header))
+    for index in found:
         held()
         finish_replacement(header, index)
+    return [index for index in found if is_done(header, index)]
 
 
 def _check_retry(target: Target, header: Header | None) -> None:
