@@ -23,6 +23,8 @@ from workers.orbit.newton import newton
 from workers.results import CHAOTIC, PERIODIC, UNDETERMINED
 from workers.tile import solve_tile
 
+pytestmark = pytest.mark.slow
+
 TWO_MASS = find_system("two-mass")
 
 
@@ -157,7 +159,6 @@ def near(bifurcation: Bifurcation, distance: float) -> dict[str, float]:
     return {"omega": omega} | dict(zip(("x1", "x2", "v1", "v2"), (state * 1.001).tolist(), strict=True))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bifurcation", KNOWN, ids=str)
 def test_the_bifurcation_is_where_the_multiplier_crosses(bifurcation: Bifurcation) -> None:
     assert locate(bifurcation) == pytest.approx(bifurcation.omega, abs=1e-8)

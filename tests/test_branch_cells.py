@@ -18,6 +18,8 @@ from workers.kernel.motion import RUNNING, STATUS
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
 from workers.orbit import section_states
 
+pytestmark = pytest.mark.slow
+
 BREAKING, DOUBLING, _, _ = (each.omega for each in KNOWN[:4])
 QUICK = Settings(max_periods=2000, survival=0)
 
@@ -81,7 +83,6 @@ def test_section_states_are_those_of_simulated_motion(found: DrawnBranches, shif
     assert (branch.sections if shift == 0.0 else -branch.mirrored)[k, 0] == pytest.approx(states, abs=1e-13)
 
 
-@pytest.mark.slow
 def test_a_spent_budget_is_told() -> None:
     cut = atlas.branch({"omega": 3.02}, along="omega", window=(2.99, 3.03), settings=QUICK, leaving=True, budget=1)
     assert [(each.branch, each.event.kind, each.why) for each in cut.untried] == [
@@ -89,7 +90,6 @@ def test_a_spent_budget_is_told() -> None:
     ]
 
 
-@pytest.mark.slow
 def test_a_branch_that_ends_at_another_follows_that_too() -> None:
     """From the asymmetric orbit: the symmetric one is the branch that it leaves."""
     found = atlas.branch({"omega": 2.98}, along="omega", window=(2.95, 3.03), settings=QUICK, leaving=True)

@@ -29,6 +29,8 @@ from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers import solve_tile
 from workers.results import PENDING, result_variables
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -67,7 +69,6 @@ def overview_faults(header: store.Header) -> list[str]:
 # Overviews
 
 
-@pytest.mark.slow
 def test_sound_overviews_are_read_whole_and_found_sound(whole: store.Header) -> None:
     report = verify(whole.path, sample=0)
     files = [path for path in (whole.path / "overviews").rglob("*") if path.is_file() and "c" in path.parts]
@@ -111,7 +112,6 @@ def test_an_overview_of_a_tile_that_is_not_done_is_found(whole: store.Header) ->
     ]
 
 
-@pytest.mark.slow
 def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(whole: store.Header, made: Path) -> None:
     flip(whole.path / "overviews/1/largest/c/1/1")
     report = verify(whole.path, sample=0, repair=True)
@@ -123,7 +123,6 @@ def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(wh
         xr.testing.assert_identical(before.load(), after.load())
 
 
-@pytest.mark.slow
 def test_a_bad_tile_takes_all_overviews_of_it_with_it(whole: store.Header) -> None:
     flip(whole.path / "largest/c/0/0")
     report = verify(whole.path, sample=0, repair=True)
@@ -148,7 +147,6 @@ def test_overviews_with_damaged_metadata_are_not_read(whole: store.Header) -> No
     assert_view_is_true(whole)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "lost"),
     [("largest/zarr.json", False), ("largest/zarr.json", True), ("omega/c/0", True), ("class/c/0", False)],

@@ -24,6 +24,8 @@ from tests.synthetic import set_attribute
 from workers import tile as solving
 from workers.results import FAILED, result_variables
 
+pytestmark = pytest.mark.slow
+
 SOLVE = {"max_periods": 300, "tolerance": 0.1, "section_samples": 2}
 
 
@@ -65,7 +67,6 @@ def arrays_of(path: Path) -> dict[str, bytes]:
     return {str(name): ds[name].values.tobytes() for name in ds.variables}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("factor", [2, 3])
 def test_a_refined_atlas_has_the_bits_of_one_computed_from_scratch(
     old: Path, tmp_path: Path, client: Client, factor: int
@@ -98,7 +99,6 @@ def test_kept_cells_keep_all_their_results(old: Path, tmp_path: Path, client: Cl
     assert new.sum() == marked.sum() + summary.periods
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("tile", [[1, 1], [5, 7], [3, 2]])
 def test_the_tiles_need_not_be_those_of_the_old_store(
     old: Path, tmp_path: Path, client: Client, tile: list[int]
@@ -168,7 +168,6 @@ def test_failed_cells_are_solved_again(old: Path, tmp_path: Path, client: Client
     assert new.state.values.tobytes() == before["state"]
 
 
-@pytest.mark.slow
 def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
     old: Path, tmp_path: Path, client: Client
 ) -> None:
@@ -193,7 +192,6 @@ def test_an_interrupted_extension_goes_on(old: Path, tmp_path: Path, client: Cli
     assert extend(old, tmp_path / "new.zarr", refine=2, client=client).tiles_done == 12
 
 
-@pytest.mark.slow
 def test_an_extension_can_be_extended(old: Path, tmp_path: Path, client: Client) -> None:
     extend(old, tmp_path / "new.zarr", refine=2, client=client)
     summary = extend(tmp_path / "new.zarr", tmp_path / "newer.zarr", refine={"b": 2}, client=client)
@@ -308,7 +306,6 @@ def test_an_axis_with_one_value_is_refined_by_no_factor() -> None:
         refined(spec, {"omega": 2})
 
 
-@pytest.mark.slow
 def test_a_store_does_not_grow_in_place_or_into_one_of_another_origin(
     old: Path, tmp_path: Path, client: Client
 ) -> None:

@@ -17,6 +17,8 @@ from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propaga
 from workers.model.build import build_one
 from workers.model.oscillator import Machines, Oscillator
 
+pytestmark = pytest.mark.slow
+
 EPS = float(np.finfo(np.float64).eps)
 COMPARABLE = 1e-4
 """eps times the Jacobian's norm up to which two orbits are still one."""
@@ -133,7 +135,6 @@ def test_section_states_of_a_random_machine_are_the_simulated_ones(n: int, seed:
     assert_sections_agree(drawn(seed, n))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2, 77))
 @pytest.mark.parametrize("n", SIZES)
 def test_section_states_of_many_random_machines_are_the_simulated_ones(n: int, seed: int) -> None:
@@ -157,13 +158,11 @@ def test_section_states_of_machines_of_every_kind_are_the_simulated_ones(n: int,
     assert_sections_agree(drawn(100, n, **KINDS[kind]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("n", SIZES)
 def test_the_jacobian_of_a_random_machine_is_that_of_simulated_orbits(n: int) -> None:
     assert_jacobians_agree(drawn(0, n))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("n", SIZES)
 def test_jacobians_of_many_random_machines_are_those_of_simulated_orbits(n: int, seed: int) -> None:

@@ -27,6 +27,8 @@ from atlas.store.tiles import read_tile, write_tile
 from atlas.store.zoom import make_plane, note_seen, seen_sheets, sheet_place, sheets
 from tests.test_curves_table import BOTH
 
+pytestmark = pytest.mark.slow
+
 PLANE = "0123456789abcdef"
 STARTS = {"attractors": {"starts": 4}, "solve": {"exponents": "none"}}
 
@@ -100,7 +102,6 @@ def test_stores_as_they_were_made_have_no_fault(whole: Path, basins: Path, label
         assert faults(path) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("which", ["whole", "basins", "labelled"])
 def test_a_flipped_byte_is_found_in_every_object(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     path = copied(request.getfixturevalue(which), tmp_path)
@@ -132,7 +133,6 @@ GROUPS = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("which", "key", "says"), GROUPS)
 def test_damage_of_a_group_is_named_and_after_a_repair_gone(
     which: str, key: str, says: str, request: pytest.FixtureRequest, tmp_path: Path

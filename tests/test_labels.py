@@ -27,6 +27,8 @@ from workers.model.system import find_system
 from workers.orbit import branch, family_of, orbit_from_state, section_state
 from workers.results import NO_IMPACT, PERIODIC
 
+pytestmark = pytest.mark.slow
+
 OMEGA = np.linspace(3.475, 3.85, 6)
 """Across the break of symmetry, at b = 0.1: a pair of twins below omega = 3.71, one symmetric orbit above."""
 

@@ -19,6 +19,8 @@ from workers.history import LONGEST
 from workers.results import CHAOTIC, FAILED, PERIODIC, empty_results, result_variables
 from workers.settings import LONGEST_ORBIT, MOST_PERIODS, MOST_SAMPLES
 
+pytestmark = pytest.mark.slow
+
 ORBIT, CHAOS = naive.FIGURES[3], naive.FIGURES[5]
 EXPONENTS = ("none", "largest", "spectrum")
 BRIEF: dict[str, Any] = {"method": "fixed", "transient_periods": 0, "periods": 1}
@@ -152,7 +154,6 @@ def test_an_axis_may_have_the_most_points() -> None:
     assert spec.shape == (MAX_POINTS,)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("settings", [Settings(max_periods=1), Settings(**BRIEF)], ids=["adaptive", "fixed"])
 def test_a_portrait_may_have_the_least_of_a_motion(settings: Settings, tmp_path: Path) -> None:
     atlas.portrait(ORBIT, settings=settings, path=tmp_path / "cell.png")

@@ -19,6 +19,8 @@ from workers import Settings, trace
 from workers.model.system import find_system
 from workers.results import CHAOTIC, PERIODIC, QUASIPERIODIC, UNDETERMINED
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def chaotic() -> CellOrbit:
@@ -88,7 +90,6 @@ def test_the_running_exponents_approach_the_exact_ones(closed: CellOrbit) -> Non
     assert np.sort(closed.running[-1])[::-1] == pytest.approx(closed.cell["spectrum"], abs=2e-3)
 
 
-@pytest.mark.slow
 def test_a_motion_of_very_many_impacts_is_averaged_over_fewer_periods() -> None:
     """Truth: its periods cost 2200 evaluations each; trace gives up after two million."""
     found = cell_orbit({"omega": 0.5, "b": 0.002, "R": 0.97}, settings=Settings(max_periods=100))

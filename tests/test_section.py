@@ -22,6 +22,8 @@ from workers.results import PERIODIC
 from workers.starts import Starts
 from workers.tile import solve_cells
 
+pytestmark = pytest.mark.slow
+
 SPECTRUM = Settings(exponents="spectrum", max_periods=4000, survival=2000, tolerance=0.1)
 
 BEFORE_AND_AFTER = (0.0, 1e-9, -1e-9, 1e-10, -1e-10, 1e-12, -1e-12, 1e-14, -1e-14)
@@ -218,7 +220,6 @@ def test_motions_that_reach_an_orbit_on_either_side_of_its_impact_reach_one_attr
     assert all(each["sticks"][:2].tolist() == [True, False] for each in found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_orbits_of_random_machines_are_what_they_are_from_whatever_section(name: str) -> None:
     rng = np.random.default_rng(len(name))

@@ -22,6 +22,8 @@ from atlas.store import store
 from tests import synthetic
 from tests.synthetic import each_block, mean, mode
 
+pytestmark = pytest.mark.slow
+
 AXES = {"omega": np.linspace(2, 4, 6), "b": np.linspace(0.1, 0.5, 5), "R": [0.6, 0.7, 0.8]}
 
 
@@ -142,7 +144,6 @@ def test_two_stacks_are_compared_cell_by_cell(solved: Path) -> None:
     assert (compared.numbers.same, compared.numbers.compared) == (1.0, int(np.isfinite(ds.largest).sum()))
 
 
-@pytest.mark.slow
 def test_a_plane_of_a_large_stack_is_read_from_its_overviews(large: store.Header) -> None:
     ds, cells = atlas.open(large.path), atlas.open(large.path)  # what is loaded is not read from overviews
     codes, largest = cells.regime.values, cells.largest.values
@@ -173,7 +174,6 @@ def test_a_whole_stack_seen_coarser_keeps_its_planes(large: store.Header) -> Non
         )
 
 
-@pytest.mark.slow
 def test_the_overviews_of_a_stack_are_what_its_cells_give(large: store.Header) -> None:
     report = check_overviews(large, set(), lambda level: None)
     assert report.chunks > 0

@@ -26,6 +26,8 @@ from atlas.store import store
 from atlas.store.sidecar import notes_of
 from tests.synthetic import complete, spec_of
 
+pytestmark = pytest.mark.slow
+
 NESTED = "[" * 100_000 + "]" * 100_000
 
 
