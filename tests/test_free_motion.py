@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from workers.model.build import build
 from workers.model.family import FreeMotions
+from workers.model.oscillator import COLUMN, Machines
 from workers.model.system import System, find_system, system_names
 from workers.orbit.linear import NoOscillatorError, family_of, linear_of
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -46,3 +48,21 @@ def test_fixed_values_that_make_no_machine_are_told() -> None:
     with pytest.raises(NoOscillatorError, match=r"no oscillator at b = 0\.2"):
         family_of(find_system("two-mass"), {"mu_m": -1.0}, ("b",)).model(np.array([[0.2]]))
     assert FreeMotions(find_system("two-mass"), {"zeta": 1e308}, ("b",))(np.array([[0.2]])).reasons[0] == OUT_OF_DOUBLES
+
+
+def test_a_dashpot_along_the_gap_leaves_what_moves_on_a_stop_undamped() -> None:
+    """It cannot move there; rounding made its damping negative in some machines, which were refused."""
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        A = rng.normal(size=(2, 2))
+        along = rng.normal(size=2)
+        built, reasons = build(
+            Machines(
+                mass=np.array([A @ A.T + np.eye(2)]), damping=np.array([np.outer(along, along)]),
+                stiffness=np.array([np.eye(2)]), gap_row=along[None], force_sin=np.ones((1, 1, 2)),
+                force_cos=np.zeros((1, 1, 2)), load=np.zeros((1, 2)), omega=np.ones(1), tau=np.zeros(1),
+                upper=np.ones(1), lower=-np.ones(1), R=np.full(1, 0.5),
+            )
+        )  # fmt: skip
+        assert reasons[0] == NO_REASON
+        assert built.held.release.block[0, 0, COLUMN.eta] == 0.0

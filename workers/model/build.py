@@ -26,7 +26,7 @@ from workers.model.free import (
     signal_of,
     times,
 )
-from workers.model.modes import Modes, split, stacked
+from workers.model.modes import FREE, Modes, split, stacked
 from workers.model.oscillator import Array, Held, Machines, Oscillator, each, one_of, taken
 from workers.results import COUPLED_DAMPING, NO_REASON, OUT_OF_DOUBLES, RESONANCE, RIGID_MODE, UNSTABLE, InvalidError
 
@@ -137,6 +137,14 @@ def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.unique(kind, return_index=True)[1], kind
 
 
+def _seen_along(matrix: Array, null: Array) -> Array:
+    """N' A N of matrices A (N, n, n), zero where it is so to rounding: a dashpot along y does not move the rest."""
+    across = np.ascontiguousarray(null.swapaxes(1, 2))
+    found = across @ matrix @ null
+    terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
+    return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
+
+
 def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clamped:
     """What holds y of these machines, whose force, frame and push these are; see Clamped.
 
@@ -150,7 +158,7 @@ def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clampe
     null = _null_space(gap_row)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     inner = across @ mass @ null
-    modes = split(inner, across @ damping @ null, across @ stiffness @ null)
+    modes = split(inner, _seen_along(damping, null), _seen_along(stiffness, null))
     flexibility = stacked(np.linalg.inv, inner.shape, inner)
     # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
     spread, gather = np.zeros((N, 2 * n, 2 * n - 2)), np.zeros((N, 2 * n - 2, 2 * n))
