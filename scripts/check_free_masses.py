@@ -96,9 +96,9 @@ def machines(name: str, cells: dict[str, Array]) -> list[Machine]:
 
 
 def distances(run: Run, scale: float) -> Array:
-    """Of each section from the first one, relative to the motion's size; infinite between other contacts."""
-    away = np.max(np.abs(run.states - run.states[0]), axis=1) / scale
-    return np.where(run.contact == run.contact[0], away, np.inf)
+    """Of each section from the first one, relative to the motion's size."""
+    found: Array = np.max(np.abs(run.states - run.states[0]), axis=1) / scale
+    return found
 
 
 def size(run: Run) -> float:
@@ -177,8 +177,8 @@ def recurs(run: Run) -> bool:
 def undetermined_faults(machine: Machine, cell: dict[str, Any]) -> list[str]:
     """What is wrong with a cell that is called undetermined."""
     run = machine.run(cell["state"], LONGEST_WATCH)
-    if bool(cell["sticks"]) != bool(run.rests.any()):
-        return [f"sticks is {bool(cell['sticks'])}, rests in the simulation: {bool(run.rests.any())}"]
+    if run.rests.any() and not cell["sticks"]:
+        return ["rests in the simulation, and sticks is false"]
     if recurs(run) or run.rests.any():
         growth = growth_between_rests(run.stretch)
         if growth < LOST:
