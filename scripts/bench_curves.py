@@ -21,8 +21,8 @@ import atlas
 from atlas.service.options import RunOptions
 from atlas.spec.spec import example_text
 from scripts.bench_kernel import one_core, processor_seconds
+from workers.continuation import BranchRun, Condition, Event, Itinerary, Orbit, Point, curve, family_of
 from workers.model.system import DEFAULT, find_system
-from workers.orbit import Condition, Event, Itinerary, Orbit, Point, Way, curve, family_of
 
 FREE = ("omega", "b")
 WINDOW = {"omega": (0.5, 4.5), "b": (0.02, 1.5)}
@@ -76,22 +76,24 @@ def measure(repeats: int, budget: int) -> list[dict[str, Any]]:
         values = np.array([given[name] for name in FREE])
         orbit = Orbit(itinerary, np.array(times), np.array(speeds))
         event = Event(kind, (condition,), Point(values, orbit, np.array(contacts), np.zeros(0, dtype=complex), 0))
-        found: list[Way] = []
+        found: list[BranchRun] = []
         curve(family, event, values, WINDOW, budget=2)  # compiles, or loads what an earlier run compiled
 
-        def once(event: Event = event, family: Any = family, values: Any = values, found: list[Way] = found) -> None:
+        def once(
+            event: Event = event, family: Any = family, values: Any = values, found: list[BranchRun] = found
+        ) -> None:
             found.append(curve(family, event, values, WINDOW, budget=budget))
 
         seconds = min(processor_seconds(once) for _ in range(repeats))
-        way = found[0]
+        run = found[0]
         rows.append(
             {
                 "kind": kind,
-                "points": len(way.points),
-                "ends": list(way.ends),
-                "events": [event.kind for event in way.events],
-                "newton_steps_per_point": way.newton_steps / len(way.points),
-                "points_per_second": len(way.points) / seconds,
+                "points": len(run.points),
+                "ends": list(run.ends),
+                "events": [event.kind for event in run.events],
+                "newton_steps_per_point": run.newton_steps / len(run.points),
+                "points_per_second": len(run.points) / seconds,
             }
         )
     return rows

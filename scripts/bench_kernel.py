@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from scripts.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
 from scripts.heyoka_reference import INSTALLED, Taylor
 from workers import Settings, solve_tile
+from workers.cell.stretch import run_periods
 from workers.kernel.motion import EVALUATIONS
 from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import COLUMN
 from workers.model.system import find_system
-from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
 

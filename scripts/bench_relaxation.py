@@ -18,8 +18,8 @@ import numpy as np
 from scripts.bench_error_bars import drawn
 from scripts.bench_survival import FURTHER, SETTLED, followed, solved
 from workers import Settings
+from workers.attractors.starts import wilson
 from workers.results import CHAOTIC
-from workers.starts import wilson
 
 EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Forcing periods of relaxation between which cells are counted together."""

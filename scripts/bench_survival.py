@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers import Settings, solve_tile
-from workers.adaptive import RELAXATIONS, Course
-from workers.cells import Rows
+from workers.attractors.starts import wilson
+from workers.cell.cells import Rows
+from workers.cell.course import RELAXATIONS, Course
+from workers.cell.solve import begun
 from workers.model.system import find_system
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, empty_results, result_variables
-from workers.solve import begun
-from workers.starts import wilson
 
 FURTHER = 80_000
 """Periods after a verdict in which a settled motion makes it wrong."""

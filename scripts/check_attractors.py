@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from workers.attractors import solve_attractors
+from workers.attractors.starts import Starts, boxes
+from workers.attractors.waves import solve_attractors
 from workers.model.system import find_system
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 from workers.settings import Settings
-from workers.starts import Starts, boxes
 from workers.tile import solve_tile
 
 SYSTEM = "two-mass"

@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.attractors import STATISTICAL
-from workers.basins import Table, added
-from workers.identity import distance
-from workers.known import mirrored
+from workers.attractors.basins import Table, added
+from workers.attractors.known import mirrored
+from workers.attractors.same import distance
+from workers.attractors.starts import Starts, wilson
+from workers.attractors.waves import STATISTICAL
 from workers.model.system import find_system
 from workers.settings import Settings
-from workers.starts import Starts, wilson
 from workers.tile import solve_tile
 
 SYSTEM = "two-mass"

@@ -1,4 +1,4 @@
-"""Oscillators made by hand as records of workers.orbit, and the reference points of tests/data/curves.json."""
+"""Oscillators made by hand as records of workers.continuation, and the reference points of tests/data/curves.json."""
 
 import json
 import math
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.events import Event, Point
+from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
+from workers.continuation.linear import Family, ModalOscillator, family_of
 from workers.model.system import find_system
-from workers.orbit.equations import Itinerary, Orbit
-from workers.orbit.events import Event, Point
-from workers.orbit.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
-from workers.orbit.linear import Family, Linear, family_of
 
 TWO_MASS = find_system("two-mass")
 
@@ -74,12 +74,12 @@ def upper_peak(family: Family, values: Array) -> float:
 def bouncing_ball(free: tuple[str, ...], **fixed: float) -> Family:
     """y'' = -1 + A sin t above a table at y = 0; A is the relative acceleration Gamma."""
 
-    def model(rows: Array) -> tuple[Linear, None]:
+    def model(rows: Array) -> tuple[ModalOscillator, None]:
         N = len(rows)
         given = {name: np.full(N, value) for name, value in fixed.items()}
         given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
         one, none = np.ones(N), np.zeros(N)
-        return Linear(
+        return ModalOscillator(
             eta=none[:, None],
             lam=none[:, None],
             c=np.tile([[1.0, 0.0]], (N, 1, 1)),
@@ -101,12 +101,12 @@ def bouncing_ball(free: tuple[str, ...], **fixed: float) -> Family:
 def impact_pair(free: tuple[str, ...], **fixed: float) -> Family:
     """y'' = alpha sin t between stops at -1/2 and 1/2."""
 
-    def model(rows: Array) -> tuple[Linear, None]:
+    def model(rows: Array) -> tuple[ModalOscillator, None]:
         N = len(rows)
         given = {name: np.full(N, value) for name, value in fixed.items()}
         given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
         none = np.zeros(N)
-        return Linear(
+        return ModalOscillator(
             eta=none[:, None],
             lam=none[:, None],
             c=np.tile([[1.0, 0.0]], (N, 1, 1)),
@@ -125,7 +125,7 @@ def impact_pair(free: tuple[str, ...], **fixed: float) -> Family:
     return Family(free, model)
 
 
-def general(seed: int = 1, harmonics: int = 2, rigid_damping: float = 0.3) -> Linear:
+def general(seed: int = 1, harmonics: int = 2, rigid_damping: float = 0.3) -> ModalOscillator:
     """An oscillator with everything: coupled damping (both entries of c and k), a rigid mode, loads, harmonics."""
     rng = np.random.default_rng(seed)
     eta = np.array([[0.2, 3.0, rigid_damping]])
@@ -139,7 +139,7 @@ def general(seed: int = 1, harmonics: int = 2, rigid_damping: float = 0.3) -> Li
     flat += np.linalg.lstsq(rows, np.array([0.0, 1.0]) - rows @ flat, rcond=None)[0]
     kick = np.zeros(6)
     kick[free] = flat
-    return Linear(
+    return ModalOscillator(
         eta=eta,
         lam=lam,
         c=c,

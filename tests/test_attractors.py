@@ -5,12 +5,12 @@ import pytest
 
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
-from workers.attractors import Coexistence, solve_attractors
-from workers.identity import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, distance, periods_to_settle
-from workers.known import MOST_TURN, Known
+from workers.attractors.known import MOST_TURN, Known
+from workers.attractors.same import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, distance, periods_to_settle
+from workers.attractors.starts import Starts, initial_states
+from workers.attractors.waves import Coexistence, solve_attractors
 from workers.model.system import find_system
 from workers.results import CHAOTIC, INVALID, NO_IMPACT, PENDING, PERIODIC
-from workers.starts import Starts, initial_states
 
 TWINS = {"omega": 2.561, "b": 0.193}
 """Two orbits of period 1, mirror images of each other."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests import naive
+from workers.cell.stretch import run_periods
 from workers.kernel.averages import (
     COUNT,
     MEAN,
@@ -16,7 +17,6 @@ from workers.kernel.averages import (
 )
 from workers.kernel.motion import SPREAD
 from workers.kernel.stroboscopic import motion_from, reset_frame
-from workers.stretch import run_periods
 
 
 def blocking(values: np.ndarray) -> np.ndarray:

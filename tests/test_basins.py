@@ -20,9 +20,9 @@ from atlas.store.store import read_header
 from atlas.task.basins import complete_basins
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
-from workers.basins import solve_basins
+from workers.attractors.basins import solve_basins
+from workers.attractors.starts import Starts
 from workers.results import NO_IMPACT, PERIODIC
-from workers.starts import Starts
 
 PLANE = {"x1": np.linspace(-0.09, 0.09, 7)[None, :], "v1": np.linspace(-1.0, 1.0, 9)[:, None]}
 SECOND = {"x2": 0.03, "v2": -0.2}

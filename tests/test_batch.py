@@ -7,14 +7,14 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.kernel.batch.layout import VECTOR_WIDTH, room_for_vectors
-from workers.kernel.batch.run import Batch
+from workers.cell.stretch import batch_of, ended, run
+from workers.kernel.lanes.layout import VECTOR_WIDTH, room_for_vectors
+from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
 from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from
 from workers.model.oscillator import Oscillator, each
 from workers.model.system import find_system
 from workers.results import NO_REASON, UNDETERMINED
-from workers.stretch import batch_of, ended, run
 from workers.tile import solve_cells
 
 TWO_MASS = find_system("two-mass")

@@ -8,7 +8,7 @@ import pytest
 from scripts.bench_error_bars import compared
 from scripts.bench_relaxation import rows
 from scripts.bench_survival import PLANES, measure, plane, show
-from workers.starts import wilson
+from workers.attractors.starts import wilson
 
 pytestmark = pytest.mark.slow
 

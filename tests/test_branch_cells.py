@@ -14,9 +14,9 @@ from atlas.errors import InputError
 from tests import naive
 from tests.test_bifurcations import KNOWN, TWO_MASS
 from workers import Settings
+from workers.continuation import section_states
 from workers.kernel.motion import RUNNING, STATUS
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
-from workers.orbit import section_states
 
 pytestmark = pytest.mark.slow
 
@@ -71,13 +71,13 @@ def test_section_states_are_those_of_simulated_motion(found: DrawnBranches, shif
     """Half a period on, those of the mirror image with the other sign."""
     branch = found.traced[1]
     k = 5
-    omega = branch.way.points[k].values
+    omega = branch.run.points[k].values
     osc = TWO_MASS.build({p.name: p.default for p in TWO_MASS.parameters} | {"omega": float(omega[0])})
     motion = motion_from(osc, branch.sections[k, 0])
     propagate(osc, motion, osc.period if shift == 0.0 else 0.5 * osc.period)
     assert motion.tally[STATUS] == RUNNING
     there = blocks_to_physical(osc._replace(tau=osc.tau + 2.0 * np.pi * shift), motion)
-    states = section_states(TWO_MASS, {"omega": omega}, [branch.way.points[k].orbit], shift)[0, 0]
+    states = section_states(TWO_MASS, {"omega": omega}, [branch.run.points[k].orbit], shift)[0, 0]
     assert states == pytest.approx(there, abs=1e-12)
     assert branch.mirrored is not None
     assert (branch.sections if shift == 0.0 else -branch.mirrored)[k, 0] == pytest.approx(states, abs=1e-13)

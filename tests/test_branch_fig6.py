@@ -12,12 +12,12 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from tests.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, oscillator
 from workers import Settings
-from workers.continuation import solve_lines
+from workers.continuation import Event, section_states
 from workers.kernel.motion import FREE, RUNNING, STATUS
 from workers.kernel.stroboscopic import motion_from
-from workers.orbit import Event, section_states
 from workers.orbit.map import map_with_jacobian
 from workers.results import PERIODIC
+from workers.sweep import solve_lines
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ def trees() -> list[Tree]:
 def nearest(trees: list[Tree], bifurcation: Bifurcation) -> Event:
     """The event of that kind that is nearest to a bifurcation."""
     kind = {"grazing": "graze"}.get(bifurcation.kind, bifurcation.kind.removeprefix("subcritical ").replace(" ", "_"))
-    events = [event for tree in trees for branch in tree.branches for event in branch.way.events if event.kind == kind]
+    events = [event for tree in trees for branch in tree.branches for event in branch.run.events if event.kind == kind]
     return min(events, key=lambda event: abs(event.point.values[0] - bifurcation.omega))
 
 
@@ -74,8 +74,8 @@ class End(NamedTuple):
 def ends(tree: Tree) -> Iterator[End]:
     """The ends at events of all stable stretches that are longer than eight cells."""
     for branch in tree.branches:
-        points, values = branch.way.points, branch.values
-        marks = {id(event.point) for event in branch.way.events}
+        points, values = branch.run.points, branch.values
+        marks = {id(event.point) for event in branch.run.events}
         events = [k for k, point in enumerate(points) if id(point) in marks]
         for k in events:
             for step in (1, -1):
@@ -97,7 +97,7 @@ def test_sweeps_both_ways_change_class_in_the_cell_of_the_event(trees: list[Tree
     assert {end.out for end in found.values()} == {1, -1}
     for end in found.values():
         cells = end.omega + end.out * CELL * (np.arange(-7, 5) + 0.5)
-        orbit = end.branch.way.points[end.inside]
+        orbit = end.branch.run.points[end.inside]
         start = section_states(TWO_MASS, {"omega": orbit.values}, [orbit.orbit])[0, 0]
         line = {"omega": cells} | dict(zip(TWO_MASS.states, start.tolist(), strict=True))
         swept = solve_lines("two-mass", line, Settings(exponents="none")).arrays

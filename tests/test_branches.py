@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
+from workers.continuation.branches import branch, leaving_branch
+from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.follow import BUDGET, EDGE, BranchRun
+from workers.continuation.linear import family_of
 from workers.model.system import find_system
-from workers.orbit.branches import branch, leaving_branch
-from workers.orbit.equations import Itinerary, Orbit
-from workers.orbit.follow import BUDGET, EDGE, Way
-from workers.orbit.linear import family_of
 
 pytestmark = pytest.mark.slow
 
@@ -33,8 +33,8 @@ def pair_orbit(alpha: float, R: float) -> Orbit:
     return Orbit(Itinerary((1,), 1, symmetric=True), np.array([t]), np.array([speed]))
 
 
-def kinds(way: Way) -> list[str]:
-    return [event.kind for event in way.events]
+def kinds(run: BranchRun) -> list[str]:
+    return [event.kind for event in run.events]
 
 
 @pytest.mark.parametrize("R", [0.2, 0.5, 0.85])
@@ -43,15 +43,15 @@ def test_the_bouncing_ball_folds_and_doubles_where_its_closed_form_does(R: float
     fold = math.pi * (1.0 - R) / (1.0 + R)
     doubling = math.hypot(fold, 2.0 * (1.0 + R**2) / (1.0 + R) ** 2)
     middle = 0.5 * (fold + doubling)
-    way = branch(bouncing_ball(("A",), R=R), ball_orbit(middle, R), middle, (0.5 * fold, 2.0 * doubling))
-    assert way.ends == (EDGE, EDGE)
-    assert sorted(kinds(way)) == ["fold", "period_doubling"]
-    found = {event.kind: event.point for event in way.events}
+    run = branch(bouncing_ball(("A",), R=R), ball_orbit(middle, R), middle, (0.5 * fold, 2.0 * doubling))
+    assert run.ends == (EDGE, EDGE)
+    assert sorted(kinds(run)) == ["fold", "period_doubling"]
+    found = {event.kind: event.point for event in run.events}
     assert found["fold"].values[0] == pytest.approx(fold, abs=1e-12)
     assert found["period_doubling"].values[0] == pytest.approx(doubling, abs=1e-12)
     assert found["period_doubling"].multipliers == pytest.approx([-1.0, -(R**2)], abs=1e-11)
     assert sorted(abs(found["fold"].multipliers)) == pytest.approx([R**2, 1.0], abs=1e-6)
-    assert {point.unstable for point in way.points} == {0, 1}
+    assert {point.unstable for point in run.points} == {0, 1}
 
 
 @pytest.mark.parametrize("R", [0.3, 0.6, 0.8])
@@ -61,11 +61,11 @@ def test_the_impact_pair_folds_and_breaks_its_symmetry_where_its_closed_form_doe
     fold = 1.0 / math.hypot(2.0, math.pi * rho)
     breaking = math.sqrt(1.0 + 4.0 * rho**2 / math.pi**2) / (rho * (math.pi - 4.0 / math.pi))
     middle = 0.5 * (fold + breaking)
-    way = branch(impact_pair(("alpha",), R=R), pair_orbit(middle, R), middle, (0.5 * fold, 2.0 * breaking))
-    found = {event.kind: event.point for event in way.events}
+    run = branch(impact_pair(("alpha",), R=R), pair_orbit(middle, R), middle, (0.5 * fold, 2.0 * breaking))
+    found = {event.kind: event.point for event in run.events}
     assert found["fold"].values[0] == pytest.approx(fold, abs=1e-12)
     assert found["symmetry_breaking"].values[0] == pytest.approx(breaking, abs=1e-12)
-    for point in way.points:
+    for point in run.points:
         product = np.prod(point.multipliers).real
         assert product == pytest.approx(R**2, abs=1e-12 * max(1.0, abs(point.multipliers[0]) ** 2))
 
@@ -74,8 +74,8 @@ def test_the_asymmetric_branch_leaves_and_comes_back_at_the_symmetry_breaking() 
     rho = 4.0
     breaking = math.sqrt(1.0 + 4.0 * rho**2 / math.pi**2) / (rho * (math.pi - 4.0 / math.pi))
     family = impact_pair(("alpha",), R=0.6)
-    way = branch(family, pair_orbit(0.3, 0.6), 0.3, (0.2, 0.6))
-    event = next(event for event in way.events if event.kind == "symmetry_breaking")
+    run = branch(family, pair_orbit(0.3, 0.6), 0.3, (0.2, 0.6))
+    event = next(event for event in run.events if event.kind == "symmetry_breaking")
     start = leaving_branch(family, event, 0.4)
     assert len(start.orbit.itinerary.sides) == 2
     side = branch(family, start.orbit, start.value, (0.2, 0.6))
@@ -88,10 +88,10 @@ def test_branches_of_the_two_mass_system_join_at_their_events() -> None:
     """R = 0.917, b = 0.15: the asymmetric orbit is born at a symmetry breaking, doubles, and ends at a graze."""
     record = CURVES[4]
     family = family_of(TWO_MASS, reference_values(record), ("omega",))
-    way = branch(family, reference_orbit(record), float(record["params"]["omega"]) + 0.1, (1.5, 4.0))
-    assert sorted(kinds(way)) == ["graze", "period_doubling", "symmetry_breaking"]
-    assert sorted(way.ends) == ["graze", "symmetry_breaking"]
-    doubling = next(event for event in way.events if event.kind == "period_doubling")
+    run = branch(family, reference_orbit(record), float(record["params"]["omega"]) + 0.1, (1.5, 4.0))
+    assert sorted(kinds(run)) == ["graze", "period_doubling", "symmetry_breaking"]
+    assert sorted(run.ends) == ["graze", "symmetry_breaking"]
+    doubling = next(event for event in run.events if event.kind == "period_doubling")
     assert doubling.point.values[0] == pytest.approx(float(record["point"]["omega"]), abs=1e-12)
     start = leaving_branch(family, doubling, 2.5)
     assert start.orbit.itinerary.periods == 2
@@ -116,26 +116,26 @@ def test_a_branch_passes_the_reference_event(index: int) -> None:
     exact = values[0]
     for shift in (1e-3, -1e-3):
         try:
-            way = branch(family, event.point.orbit, exact * (1.0 + shift), (0.95 * exact, 1.05 * exact), budget=60)
+            run = branch(family, event.point.orbit, exact * (1.0 + shift), (0.95 * exact, 1.05 * exact), budget=60)
         except ValueError:
             continue  # beyond the fold or the graze there is no orbit
-        found = [e.point.values[0] for e in way.events if e.kind == record["kind"]]
+        found = [e.point.values[0] for e in run.events if e.kind == record["kind"]]
         if found and min(abs(value - exact) for value in found) < 1e-10:
             return
     pytest.fail("the event is not on the branch")
 
 
 def test_a_spent_budget_is_told() -> None:
-    way = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.2, 0.5), 1.2, (0.5, 3.0), budget=3)
-    assert way.ends == (BUDGET, BUDGET)
-    assert len(way.points) == 7
+    run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.2, 0.5), 1.2, (0.5, 3.0), budget=3)
+    assert run.ends == (BUDGET, BUDGET)
+    assert len(run.points) == 7
 
 
 def test_newton_takes_about_two_steps_a_point_away_from_a_graze() -> None:
     record = CURVES[4]
     family = family_of(TWO_MASS, reference_values(record), ("omega",))
-    way = branch(family, reference_orbit(record), float(record["params"]["omega"]) + 0.1, (2.2, 4.0))
-    assert way.newton_steps <= 3 * len(way.points)
+    run = branch(family, reference_orbit(record), float(record["params"]["omega"]) + 0.1, (2.2, 4.0))
+    assert run.newton_steps <= 3 * len(run.points)
 
 
 def test_a_symmetric_orbit_given_as_asymmetric_is_refused_in_one_line() -> None:

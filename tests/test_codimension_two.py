@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from tests.handmade import bouncing_ball
+from workers.continuation import Condition, Event, Itinerary, Orbit, Point, curve, family_of
+from workers.continuation.branches import branch
+from workers.continuation.extended import GRAZE, UNIT
+from workers.continuation.linear import Family, ModalOscillator
 from workers.model.system import find_system
-from workers.orbit import Condition, Event, Itinerary, Orbit, Point, curve, family_of
-from workers.orbit.branches import branch
-from workers.orbit.extended import GRAZE, UNIT
-from workers.orbit.linear import Family, Linear
 
 R, PHI = 0.5, 1.0
 """Restitution of the ball on a table that shakes in two harmonics, and the phase of the second one."""
@@ -22,7 +22,7 @@ def two_tones() -> Family:
     """A ball above a table, y'' = -1 + A sin t + 2 B sin(2 t + PHI): then Y' = -A cos t - B cos(2 t + PHI)."""
     one = bouncing_ball(("A",), R=R)
 
-    def model(rows: NDArray[np.float64]) -> tuple[Linear, None]:
+    def model(rows: NDArray[np.float64]) -> tuple[ModalOscillator, None]:
         lin, second = one.model(rows)[0], -0.5 * rows[:, 1]
         sin_part = np.stack([lin.sin_part[:, 0], second * math.cos(PHI)], axis=1)
         return lin._replace(sin_part=sin_part, cos_part=np.outer(second, [0.0, math.sin(PHI)])), None
@@ -52,11 +52,11 @@ def test_two_folds_meet_at_the_cusp_of_a_ball_on_a_table_of_two_tones() -> None:
     v, start = -2.0 * math.pi / (1.0 + R), np.array(fold(0.0))
     orbit = Orbit(Itinerary((-1,), 1), np.zeros(1), np.array([v]), -(1.0 + R) * v * math.pi / 6.0)
     event = Event("fold", (Condition(UNIT),), Point(start, orbit, np.zeros(0), np.zeros(0, dtype=np.complex128), 0))
-    way = curve(two_tones(), event, start, {"A": (-5.0, 1.5), "B": (-3.0, 1.0)})
-    cusps = [met.point for met in way.events if met.kind == "cusp"]
+    run = curve(two_tones(), event, start, {"A": (-5.0, 1.5), "B": (-3.0, 1.0)})
+    cusps = [met.point for met in run.events if met.kind == "cusp"]
     assert [point.values for point in cusps] == [pytest.approx(exact, abs=1e-9)]
     assert math.remainder(float(cusps[0].orbit.times[0]) - at, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-6)
-    distances = [float(np.linalg.norm(point.values - fold(float(point.orbit.times[0])))) for point in way.points]
+    distances = [float(np.linalg.norm(point.values - fold(float(point.orbit.times[0])))) for point in run.points]
     assert max(distances) < 1e-11
 
 
@@ -69,9 +69,9 @@ def test_motion_without_impact_grazes_both_stops_at_once_where_these_are_alike()
     (graze,) = down.events
     assert graze.conditions == (Condition(GRAZE, side=1),)
     start = np.array([0.5, graze.point.values[0]])
-    way = curve(family_of(system, given, free), graze, start, {"s": (0.2, 1.5), "b": (0.5, 2.0)})
-    assert way.ends == ("edge", "double_graze")
-    (both,) = way.events
+    run = curve(family_of(system, given, free), graze, start, {"s": (0.2, 1.5), "b": (0.5, 2.0)})
+    assert run.ends == ("edge", "double_graze")
+    (both,) = run.events
     assert both.point.values == pytest.approx([1.0, amplitude], abs=1e-10)
     apart = math.remainder(float(np.diff(both.point.contacts)[0]) * given["omega"], 2.0 * math.pi)
     assert abs(apart) == pytest.approx(math.pi, abs=1e-9)

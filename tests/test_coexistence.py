@@ -22,9 +22,9 @@ from atlas.query.cell import solved_cell
 from atlas.store.store import read_header
 from atlas.store.tiles import drop_tile, read_tile
 from workers import Settings, solve_tile
-from workers.attractors import solve_attractors
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
 from workers.results import CHAOTIC, FAILED, PENDING
-from workers.starts import Starts
 
 AXES = {"omega": {"start": 3.6, "stop": 4.4, "num": 3}, "R": {"start": 0.7, "stop": 0.9, "num": 4}}
 SOLVE = {"max_periods": 2000, "survival": 2000, "tolerance": 0.1, "section_samples": 3}

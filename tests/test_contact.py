@@ -7,18 +7,18 @@ from atlas.cell.orbit import cell_orbit
 from tests import naive
 from tests.oscillators import mass_spring
 from workers import Settings, solve_tile
-from workers.basins import Table, section_points
-from workers.continuation import solve_lines
+from workers.attractors.basins import Table, section_points
+from workers.attractors.known import mirrored
+from workers.attractors.starts import Starts
+from workers.cell.outcome import put_stopped
+from workers.cell.solve import begun
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, STARTED_BEYOND, STATUS, motion_at, motions_at
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
-from workers.known import mirrored
 from workers.model.oscillator import Oscillator, many_of, taken
 from workers.model.system import find_system, system_names
-from workers.outcome import put_stopped
 from workers.results import BEYOND_STOP, INVALID, NO_REASON, InvalidError, empty_results, result_variables
-from workers.solve import begun
-from workers.starts import Starts
+from workers.sweep import solve_lines
 
 EPS = float(np.finfo(np.float64).eps)
 MANY = 60

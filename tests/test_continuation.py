@@ -11,8 +11,8 @@ from atlas.errors import InputError, RunError
 from atlas.service.plan import make_plan
 from atlas.task.solving import solve_block
 from workers import Settings
-from workers.continuation import solve_lines
 from workers.results import INVALID, NO_IMPACT, PERIODIC
+from workers.sweep import solve_lines
 from workers.tile import solve_cells, solve_tile
 
 QUICK = Settings(exponents="none", max_periods=1000)

@@ -11,8 +11,8 @@ from tests import naive
 from tests.test_solve import TORI
 from tests.test_survival import cells_of, relaxation
 from workers import Settings, solve_tile
-from workers.adaptive import AVERAGING, RELAXATIONS, WARM_UP, Course
-from workers.cells import Rows
+from workers.cell.cells import Rows
+from workers.cell.course import AVERAGING, RELAXATIONS, WARM_UP, Course
 from workers.kernel.averages import MEAN
 from workers.results import (
     CHAOTIC,

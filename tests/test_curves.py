@@ -15,14 +15,14 @@ from tests.handmade import (
     upper_peak,
 )
 from tests.test_branches import ball_orbit, pair_orbit
+from workers.continuation.branches import branch
+from workers.continuation.curves import curve
+from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.events import Event, Point
+from workers.continuation.extended import GRAZE, Condition
+from workers.continuation.follow import BUDGET, CLOSED, EDGE
+from workers.continuation.linear import Family, family_of
 from workers.model.system import find_system
-from workers.orbit.branches import branch
-from workers.orbit.curves import curve
-from workers.orbit.equations import Itinerary, Orbit
-from workers.orbit.events import Event, Point
-from workers.orbit.extended import GRAZE, Condition
-from workers.orbit.follow import BUDGET, CLOSED, EDGE
-from workers.orbit.linear import Family, family_of
 
 pytestmark = pytest.mark.slow
 
@@ -32,13 +32,13 @@ ONE_CONDITION = [record for record in CURVES if record["kind"] != "codimension_t
 
 
 def ball_event(kind: str, R: float) -> Event:
-    way = branch(bouncing_ball(("A",), R=R), ball_orbit(1.3, R), 1.3, (0.5, 3.0), resolution=0.05)
-    return next(event for event in way.events if event.kind == kind)
+    run = branch(bouncing_ball(("A",), R=R), ball_orbit(1.3, R), 1.3, (0.5, 3.0), resolution=0.05)
+    return next(event for event in run.events if event.kind == kind)
 
 
 def pair_event(kind: str, R: float) -> Event:
-    way = branch(impact_pair(("alpha",), R=R), pair_orbit(0.3, R), 0.3, (0.03, 0.6), resolution=0.05)
-    return next(event for event in way.events if event.kind == kind)
+    run = branch(impact_pair(("alpha",), R=R), pair_orbit(0.3, R), 0.3, (0.03, 0.6), resolution=0.05)
+    return next(event for event in run.events if event.kind == kind)
 
 
 def ball_fold(R: float) -> float:
@@ -53,11 +53,11 @@ def ball_doubling(R: float) -> float:
 def test_a_whole_curve_of_the_bouncing_ball_is_its_closed_form(kind: str, exact: Any) -> None:
     event = ball_event(kind, 0.5)
     family, window = bouncing_ball(("R", "A")), {"R": (0.1, 0.9), "A": (0.01, 5.0)}
-    way = curve(family, event, np.array([0.5, event.point.values[0]]), window)
-    assert way.ends == (EDGE, EDGE)
-    assert {way.points[0].values[0], way.points[-1].values[0]} == {0.1, 0.9}
-    assert max(abs(point.values[1] - exact(point.values[0])) for point in way.points) < 1e-12
-    assert not way.events
+    run = curve(family, event, np.array([0.5, event.point.values[0]]), window)
+    assert run.ends == (EDGE, EDGE)
+    assert {run.points[0].values[0], run.points[-1].values[0]} == {0.1, 0.9}
+    assert max(abs(point.values[1] - exact(point.values[0])) for point in run.points) < 1e-12
+    assert not run.events
 
 
 def pair_fold(R: float) -> float:
@@ -73,9 +73,9 @@ def pair_breaking(R: float) -> float:
 def test_a_whole_curve_of_the_impact_pair_is_its_closed_form(kind: str, exact: Any) -> None:
     event = pair_event(kind, 0.6)
     family, window = impact_pair(("R", "alpha")), {"R": (0.2, 0.9), "alpha": (0.001, 3.0)}
-    way = curve(family, event, np.array([0.6, event.point.values[0]]), window)
-    assert way.ends == (EDGE, EDGE)
-    assert max(abs(point.values[1] - exact(point.values[0])) for point in way.points) < 1e-12
+    run = curve(family, event, np.array([0.6, event.point.values[0]]), window)
+    assert run.ends == (EDGE, EDGE)
+    assert max(abs(point.values[1] - exact(point.values[0])) for point in run.points) < 1e-12
 
 
 def test_a_closed_curve_is_told_and_ends() -> None:
@@ -85,10 +85,10 @@ def test_a_closed_curve_is_told_and_ends() -> None:
     circle = Family(("x", "y"), lambda rows: ball.model(np.sum(rows**2, axis=1, keepdims=True)))
     radius = math.sqrt(ball_fold(0.5))
     window = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
-    way = curve(circle, event, np.array([0.6 * radius, 0.8 * radius]), window)
-    assert way.ends == (CLOSED, CLOSED)
-    assert max(abs(math.hypot(*point.values) - radius) for point in way.points) < 1e-12
-    angles = np.unwrap([math.atan2(point.values[1], point.values[0]) for point in way.points])
+    run = curve(circle, event, np.array([0.6 * radius, 0.8 * radius]), window)
+    assert run.ends == (CLOSED, CLOSED)
+    assert max(abs(math.hypot(*point.values) - radius) for point in run.points) < 1e-12
+    angles = np.unwrap([math.atan2(point.values[1], point.values[0]) for point in run.points])
     assert np.ptp(angles) == pytest.approx(2.0 * math.pi, abs=0.2)
 
 
@@ -97,10 +97,10 @@ def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(rec
     """Without a static load stops see b / |Y(f2)| only."""
     family, event, values = reference_event(record, ("b", "f2"))
     lows = {"b": (0.5 * values[0], 2.0 * values[0]), "f2": (-0.4, 0.4)}
-    way = curve(family, event, values, lows, resolution=0.05)
-    assert way.ends == (EDGE, EDGE)
+    run = curve(family, event, values, lows, resolution=0.05)
+    assert run.ends == (EDGE, EDGE)
     ratios = []
-    for point in way.points:
+    for point in run.points:
         lin = family.model(point.values[None])[0]
         ratios.append(lin.upper[0] / np.hypot(lin.sin_part[0, 0], lin.cos_part[0, 0]))
     assert np.ptp(ratios) < 1e-11 * ratios[0]
@@ -114,9 +114,9 @@ def test_the_graze_of_motion_without_impact_is_b_equal_to_the_amplitude() -> Non
     orbit = Orbit(Itinerary((), 1, symmetric=True), np.zeros(0), np.zeros(0))
     point = Point(values, orbit, np.array([upper_peak(family, values)]), np.zeros(0, dtype=np.complex128), 0)
     event = Event("graze", (Condition(GRAZE, side=1),), point)
-    way = curve(family, event, values, {"omega": (1.0, 3.0), "b": (0.01, 3.0)})
-    assert way.ends == (EDGE, EDGE)
-    for point in way.points:
+    run = curve(family, event, values, {"omega": (1.0, 3.0), "b": (0.01, 3.0)})
+    assert run.ends == (EDGE, EDGE)
+    for point in run.points:
         lin = family.model(point.values[None])[0]
         assert point.values[1] == pytest.approx(float(np.hypot(lin.sin_part[0, 0], lin.cos_part[0, 0])), abs=1e-12)
 
@@ -125,14 +125,14 @@ def test_a_doubling_curve_ends_at_its_reference_graze() -> None:
     """Truth: the codimension-two point of curves.json, on the doubling through a point beside it."""
     record = next(record for record in CURVES if record.get("conditions") == ["graze 1", "period_doubling"])
     family, both, values = reference_event(record, ("omega", "zeta"))
-    way = None
+    run = None
     for kind in ("period_doubling", "graze"):
         condition = both.conditions[0 if kind == "graze" else 1]
         point = both.point if kind == "graze" else both.point._replace(contacts=np.zeros(0))
         near = values + np.array([1e-3, 1e-3 if kind == "graze" else 0.0])
         for sign in (1.0, -1.0):
             try:
-                way = curve(
+                run = curve(
                     family,
                     Event(kind, (condition,), point),
                     values + sign * (near - values),
@@ -141,7 +141,7 @@ def test_a_doubling_curve_ends_at_its_reference_graze() -> None:
                 )
             except ValueError:
                 continue
-            found = [event.point.values for event in way.events if event.kind == "graze_period_doubling"]
+            found = [event.point.values for event in run.events if event.kind == "graze_period_doubling"]
             if found:
                 assert min(np.abs(value - values).max() for value in found) < 1e-11
                 break
@@ -154,20 +154,20 @@ def test_a_neimark_sacker_curve_ends_at_two_strong_resonances_where_doublings_me
     window = {"omega": (0.5, 4.5), "b": (0.02, 1.5)}
     pairs = next(record for record in CURVES if record["kind"] == "neimark_sacker" and not record["half_map"])
     family, event, values = reference_event(pairs, ("omega", "b"))
-    way = curve(family, event, values, window)
-    assert way.ends == ("resonance_1_2", "resonance_1_2")
+    run = curve(family, event, values, window)
+    assert run.ends == ("resonance_1_2", "resonance_1_2")
     doublings = next(record for record in CURVES if record["point"]["omega"] == "3.3343080214883709")
     family, event, values = reference_event(doublings, ("omega", "b"))
     met = [e.point.values for e in curve(family, event, values, window).events if e.kind == "resonance_1_2"]
-    for end in way.events:
+    for end in run.events:
         assert min(np.abs(end.point.values - other).max() for other in met) < 1e-10
 
 
 def test_a_resonance_of_order_three_is_passed() -> None:
     record = next(record for record in CURVES if record["kind"] == "neimark_sacker" and record["half_map"])
     family, event, values = reference_event(record, ("omega", "b"))
-    way = curve(family, event, values, {"omega": (2.8, 4.5), "b": (0.02, 1.5)})
-    third = next(event for event in way.events if event.kind == "resonance_1_3")
+    run = curve(family, event, values, {"omega": (2.8, 4.5), "b": (0.02, 1.5)})
+    third = next(event for event in run.events if event.kind == "resonance_1_3")
     mu = third.point.multipliers
     assert np.min(np.abs(mu - np.exp(2j * np.pi / 3))) < 1e-10
 
@@ -176,17 +176,17 @@ def test_the_other_way_of_a_pair_starts_with_the_pair_of_the_start() -> None:
     """At the far end of the first way another pair is nearer: both ways must reach the window's edge."""
     record = next(record for record in CURVES if record["kind"] == "neimark_sacker" and record["half_map"])
     family, event, values = reference_event(record, ("omega", "R"))
-    way = curve(family, event, values, {"omega": (0.5, 4.5), "R": (0.2, 0.999)})
-    assert way.ends == (EDGE, EDGE)
-    for point in way.points:
+    run = curve(family, event, values, {"omega": (0.5, 4.5), "R": (0.2, 0.999)})
+    assert run.ends == (EDGE, EDGE)
+    for point in run.points:
         assert np.min(np.abs(np.abs(point.multipliers) - 1.0)) < 1e-11
 
 
 def test_a_symmetry_breaking_with_a_fold_is_a_fold_flip() -> None:
     record = next(record for record in CURVES if record["point"]["b"] == "0.33")
     family, event, values = reference_event(record, ("omega", "zeta"))
-    way = curve(family, event, values, {"omega": (0.5, 4.5), "zeta": (0.005, 0.1)})
-    both = next(event for event in way.events if event.kind == "fold_flip")
+    run = curve(family, event, values, {"omega": (0.5, 4.5), "zeta": (0.005, 0.1)})
+    both = next(event for event in run.events if event.kind == "fold_flip")
     mu = both.point.multipliers
     assert np.min(np.abs(mu - 1.0)) < 1e-9
     assert np.min(np.abs(mu + 1.0)) < 1e-9
@@ -199,23 +199,23 @@ def test_a_graze_passes_the_reference_fold_of_a_long_orbit() -> None:
     graze = Event("graze", both.conditions[:1], both.point)
     window = {"omega": (2.43, 2.435), "R": (0.417, 0.42)}
     for shift in (1e-5, -1e-5):
-        way = curve(family, graze, values * (1.0 + shift), window, resolution=0.1)
-        met = [event.point.values for event in way.events if event.kind == "graze_fold"]
+        run = curve(family, graze, values * (1.0 + shift), window, resolution=0.1)
+        met = [event.point.values for event in run.events if event.kind == "graze_fold"]
         assert min(np.abs(value - values).max() for value in met) < 1e-11
 
 
 def test_a_spent_budget_is_told() -> None:
     event = ball_event("fold", 0.5)
     window = {"R": (0.1, 0.9), "A": (0.01, 5.0)}
-    way = curve(bouncing_ball(("R", "A")), event, np.array([0.5, event.point.values[0]]), window, budget=4)
-    assert way.ends == (BUDGET, BUDGET)
+    run = curve(bouncing_ball(("R", "A")), event, np.array([0.5, event.point.values[0]]), window, budget=4)
+    assert run.ends == (BUDGET, BUDGET)
 
 
 def test_newton_takes_about_two_steps_a_point() -> None:
     record = CURVES[4]
     family, event, values = reference_event(record, ("omega", "b"))
-    way = curve(family, event, values, {"omega": (2.2, 2.9), "b": (0.1, 0.2)})
-    assert way.newton_steps <= 2.5 * len(way.points)
+    run = curve(family, event, values, {"omega": (2.2, 2.9), "b": (0.1, 0.2)})
+    assert run.newton_steps <= 2.5 * len(run.points)
 
 
 def test_a_window_without_width_is_refused_in_one_line() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.exponents import kaplan_yorke
+from workers.cell.exponents import kaplan_yorke
 from workers.results import CHAOTIC
 
 INF = math.inf

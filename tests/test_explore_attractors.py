@@ -23,7 +23,7 @@ from atlas.store.zoom import sheet_place, sheets
 from tests.test_coexistence import spec_of
 from tests.test_explore_solving import exploring, solved
 from workers import Settings
-from workers.attractors import solve_attractors
+from workers.attractors.waves import solve_attractors
 from workers.results import PENDING, REGIME
 
 CELL = {"omega": 4.1234567, "b": 0.1}

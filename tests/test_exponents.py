@@ -8,11 +8,11 @@ from scipy.linalg import eigvals
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
+from workers.cell.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
+from workers.cell.stretch import run_periods
 from workers.kernel.motion import WORK, WORK_OF_A_TRIAL
 from workers.kernel.stroboscopic import motion_from, reset_frame
 from workers.results import CHAOTIC
-from workers.stretch import run_periods
 
 
 @pytest.mark.parametrize("figure", [3, 4, 5])

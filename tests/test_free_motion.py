@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from workers.continuation.linear import NoOscillatorError, family_of, linear_of
 from workers.model.build import build
 from workers.model.family import FreeMotions
 from workers.model.oscillator import COLUMN, Machines
 from workers.model.system import System, find_system, system_names
-from workers.orbit.linear import NoOscillatorError, family_of, linear_of
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 

@@ -23,8 +23,8 @@ from atlas.labels.following import Links, _Follower, followed
 from atlas.labels.table import labels_of
 from atlas.service.labels import label_attractors
 from atlas.store.store import read_header
+from workers.continuation import branch, family_of, orbit_from_state, section_state
 from workers.model.system import find_system
-from workers.orbit import branch, family_of, orbit_from_state, section_state
 from workers.results import NO_IMPACT, PERIODIC
 
 pytestmark = pytest.mark.slow
@@ -107,7 +107,7 @@ def test_the_mirror_image_of_a_branch_is_a_branch(seed: int) -> None:
 
 
 def test_a_label_follows_its_branch_as_continuation_in_arclength_does(labelled: Path) -> None:
-    """Truth: ``workers.orbit.branch`` from the first cell; its orbit at the last cell of the label is that cell's."""
+    """Truth: ``branch`` from the first cell; its orbit at the last cell of the label is that cell's."""
     ds = atlas.open(labelled).isel(b=0)
     system, twins = find_system("two-mass"), [int(k) for k in ds["label"][0].values if k >= 0]
     family = family_of(system, {"b": 0.1}, ("omega",))
@@ -118,8 +118,8 @@ def test_a_label_follows_its_branch_as_continuation_in_arclength_does(labelled: 
             continue
         state = ds["state"].values[cells[0], places[0]]
         orbit = orbit_from_state(system, {"omega": OMEGA[cells[0]], "b": 0.1}, state, 1)
-        way = branch(family, orbit, OMEGA[cells[0]], (OMEGA[0], OMEGA[cells[-1]]))
-        end = next(point for point in way.points[::-1] if point.values[0] == pytest.approx(OMEGA[cells[-1]]))
+        run = branch(family, orbit, OMEGA[cells[0]], (OMEGA[0], OMEGA[cells[-1]]))
+        end = next(point for point in run.points[::-1] if point.values[0] == pytest.approx(OMEGA[cells[-1]]))
         there = section_state(system, {"omega": float(end.values[0]), "b": 0.1}, end.orbit)
         assert there == pytest.approx(ds["state"].values[cells[-1], places[-1]], abs=1e-8)
         followed_far += len(cells) > 2

@@ -14,10 +14,10 @@ from atlas.service.plan import make_plan
 from atlas.spec.axis import MAX_POINTS
 from tests import naive
 from workers import Settings
-from workers.continuation import solve_lines
 from workers.history import LONGEST
 from workers.results import CHAOTIC, FAILED, PERIODIC, empty_results, result_variables
 from workers.settings import LONGEST_ORBIT, MOST_PERIODS, MOST_SAMPLES
+from workers.sweep import solve_lines
 
 pytestmark = pytest.mark.slow
 

@@ -16,9 +16,8 @@ from tests.handmade import (
     reference_orbit,
     reference_values,
 )
-from workers.model.system import find_system
-from workers.orbit.admissible import CONTACT, LOST, first_fault
-from workers.orbit.equations import (
+from workers.continuation.admissible import CONTACT, LOST, first_fault
+from workers.continuation.equations import (
     Impacts,
     Itinerary,
     block_state,
@@ -28,19 +27,20 @@ from workers.orbit.equations import (
     motion_at,
     residual,
 )
-from workers.orbit.extended import Extended, solve
-from workers.orbit.green import add_green
-from workers.orbit.linear import Linear, family_of, flow_entries, rest_of
-from workers.orbit.pulses import flights
-from workers.orbit.seeds import section_state
-from workers.orbit.stability import exponents, multipliers, turn_map
+from workers.continuation.extended import Extended, solve
+from workers.continuation.green import add_green
+from workers.continuation.linear import ModalOscillator, family_of, flow_entries, rest_of
+from workers.continuation.pulses import flights
+from workers.continuation.seeds import section_state
+from workers.continuation.stability import exponents, multipliers, turn_map
+from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
 
 BIFURCATIONS = [record for record in CURVES if record["times"]]
 
 
-def linear_at(record: dict[str, Any]) -> Linear:
+def linear_at(record: dict[str, Any]) -> ModalOscillator:
     given = reference_values(record)
     return family_of(TWO_MASS, given, ()).model(np.zeros((1, 0)))[0]
 
@@ -113,7 +113,9 @@ def test_an_impact_that_moves_off_its_stop_is_a_fault() -> None:
     assert (fault.reason, fault.impact) == (LOST, 1)
 
 
-def kicked(lin: Linear, points: Impacts, span: float, h: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def kicked(
+    lin: ModalOscillator, points: Impacts, span: float, h: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The naive twin: block states at times s, and at the end of the turn, by an integrator from h at time 0."""
     n = lin.eta.shape[1]
 
@@ -191,7 +193,7 @@ def test_the_jacobian_with_a_rigid_mode_is_that_of_finite_differences() -> None:
     differences_of(lin, Itinerary((1, -1, 1), 2), points, 1e-7)
 
 
-def differences_of(lin: Linear, itinerary: Itinerary, points: Impacts, tolerance: float) -> None:
+def differences_of(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, tolerance: float) -> None:
     m, J = points.t.shape[1], linearised(lin, itinerary, points)[0]
     X = np.concatenate([points.t[0], points.v[0], points.offset])[: len(J)]
     for i in range(len(J)):

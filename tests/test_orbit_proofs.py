@@ -10,7 +10,8 @@ from tests import naive
 from tests.oscillators import mass_spring
 from tests.test_attraction import naive_norm
 from tests.test_stroboscopic import KINDS
-from workers.identity import KnownOrbits, orbits_reached, turn
+from workers.attractors.same import KnownOrbits, orbits_reached, turn
+from workers.cell.stretch import run_periods
 from workers.kernel.motion import FREE, motion_at, motions_at
 from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
@@ -25,7 +26,6 @@ from workers.orbit.newton import (
     settle_each,
 )
 from workers.orbit.section import SHIFT, moved
-from workers.stretch import run_periods
 from workers.tile import solve_cells
 
 

@@ -7,12 +7,12 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
+from workers.continuation import family_of, orbit_from_state, section_state
+from workers.continuation.admissible import first_fault
+from workers.continuation.equations import impacts_of, in_one_turn, residual
+from workers.continuation.minimal import is_minimal
+from workers.continuation.stability import exponents, multipliers
 from workers.model.system import find_system
-from workers.orbit import family_of, orbit_from_state, section_state
-from workers.orbit.admissible import first_fault
-from workers.orbit.equations import impacts_of, in_one_turn, residual
-from workers.orbit.minimal import is_minimal
-from workers.orbit.stability import exponents, multipliers
 from workers.results import PERIODIC
 
 TWO_MASS = find_system("two-mass")

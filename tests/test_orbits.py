@@ -11,6 +11,7 @@ import pytest
 from tests import naive
 from tests.oracle.closed_form import symmetric_orbit
 from tests.oracle.simulate import simulate
+from workers.cell.stretch import run_periods
 from workers.history import trace
 from workers.kernel.linalg import moduli, solution, spectral_radius
 from workers.kernel.motion import motion_at
@@ -18,7 +19,6 @@ from workers.kernel.stroboscopic import motion_from, propagate, reset_frame
 from workers.orbit.newton import corrected, recurrence
 from workers.results import PERIODIC
 from workers.settings import Settings
-from workers.stretch import run_periods
 from workers.tile import solve_tile
 
 REFERENCE: list[dict[str, Any]] = json.loads((Path(__file__).parent / "data" / "periodic_orbits.json").read_text())

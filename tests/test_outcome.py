@@ -8,10 +8,10 @@ import pytest
 from tests import naive
 from tests.test_survival import cells_of
 from workers import Settings
-from workers.cells import Cells
+from workers.cell.cells import Cells
+from workers.cell.outcome import put_averaged, put_periodic, put_stopped
 from workers.kernel.averages import COUNT, add_to_blocks
 from workers.kernel.motion import MARCH_GAVE_UP, NOT_FINITE, OUT_OF_WORK, RUNNING, STATUS, STUCK, UPPER, WORK
-from workers.outcome import put_averaged, put_periodic, put_stopped
 from workers.results import CHAOTIC, COSTLY_PERIOD, FAILED, GAVE_UP, NO_REASON, PENDING, UNDETERMINED, WORK_SPENT
 from workers.results import NOT_FINITE as NO_LONGER_FINITE
 

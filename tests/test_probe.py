@@ -12,9 +12,9 @@ from atlas.service import probe as probing
 from atlas.service.plan import Probe, make_plan
 from tests import naive
 from workers import Settings, solve_tile
-from workers.adaptive import LEAST_PART
-from workers.continuation import solve_lines
+from workers.cell.course import LEAST_PART
 from workers.results import CHAOTIC
+from workers.sweep import solve_lines
 
 COARSE = {"omega-b": (48, 36), "omega-b-fine": (40, 30), "fig6": (250,), "tiny": (8, 6)}
 """Examples whose cells cost enough, and are alike enough, for so few of them to tell."""

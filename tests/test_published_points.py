@@ -9,8 +9,8 @@ import math
 import pytest
 
 from workers import solve_tile
+from workers.continuation import branch, family_of, orbit_from_state
 from workers.model.system import find_system
-from workers.orbit import branch, family_of, orbit_from_state
 from workers.results import PERIODIC
 
 PUBLISHED = [("period_doubling", 0.81, 0.347533397412283), ("fold", 0.799, 0.362836201980888)]
@@ -25,8 +25,8 @@ def test_the_branch_of_a_single_mass_cell_has_its_event_where_it_was_published(
     cell = solve_tile("single-mass", values)
     assert (cell["regime"], cell["period"], cell["impacts_upper"]) == (PERIODIC, 2, 1)
     orbit = orbit_from_state(SINGLE_MASS, values, cell["state"], 2)
-    way = branch(family_of(SINGLE_MASS, values, ("A",)), orbit, values["A"], (A - 0.03, A + 0.03))
-    assert [float(event.point.values[0]) for event in way.events if event.kind == kind] == pytest.approx([A], abs=1e-14)
+    run = branch(family_of(SINGLE_MASS, values, ("A",)), orbit, values["A"], (A - 0.03, A + 0.03))
+    assert [float(event.point.values[0]) for event in run.events if event.kind == kind] == pytest.approx([A], abs=1e-14)
 
 
 @pytest.mark.parametrize(("kind", "omega", "A"), PUBLISHED)

@@ -23,7 +23,8 @@ from atlas.store.store import read_header
 from atlas.task.retry import Retry
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
-from workers import solve, solve_tile
+from workers import solve_tile
+from workers.cell import solve
 from workers.results import (
     BEYOND_STOP,
     CHAOTIC,

@@ -10,11 +10,11 @@ from tests.oracle.machines import bouncing_ball
 from tests.oracle.simulate import simulate
 from tests.test_survival import cells_of
 from workers import Settings, solve_tile
+from workers.cell.outcome import put_averaged
+from workers.cell.stretch import run_periods
 from workers.kernel.motion import LOST, STUCK
 from workers.kernel.stroboscopic import motion_from
-from workers.outcome import put_averaged
 from workers.results import CHAOTIC, PERIODIC, RESTED, UNDETERMINED
-from workers.stretch import run_periods
 
 RESTS_IN_THE_WATCH = {"A": 2.133705659525457, "R": 0.6482713451425055}
 """Twenty-four starts of this ball rest within 2,818 periods at the latest."""

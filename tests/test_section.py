@@ -12,14 +12,14 @@ import pytest
 
 from atlas.branches.seed import seed_of_point
 from workers import Settings
-from workers.attractors import solve_attractors
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
+from workers.continuation import section_state
 from workers.kernel.motion import HELD, RECORDED, Motion
 from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
-from workers.orbit import section_state
 from workers.results import PERIODIC
-from workers.starts import Starts
 from workers.tile import solve_cells
 
 pytestmark = pytest.mark.slow

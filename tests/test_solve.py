@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests import naive
-from workers.exponents import free_exponents
+from workers.cell.exponents import free_exponents
 from workers.history import trace
 from workers.results import (
     APERIODIC,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from workers.attractors.starts import REACH, Starts, boxes, initial_states, unseen_share, wilson
 from workers.model.system import find_system
-from workers.starts import REACH, Starts, boxes, initial_states, unseen_share, wilson
 
 TWO_MASS = find_system("two-mass")
 

@@ -10,13 +10,13 @@ from tests import naive
 from tests.oracle.simulate import section_jacobian
 from tests.oscillators import mass_spring
 from tests.test_stroboscopic import KINDS, differences, jacobian
+from workers.cell.solve import solve
+from workers.cell.stretch import run_periods
 from workers.kernel.motion import LOST, STUCK
 from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
 from workers.results import PERIODIC, empty_results, result_variables
 from workers.settings import Settings
-from workers.solve import solve
-from workers.stretch import run_periods
 
 START = {"x1": 0.01, "x2": -0.02, "v1": 0.05, "v2": 0.03}
 

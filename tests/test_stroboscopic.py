@@ -7,11 +7,11 @@ import pytest
 
 from tests import naive
 from tests.oracle.simulate import section_jacobian, simulate
+from workers.cell.stretch import run_periods
 from workers.kernel.motion import EVALUATIONS, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
 from workers.kernel.stroboscopic import advance, blocks_to_physical, motion_from, propagate, reset_frame, step
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import map_with_jacobian
-from workers.stretch import run_periods
 
 EPS = np.finfo(np.float64).eps
 

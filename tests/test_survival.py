@@ -9,9 +9,9 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.adaptive import RELAXATIONS, TORUS_RETURN, relaxation_periods
-from workers.cells import RETURNS, Cells, clearly_positive
-from workers.exponents import impact_count
+from workers.cell.cells import RETURNS, Cells, clearly_positive
+from workers.cell.course import RELAXATIONS, TORUS_RETURN, relaxation_periods
+from workers.cell.exponents import impact_count
 from workers.kernel.cells import start_motions
 from workers.model.system import find_system
 from workers.orbit.newton import far_from_closing
@@ -92,8 +92,8 @@ def test_chaos_is_watched_for_a_part_that_grows_as_the_square_of_its_relaxation(
     """Chaotic cells of a line to which no other stable orbit is known."""
     survival, params = 80_000, {"omega": np.linspace(1.8, 2.4, 40), "b": 0.1, "zeta": zeta, "R": R}
     found = solve_tile("two-mass", params, Settings(tolerance=0.1, survival=survival))
-    rival = cells_of(params).has_rival(np.arange(40))
-    alone = (found["regime"] == CHAOTIC) & (found["reason"] == NO_REASON) & ~rival
+    beside = cells_of(params).has_coexisting_orbit(np.arange(40))
+    alone = (found["regime"] == CHAOTIC) & (found["reason"] == NO_REASON) & ~beside
     part = np.clip((relaxation_of(params)[alone] / 5.0) ** 2, 1.0 / 32.0, 1.0)
     survived = found["survived"][alone]
     assert len(part) > 5

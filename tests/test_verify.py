@@ -28,7 +28,7 @@ from atlas.store.machines import machines, record_machine
 from atlas.store.tiles import read_tile, write_digest
 from tests.synthetic import set_attribute
 from workers import solve_tile
-from workers.exponents import sum_of_exponents
+from workers.cell.exponents import sum_of_exponents
 from workers.model.system import find_system
 from workers.results import (
     APERIODIC,

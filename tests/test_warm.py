@@ -19,13 +19,13 @@ from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.test_branches import ball_orbit, pair_orbit
 from workers import Settings, identity, solve_tile
-from workers.attractors import solve_attractors
-from workers.basins import solve_basins
-from workers.identity import batch_moments, orbits_reached, periods_to_settle, turn
+from workers.attractors.basins import solve_basins
+from workers.attractors.same import batch_moments, orbits_reached, periods_to_settle, turn
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
+from workers.continuation import admissible, branch, curve, equations, linear, newton, pulses, seeds, stability, view
 from workers.kernel import cells, jit
-from workers.kernel.batch import run
-from workers.orbit import admissible, branch, curve, equations, linear, newton, pulses, seeds, stability, view
-from workers.starts import Starts
+from workers.kernel.lanes import run
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
@@ -191,7 +191,7 @@ def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     modules = (equations, stability, linear, pulses, seeds, view, admissible)
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
     before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
-    way = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))
-    curve(bouncing_ball(("A", "R")), way.events[0], np.array([float(way.events[0].point.values[0]), 0.5]), WINDOW)
+    run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))
+    curve(bouncing_ball(("A", "R")), run.events[0], np.array([float(run.events[0].point.values[0]), 0.5]), WINDOW)
     branch(impact_pair(("alpha",), R=0.5), pair_orbit(0.2, 0.5), 0.2, (0.05, 1.0))
     assert {kernel: list(kernel.alone.signatures) for kernel in kernels} == before

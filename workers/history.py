@@ -6,16 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.cell.outcome import REASON_OF
+from workers.cell.solve import work_allowed
+from workers.cell.stretch import run_periods
 from workers.kernel.cells import physical_states, reset_frames, start_motions
 from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, Motion, motions_at
 from workers.kernel.stroboscopic import OVERDRAFT
 from workers.model.oscillator import Oscillator, each, many_of
 from workers.model.system import System, find_system
-from workers.outcome import REASON_OF
 from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
 from workers.settings import Settings, check_whole
-from workers.solve import work_allowed
-from workers.stretch import run_periods
 
 Array = NDArray[np.float64]
 

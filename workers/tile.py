@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.cell.solve import solve
 from workers.model.system import System, find_system
 from workers.results import REASON, empty_results, reason_counts, result_variables
 from workers.settings import Settings
-from workers.solve import solve
 
 MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
 """Bytes of section states that cells under way may take together; so many cells are under way all the same."""

@@ -12,8 +12,8 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
-from workers.orbit import Orbit, Point
-from workers.orbit.seeds import refined
+from workers.continuation import Orbit, Point
+from workers.continuation.seeds import refined
 from workers.results import PERIODIC, REGIME
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _places(branch: Branch, value: float) -> Iterator[tuple[int, float]]:
 
 def _orbits_at(tree: Tree, branch: Branch, value: float) -> Iterator[Orbit]:
     """The orbits of a branch at a value of the parameter, each between two neighbouring points of it."""
-    points = branch.way.points
+    points = branch.run.points
     for k, share in _places(branch, value):
         one, other = points[k].orbit, points[k + 1].orbit
         if len(one.times) != len(other.times):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas
 
     from atlas.branches.tree import Branch, Tree, Untried
-    from workers.orbit import Itinerary, Point
+    from workers.continuation import Itinerary, Point
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Branches:
 
     def __repr__(self) -> str:
         low, high = self.window
-        points = sum(len(each.way.points) for each in self.traced)
-        events = sum(len(each.way.events) for each in self.traced)
+        points = sum(len(each.run.points) for each in self.traced)
+        events = sum(len(each.run.events) for each in self.traced)
         counts = (plural(len(self.traced), "branch", "branches"), plural(points, "point"), plural(events, "event"))
         reach = f"{self.system.name} along {self.along} from {low:g} to {high:g}"
         return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
@@ -66,8 +66,8 @@ class Branches:
                 *pattern(branch.itinerary),
                 -1 if branch.parent is None else branch.parent,
                 branch.origin.kind if branch.origin else "",
-                len(branch.way.points),
-                *branch.way.ends,
+                len(branch.run.points),
+                *branch.run.ends,
             )
             for number, branch in enumerate(self.traced)
         ]
@@ -114,9 +114,9 @@ class Branches:
 
     def _points(self) -> Iterator[tuple[Any, ...]]:
         for number, branch in enumerate(self.traced):
-            kinds = {id(event.point): event.kind for event in branch.way.events}
+            kinds = {id(event.point): event.kind for event in branch.run.events}
             own = pattern(branch.itinerary)
-            for point, states in zip(branch.way.points, branch.sections, strict=True):
+            for point, states in zip(branch.run.points, branch.sections, strict=True):
                 size = modulus(point, branch.itinerary.periods)
                 event = kinds.get(id(point), "")
                 yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *own, event)
@@ -124,8 +124,8 @@ class Branches:
     def _events(self) -> Iterator[tuple[Any, ...]]:
         leaving = {id(b.origin): number for number, b in enumerate(self.traced) if b.origin is not None}
         for number, branch in enumerate(self.traced):
-            at = {id(point): k for k, point in enumerate(branch.way.points)}
-            for event in branch.way.events:
+            at = {id(point): k for k, point in enumerate(branch.run.points)}
+            for event in branch.run.events:
                 point = event.point
                 state = branch.sections[at[id(point)], 0].tolist()
                 own = pattern(point.orbit.itinerary)

@@ -8,9 +8,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.continuation import (
+    BranchRun,
+    Event,
+    Family,
+    Itinerary,
+    Orbit,
+    Point,
+    branch,
+    family_of,
+    leaving_branch,
+    section_states,
+)
+from workers.continuation.seeds import refined
 from workers.model.system import System
-from workers.orbit import Event, Family, Itinerary, Orbit, Point, Way, branch, family_of, leaving_branch, section_states
-from workers.orbit.seeds import refined
 
 Array = NDArray[np.float64]
 
@@ -35,7 +46,7 @@ class Branch:
     mirrored (N, n, 2d)  those of the mirror images; None where orbits are symmetric, or the machine is not
     """
 
-    way: Way
+    run: BranchRun
     itinerary: Itinerary
     sections: Array
     mirrored: Array | None = None
@@ -45,7 +56,7 @@ class Branch:
     @property
     def values(self) -> Array:
         """The parameter (N,) at each point."""
-        return np.array([point.values[0] for point in self.way.points])
+        return np.array([point.values[0] for point in self.run.points])
 
 
 class Untried(NamedTuple):
@@ -108,7 +119,7 @@ class Tree:
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
         """The events of a branch at which another one leaves it, or it leaves another."""
-        return [(number, event) for event in self.branches[number].way.events if event.kind in LEAVES]
+        return [(number, event) for event in self.branches[number].run.events if event.kind in LEAVES]
 
     def _follow(self, parent: int, event: Event) -> bool:
         """Add the branch that leaves at an event; whether one is found that comes back to it."""
@@ -118,11 +129,11 @@ class Tree:
                 start = leaving_branch(self.family, event, high - low, amplitude)
                 if not low < start.value < high:
                     continue
-                way = branch(self.family, start.orbit, start.value, self.window)
+                run = branch(self.family, start.orbit, start.value, self.window)
             except ValueError:
                 continue
-            if any(self._same(event, end) for end in way.events):
-                self._add(way, start.orbit.itinerary, parent, event)
+            if any(self._same(event, end) for end in run.events):
+                self._add(run, start.orbit.itinerary, parent, event)
                 return True
         return False
 
@@ -135,12 +146,12 @@ class Tree:
         beside = here + BESIDE * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
         try:
             start = refined(self.family, event.point.orbit, np.array([beside]))
-            way = branch(self.family, start, beside, self.window)
+            run = branch(self.family, start, beside, self.window)
         except ValueError:
             return False
-        origin = next((each for each in way.events if self._same(each, event)), None)
+        origin = next((each for each in run.events if self._same(each, event)), None)
         self.branches[number] = replace(self.branches[number], parent=len(self.branches), origin=origin)
-        self._add(way, event.point.orbit.itinerary)
+        self._add(run, event.point.orbit.itinerary)
         return True
 
     def _is_known(self, event: Event, ends: bool) -> bool:
@@ -151,7 +162,7 @@ class Tree:
         others = (
             other
             for branch in self.branches
-            for other in branch.way.events
+            for other in branch.run.events
             if ends == (len(other.point.orbit.times) == len(branch.itinerary.sides))
         )
         return any(self._same(event, other) for other in others)
@@ -170,21 +181,23 @@ class Tree:
             states = np.concatenate([states, -self.states(point, 0.5)])
         return bool(np.min(np.max(np.abs(states - state), axis=1)) <= SAME * max(1e-300, float(np.max(np.abs(states)))))
 
-    def _add(self, way: Way, itinerary: Itinerary, parent: int | None = None, origin: Event | None = None) -> None:
-        sections = self._sections(way, itinerary, 0.0)
+    def _add(
+        self, run: BranchRun, itinerary: Itinerary, parent: int | None = None, origin: Event | None = None
+    ) -> None:
+        sections = self._sections(run, itinerary, 0.0)
         twin = self.twins and not itinerary.symmetric
-        mirrored = -self._sections(way, itinerary, 0.5) if twin else None
-        self.branches.append(Branch(way, itinerary, sections, mirrored, parent, origin))
+        mirrored = -self._sections(run, itinerary, 0.5) if twin else None
+        self.branches.append(Branch(run, itinerary, sections, mirrored, parent, origin))
 
-    def _sections(self, way: Way, itinerary: Itinerary, shift: float) -> Array:
+    def _sections(self, run: BranchRun, itinerary: Itinerary, shift: float) -> Array:
         """States (N, n, 2d) of all points of a way; where it ends at a shorter orbit, those repeated."""
-        own = [k for k, point in enumerate(way.points) if len(point.orbit.times) == len(itinerary.sides)]
+        own = [k for k, point in enumerate(run.points) if len(point.orbit.times) == len(itinerary.sides)]
         given = {name: np.full(len(own), value) for name, value in self.values.items()}
-        given[self.along] = np.array([way.points[k].values[0] for k in own])
-        states = section_states(self.system, given, [way.points[k].orbit for k in own], shift)
-        found = np.empty((len(way.points), *states.shape[1:]))
+        given[self.along] = np.array([run.points[k].values[0] for k in own])
+        states = section_states(self.system, given, [run.points[k].orbit for k in own], shift)
+        found = np.empty((len(run.points), *states.shape[1:]))
         found[own] = states
-        for k in set(range(len(way.points))) - set(own):
-            shorter = self.states(way.points[k], shift)
+        for k in set(range(len(run.points))) - set(own):
+            shorter = self.states(run.points[k], shift)
             found[k] = np.tile(shorter, (len(found[k]) // len(shorter), 1))
         return found

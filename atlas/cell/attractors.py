@@ -8,9 +8,9 @@ from atlas.spec.attractors import checked_attractors, resolved_attractors
 from atlas.spec.spec import checked_parameters
 from atlas.spec.system import checked_system
 from workers import Settings
+from workers.attractors.starts import MOST_KEPT, Starts
 from workers.model.system import DEFAULT, System
 from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
-from workers.starts import MOST_KEPT, Starts
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
 
@@ -33,7 +33,7 @@ def attractors(
     ``parameters``, ``solve`` and ``search`` in full.
     Raises InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
     """
-    from workers.attractors import solve_attractors
+    from workers.attractors.waves import solve_attractors
 
     record, settings = checked_system(system), settings or Settings()
     parameters = checked_parameters(record, given or {})

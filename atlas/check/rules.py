@@ -48,7 +48,7 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     """The rules that some cells of a tile break, each in words, with the mask of those cells.
 
     ``arrays`` holds the result variables over the cells ``slices``; a rule about one that is not among them is left
-    out. Where the spectrum is stored, its sum is held against the exact law of ``workers.exponents``.
+    out. Where the spectrum is stored, its sum is held against the exact law of ``workers.cell.exponents``.
     """
     if spec.coexistence:
         return _broken_of_many(spec, slices, arrays)
@@ -280,7 +280,7 @@ def _law_varies(spec: Spec, middle: Mapping[str, float], name: str, values: tupl
 
 
 def _law(spec: Spec, values: Mapping[str, float]) -> tuple[float, float]:
-    from workers.exponents import sum_of_exponents
+    from workers.cell.exponents import sum_of_exponents
 
     try:
         oscillator = spec.record.build(values)

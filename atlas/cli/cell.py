@@ -34,8 +34,8 @@ from atlas.spec.equation import equation_of
 from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
 from atlas.spec.system import checked_system
 from atlas.task.compile import ATTRACTORS
+from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import System, find_system, system_names
-from workers.starts import MOST_STARTS, Starts
 
 
 @click.command(

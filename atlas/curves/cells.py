@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.plane import Cells, Plane
+from workers.continuation import Family, Orbit, family_of
+from workers.continuation.equations import Itinerary, check_orbits
+from workers.continuation.linear import NoOscillatorError
+from workers.continuation.many import alike, attract, many_of, moved
+from workers.continuation.same import same_orbit
+from workers.continuation.seeds import orbit_of
 from workers.model.oscillator import one_of
-from workers.orbit import Family, Orbit, family_of
-from workers.orbit.equations import Itinerary, check_orbits
-from workers.orbit.identity import same_orbit
-from workers.orbit.linear import NoOscillatorError
-from workers.orbit.many import alike, attract, many_of, moved
-from workers.orbit.seeds import orbit_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,9 +13,9 @@ from atlas.curves.plane import Plane, plane_of
 from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
-from workers.orbit import Event, Orbit
-from workers.orbit.many import attract, many_of, moved
-from workers.orbit.view import GRAZING, IMPACT_LOST
+from workers.continuation import Event, Orbit
+from workers.continuation.many import attract, many_of, moved
+from workers.continuation.view import GRAZING, IMPACT_LOST
 
 if TYPE_CHECKING:
     import xarray as xr

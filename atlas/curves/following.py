@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.cells import CellOrbits
-from workers.orbit import Condition, Event, Family, Orbit, Point, branch, curve
-from workers.orbit.curves import without_impact
-from workers.orbit.extended import PAIR, SPEED, Extended, solve
-from workers.orbit.follow import Until, never
-from workers.orbit.identity import same_orbit
-from workers.orbit.linear import NoOscillatorError
-from workers.orbit.view import GRAZING
+from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
+from workers.continuation.curves import without_impact
+from workers.continuation.extended import PAIR, SPEED, Extended, solve
+from workers.continuation.follow import Until, never
+from workers.continuation.linear import NoOscillatorError
+from workers.continuation.same import same_orbit
+from workers.continuation.view import GRAZING
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Located(NamedTuple):
     kappa: float
 
     def as_event(self) -> Event:
-        """The event as ``workers.orbit`` has it."""
+        """The event as ``workers.continuation`` has it."""
         none = np.zeros(0, dtype=np.complex128)
         return Event(self.kind, (self.condition,), Point(self.values, self.orbit, self.contacts, none, 0), self.kappa)
 
@@ -84,13 +84,13 @@ def events_towards(
 ) -> list[Located]:
     """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
     to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
-    as ``workers.orbit.branch``.
+    as ``workers.continuation.branch``.
     """
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
-    way = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution, until=until)
+    run = branch(orbits.along(axis, here), orbit, float(here[axis]), window, resolution=resolution, until=until)
     found = []
-    for event in way.events if behind < end else way.events[::-1]:
+    for event in run.events if behind < end else run.events[::-1]:
         if bounds_stability(event):
             values = here.copy()
             values[axis] = event.point.values[0]
@@ -117,7 +117,7 @@ def _located(event: Event, values: Array) -> Located:
 def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
     """The curve of an event through the plane's window, or why there is none."""
     try:
-        way = curve(
+        run = curve(
             orbits.family,
             event.as_event(),
             event.values,
@@ -127,16 +127,16 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         return str(error)
-    own = _of_one_itinerary(way.points)
+    own = _of_one_itinerary(run.points)
     grazes = min(len(point.contacts) for point in own)  # where it ends at another graze that one's time is added
     return Followed(
         of=event,
-        values=np.array([point.values for point in way.points]),
+        values=np.array([point.values for point in run.points]),
         orbits=[point.orbit for point in own],
         contacts=np.array([point.contacts[:grazes] for point in own]),
-        unstable=np.array([point.unstable for point in way.points], dtype=np.int64),
-        corners=[(met.kind, met.point.values) for met in way.events if len(met.conditions) == 2],
-        ends=way.ends,
+        unstable=np.array([point.unstable for point in run.points], dtype=np.int64),
+        corners=[(met.kind, met.point.values) for met in run.events if len(met.conditions) == 2],
+        ends=run.ends,
     )
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from atlas.curves.following import Followed, Located
-from workers.orbit import Condition, Itinerary, Orbit
+from workers.continuation import Condition, Itinerary, Orbit
 
 
 def event_as_json(event: Located) -> dict[str, Any]:

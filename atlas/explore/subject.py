@@ -20,8 +20,8 @@ from atlas.store.location import place_of
 from atlas.store.store import Header, read_header
 from atlas.task.patch import Patch, packed
 from workers import SOLVER_VERSION, Settings
+from workers.attractors.starts import Starts
 from workers.model.system import System, identity
-from workers.starts import Starts
 
 if TYPE_CHECKING:
     import xarray as xr

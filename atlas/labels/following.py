@@ -15,10 +15,10 @@ from scipy.sparse.csgraph import connected_components
 
 from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
-from workers.orbit import Family, Orbit, family_of, section_states
-from workers.orbit.equations import Impacts
-from workers.orbit.linear import NoOscillatorError
-from workers.orbit.many import Many, alike, many_of, moved
+from workers.continuation import Family, Orbit, family_of, section_states
+from workers.continuation.equations import Impacts
+from workers.continuation.linear import NoOscillatorError
+from workers.continuation.many import Many, alike, many_of, moved
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)

@@ -3,10 +3,10 @@
 import numpy as np
 
 from atlas.labels.attractors import Array, Attractors
+from workers.continuation import Family, Orbit, orbit_from_state
+from workers.continuation.many import alike, many_of, moved
+from workers.continuation.seeds import recorded
 from workers.model.oscillator import Oscillator, one_of
-from workers.orbit import Family, Orbit, orbit_from_state
-from workers.orbit.many import alike, many_of, moved
-from workers.orbit.seeds import recorded
 
 
 def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:

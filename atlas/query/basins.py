@@ -27,8 +27,8 @@ from atlas.query.window import Window, axis_names, within
 from atlas.store.groups import group_attributes
 from atlas.store.store import read_header
 from atlas.store.tables import ATTRACTORS
+from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
-from workers.starts import wilson
 
 if TYPE_CHECKING:
     import xarray as xr

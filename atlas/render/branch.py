@@ -66,8 +66,8 @@ def draw(ax: Axes, branches: Branches, page: Page) -> list[Artist]:
         for values in section_values(branches, branch):
             for stable, part in parts(branch):
                 lines[stable] += [np.column_stack([branch.values[part], column]) for column in values[part].T]
-            at = {id(point): k for k, point in enumerate(branch.way.points)}
-            for event in branch.way.events:
+            at = {id(point): k for k, point in enumerate(branch.run.points)}
+            for event in branch.run.events:
                 k = at[id(event.point)]
                 events.setdefault(event.kind, []).append(
                     np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
@@ -102,7 +102,7 @@ def section_values(branches: Branches, branch: Branch) -> Iterator[Array]:
 
 def parts(branch: Branch) -> Iterator[tuple[bool, slice]]:
     """Stretches of points that are all stable, or all unstable, each joined to the next at the point between them."""
-    unstable = np.array([point.unstable for point in branch.way.points]) > 0
+    unstable = np.array([point.unstable for point in branch.run.points]) > 0
     steps = unstable[1:] | unstable[:-1]
     ends = [0, *(np.flatnonzero(steps[1:] != steps[:-1]) + 1).tolist(), len(steps)]
     for first, last in pairwise(ends):

@@ -134,7 +134,7 @@ def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[
 
 def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> _Solved:
     """The cells from each of these starts on."""
-    from workers.continuation import solve_lines
+    from workers.sweep import solve_lines
 
     along = -1 if spec.continuation is None else spec.continuation[0]
     slices = [tuple(slice(i, i + (length if k == along else 1)) for k, i in enumerate(start)) for start in starts]
@@ -173,7 +173,7 @@ def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few
 
     What survived all of them may have to for a stable orbit that is known, or for its relaxation.
     """
-    from workers.adaptive import part_to_survive, relaxation_periods
+    from workers.cell.course import part_to_survive, relaxation_periods
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
     flat = {p.name: np.resize(params.get(p.name, np.array(p.default)), hits.shape) for p in spec.record.parameters}

@@ -5,9 +5,9 @@ from typing import Any
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import number
+from workers.attractors.starts import Starts
 from workers.model.system import System
 from workers.settings import Settings
-from workers.starts import Starts
 
 KEYS = ("starts", "seed", "box", "keep")
 MOST_COST = 2**31 - 1

@@ -16,11 +16,11 @@ from atlas.spec.axis import Axis, admitted, read_axis
 from atlas.spec.points import FILE, Columns, axis_of, checked_points, described, differing
 from atlas.spec.system import checked_system, resolved_system
 from workers import Settings
+from workers.attractors.starts import Starts
 from workers.model.parameter import unknown_name
 from workers.model.system import System, identity
 from workers.model.toml_text import TomlError, parse_toml, read_toml
 from workers.results import Variable, result_variables
-from workers.starts import Starts
 
 SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
 MOST_AXES = 3
@@ -47,8 +47,9 @@ class Spec:
     axes ``points`` gives a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
     The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty.
     Columns win over ``parameters``.
-    ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a ``workers.starts.Starts``,
-    asks for all attractors of each cell that so many initial states reach; None for that of its own. Where all axes are
+    ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
+    ``workers.attractors.starts.Starts``, asks for all attractors of each cell that so many initial states reach; None
+    for that of its own. Where all axes are
     components of the initial state it asks for their basins: which of the attractors of the one machine each reaches.
     Raises InputError for anything that cannot be solved.
     """

@@ -11,11 +11,11 @@ from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
 from atlas.store.tables import ATTRACTORS, write_table
 from atlas.store.tiles import read_tile, write_tile
+from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL, result_variables
-from workers.starts import wilson
 
 if TYPE_CHECKING:
-    from workers.basins import Table
+    from workers.attractors.basins import Table
 
 POINTS = 256
 """Section states of each attractor in the table."""
@@ -28,7 +28,7 @@ def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> 
     decide a label. Nothing is done while tiles are missing, or where all of it is done. ``held`` is called before each
     write, and raises where another run has the store.
     """
-    from workers.basins import Table, added, fixed_values
+    from workers.attractors.basins import Table, added, fixed_values
 
     spec, tiles = header.spec, sorted(done_tiles(header))
     if len(tiles) < header.tiling.count:
@@ -75,7 +75,7 @@ def _solved(header: Header, index: tuple[int, ...]) -> NDArray[np.bool_]:
 
 def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: int) -> Mapping[str, StoredArray]:
     """The table's variables. Shares are of the initial states of the plane that are not beyond a stop."""
-    from workers.basins import section_points
+    from workers.attractors.basins import section_points
 
     count = len(table.attractors)
     hits = np.array([np.count_nonzero(labels == k) for k in range(count)], dtype=np.int64)

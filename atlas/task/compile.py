@@ -132,9 +132,9 @@ def warm_up(*parts: str) -> None:
 
     solve_cells(DEFAULT, {}, Settings(max_periods=1))
     if ATTRACTORS in parts:
-        from workers.attractors import solve_attractors
-        from workers.identity import batch_moments
-        from workers.starts import Starts
+        from workers.attractors.same import batch_moments
+        from workers.attractors.starts import Starts
+        from workers.attractors.waves import solve_attractors
 
         solve_attractors(DEFAULT, ONE_ORBIT, Settings(exponents="none", survival=0), Starts(4))
         batch_moments(np.zeros((1, 1, 1, 2)), np.zeros(1, dtype=np.int64), 1)
@@ -144,9 +144,9 @@ def warm_up(*parts: str) -> None:
 
 def _follow_an_orbit() -> None:
     """A short branch of an orbit; its motion between impacts, and its equations at a complex multiplier."""
+    from workers.continuation import branch, family_of, orbit_from_state
+    from workers.continuation.equations import Impacts, linearised, motion_at
     from workers.model.system import find_system
-    from workers.orbit import branch, family_of, orbit_from_state
-    from workers.orbit.equations import Impacts, linearised, motion_at
     from workers.tile import solve_cells
 
     record = find_system(DEFAULT)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from atlas.task.compile import ATTRACTORS, compile_once
 from atlas.task.task import check_solver
 from workers import SOLVER_VERSION, Settings
+from workers.attractors.starts import Starts
 from workers.model.system import System
-from workers.starts import Starts
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
     (x, across), (y, up) = patch.x, patch.y
     cells: dict[str, Any] = {**patch.parameters, x: np.array(across)[columns], y: np.array(up)[rows]}
     if patch.starts is not None:
-        from workers.attractors import solve_attractors
+        from workers.attractors.waves import solve_attractors
 
         return solve_attractors(patch.system, cells, patch.settings, patch.starts).arrays
     from workers.tile import solve_tile

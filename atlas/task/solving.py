@@ -20,11 +20,11 @@ def kernels_of(spec: Spec) -> tuple[str, ...]:
 def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Solution":
     """Results of the spec's kind, with these settings, of cells that do not depend on each other."""
     if spec.basins:
-        from workers.basins import solve_basins
+        from workers.attractors.basins import solve_basins
 
         return solve_basins(spec.record, params, settings, spec.attractors)
     if spec.coexistence:
-        from workers.attractors import solve_attractors
+        from workers.attractors.waves import solve_attractors
 
         return solve_attractors(spec.record, params, settings, spec.attractors)
     from workers.tile import solve_cells
@@ -44,6 +44,6 @@ def solve_block(spec: Spec, slices: Slices) -> "Solution":
     axis, backward = spec.continuation
     if slices[axis].indices(spec.shape[axis]) != (0, spec.shape[axis], 1):
         raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
-    from workers.continuation import solve_lines
+    from workers.sweep import solve_lines
 
     return solve_lines(spec.record, params, spec.settings, axis=axis, backward=backward)

@@ -6,14 +6,14 @@ A motion carries its contact. Where there is a physical state alone, ``placed`` 
 import numpy as np
 
 from workers.kernel.impact import forced_state
-from workers.kernel.jit import piece
+from workers.kernel.jit import inline_always
 from workers.kernel.motion import AT_REST, BEYOND, FREE
 
 ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Rounding of y = g . x as a share of sum |g_i x_i|, and of y' likewise: 16 units in the last place."""
 
 
-@piece
+@inline_always
 def enter_blocks(to_blocks, response, rest, row, tau, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical state (2n,).
 
@@ -33,7 +33,7 @@ def enter_blocks(to_blocks, response, rest, row, tau, state, h):
     return y, v, ROUNDING * y_sum, ROUNDING * v_sum
 
 
-@piece
+@inline_always
 def placed(y, v, y_error, v_error, upper, lower):
     """The contact that y and y' show but for the load: on a stop with v = 0 +-AT_REST, further out BEYOND, else FREE.
 
@@ -50,7 +50,7 @@ def placed(y, v, y_error, v_error, upper, lower):
     return contact
 
 
-@piece
+@inline_always
 def put_on_stop(row, stop, state, first):
     """Set the coordinate that weighs most in g . x, those of x from place ``first`` of the state, so that g . x = stop.
 
@@ -66,7 +66,7 @@ def put_on_stop(row, stop, state, first):
     state[first + k] = (stop - others) / row[k]
 
 
-@piece
+@inline_always
 def leave_blocks(to_physical, response, rest, row, tau, upper, lower, h, contact, state):
     """Write the physical state (2n,) of block coordinates h (n, 2); on the stop with v = 0 at a contact: ``placed`` so.
 

@@ -9,14 +9,14 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
 from workers.kernel.flow import flow
 from workers.kernel.impact import LEAVE, REST, kick, outcome, shift, stay_on_stop, stop_position
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import AT_REST, FREE, oscillator_of
 from workers.kernel.signal import evaluate
 from workers.kernel.stroboscopic import AT_THE_END, arrival_of
 from workers.model.oscillator import COLUMN, Signal
 
 
-@piece
+@inline_always
 def velocity_of(gap):
     """The signal y', and what a constant load adds to it.
 
@@ -44,7 +44,7 @@ def velocity_of(gap):
     ), offset  # fmt: skip
 
 
-@piece
+@inline_always
 def turning_points(gap, velocity, offset, h, phase, duration, own, kind, low, high, scratch):
     """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state h (n, 2).
 
@@ -78,7 +78,7 @@ def turning_points(gap, velocity, offset, h, phase, duration, own, kind, low, hi
         zero, zero_kind = np.int64(side), ON_STOP_MOVING
 
 
-@piece
+@inline_always
 def excursion(osc, start, contact, periods, allowance):
     """The least and the greatest y - y0 of a motion from block state ``start`` (n, 2) over so many periods.
 

@@ -12,7 +12,7 @@ import numpy as np
 from workers.kernel.borrow import borrowed
 from workers.kernel.flow import flow
 from workers.kernel.fma import fma
-from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.signal import bounded, evaluate
 
 GAP_ROUNDING = 4e-16
@@ -131,7 +131,7 @@ def meets(g, v, a, j3, M3, M4, tol, H):
     return s if s <= H else np.inf
 
 
-@piece
+@inline_always
 def _first_step(kind, side, a, j3, M3, M4):
     """A time for which a start at rest on stop ``side`` certainly leaves it: 3|a|/M3, after a release 4|j|/M4.
 

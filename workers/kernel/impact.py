@@ -7,7 +7,7 @@ from workers.kernel.elementary import sin_cos
 from workers.kernel.flight import next_crossing
 from workers.kernel.flow import dot, dot_vector, flow, flow_with_tangent
 from workers.kernel.frame import graded_flow
-from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.signal import all_forced, derivative_bounds
 
 REBOUND, REST, LEAVE = range(3)
@@ -72,19 +72,19 @@ def add_column(h, factor, column):
         h[j, 1] += factor * column[j, 1]
 
 
-@piece
+@inline_always
 def kick(osc, h, dv):
     """Change the velocity of the gap coordinate by dv: z + dv k, in place."""
     add_column(h, dv, osc.kick)
 
 
-@piece
+@inline_always
 def shift(osc, h, dy):
     """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
     add_column(h, dy, osc.kick1)
 
 
-@piece
+@inline_always
 def saltation(row, row1, kick, kick1, R, V, ratio):
     """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
 
@@ -101,7 +101,7 @@ def saltation(row, row1, kick, kick1, R, V, ratio):
             V[i, j, 1] += along_k * kick[j, 1] + along_Ak * kick1[j, 1]
 
 
-@piece
+@inline_always
 def rest_projection(osc, V):
     """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
 
@@ -117,7 +117,7 @@ def rest_projection(osc, V):
             V[i, j, 1] += along_k * kick[j, 1] - dy * kick1[j, 1]
 
 
-@piece
+@inline_always
 def stop_position(osc, side):
     """Where the stop is: +b_upper or -b_lower."""
     return osc.b_upper if side > 0 else -osc.b_lower
@@ -156,13 +156,13 @@ def changed_blocks(matrix, shift, given, given_response, phase, found, found_res
                     found[i, k] += matrix[2 * i + k, 2 * j + c] * full
 
 
-@piece
+@inline_always
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
     changed_blocks(osc.held.down, osc.held.into[which(side)], h, osc.forced, phase, u, osc.held.forced)
 
 
-@piece
+@inline_always
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
     changed_blocks(osc.held.up, osc.held.out[which(side)], u, osc.held.forced, phase, h, osc.forced)
@@ -180,7 +180,7 @@ def transformed(matrix, V, U):
                 U[m, i, k] = total
 
 
-@piece
+@inline_always
 def load_on_stop(osc, u, phase, side):
     """side * a: the free acceleration that presses the mass on the stop while it rests there."""
     release = osc.held.release

@@ -20,7 +20,7 @@ from typing import Any
 from numba import config, njit, types
 from numba.extending import typeof_impl
 
-__all__ = ["CACHE", "inlined", "kernel", "kernel_and_part", "piece"]
+__all__ = ["CACHE", "inline_always", "inlined", "kernel", "kernel_and_part"]
 
 
 def _source_hash() -> str:
@@ -97,5 +97,5 @@ kernel_and_part: Callable[[Callable[..., Any]], Any] = partial(Kernel, both=True
 inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
 
-piece = njit(inline="always", **_HOW)
+inline_always = njit(inline="always", **_HOW)
 """Decorator of parts of one kernel: compiled with their caller, since a kernel compiles all that it calls once more."""

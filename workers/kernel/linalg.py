@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.jit import inline_always, inlined, kernel
 
 EPS = float(np.finfo(np.float64).eps)
 
@@ -39,7 +39,7 @@ def solution(matrix, right):
     return right
 
 
-@piece
+@inline_always
 def balance(A):
     """Scale the coordinates until rows and columns of A are of like size: a similarity, in place."""
     size = len(A)
@@ -61,7 +61,7 @@ def balance(A):
             return
 
 
-@piece
+@inline_always
 def to_hessenberg(A):
     """Bring A to zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
     size = len(A)
@@ -84,7 +84,7 @@ def to_hessenberg(A):
                 A[c, m] += factor * A[c, i]
 
 
-@piece
+@inline_always
 def near_eigenvalue(a, b, c, d):
     """The eigenvalue of [[a, b], [c, d]] that is nearer to d."""
     half = times(0.5, a - d)
@@ -118,7 +118,7 @@ def couples(below, before, here):
     return abs(below) > EPS * (abs(before) + abs(here))
 
 
-@piece
+@inline_always
 def rotate_once(H, cosines, sines, start, end, shift):
     """One step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix.
 
@@ -147,7 +147,7 @@ def rotate_once(H, cosines, sines, start, end, shift):
         H[k, k] += shift
 
 
-@piece
+@inline_always
 def exponent_of(matrix):
     """The power of two that the largest entry of a matrix is next to; 0 of a matrix of zeros."""
     largest = 0.0
@@ -203,13 +203,13 @@ def moduli(matrix):
     return found
 
 
-@piece
+@inline_always
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
     return highest(moduli(matrix), 0, len(matrix))
 
 
-@piece
+@inline_always
 def highest(values, start, end):
     """The largest of values[start:end], NaN if one of them is NaN."""
     top = values[start]
@@ -219,7 +219,7 @@ def highest(values, start, end):
     return top
 
 
-@piece
+@inline_always
 def sort_down(values):
     """Sort from the largest to the smallest, in place."""
     for i in range(1, len(values)):

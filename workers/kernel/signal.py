@@ -7,7 +7,7 @@ import numpy as np
 from workers.kernel.elementary import sin_cos
 from workers.kernel.flow import block_flow, fall
 from workers.kernel.fma import fma
-from workers.kernel.jit import inlined, kernel, piece
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.model.oscillator import COLUMN
 
 
@@ -48,7 +48,7 @@ def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
     return q0, q1, q2, fma(-2.0 * eta, q2, -lam * q1)
 
 
-@piece
+@inline_always
 def evaluate(signal, h, s, phase, offset):
     """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
     return evaluated(

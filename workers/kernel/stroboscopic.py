@@ -28,7 +28,7 @@ from workers.kernel.impact import (
     stay_on_stop,
     to_held,
 )
-from workers.kernel.jit import inlined, kernel, kernel_and_part, piece
+from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -126,7 +126,7 @@ def spread_rate(block):
     return rate
 
 
-@piece
+@inline_always
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
     rank = 2 * len(osc.kick) - int(motion.tally[LOST])
@@ -135,7 +135,7 @@ def fly_far(osc, motion, s):
     reset_frame(osc, motion)
 
 
-@piece
+@inline_always
 def reset_frame(osc, motion):
     """Make the frame orthonormal and count its growth."""
     reset_frame_of(osc.gap.metric, motion)
@@ -156,7 +156,7 @@ def needs_reset(spread, more, limit):
     return spread > 0.0 and spread + more > limit
 
 
-@piece
+@inline_always
 def record_impact(tally, impacts, t, side, speed, R):
     """Count an impact and, while there is room in impacts (K, 3), write it down."""
     tally[UPPER if side > 0 else LOWER] += 1.0
@@ -172,14 +172,14 @@ def record_impact(tally, impacts, t, side, speed, R):
         tally[RECORDED] += 1.0
 
 
-@piece
+@inline_always
 def arrival_of(gap, h, s, phase, side):
     """(y, v, a, scale of rounding) at the stop that a flight of s reaches."""
     y, v, a, _, scale = evaluate(gap, h, s, phase, 0.0)
     return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
 
 
-@piece
+@inline_always
 def come_to_rest(osc, motion, v):
     """The end of chatter that an impact at velocity v begins."""
     h, V, tally = motion.h, motion.V, motion.tally
@@ -206,7 +206,7 @@ def loss_spread(R):
     return (1.0 - R) / math.sqrt(max(R, TINY))
 
 
-@piece
+@inline_always
 def spend(tally, evaluations):
     """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
     tally[EVALUATIONS] += evaluations
@@ -215,7 +215,7 @@ def spend(tally, evaluations):
         tally[STATUS] = OUT_OF_WORK
 
 
-@piece
+@inline_always
 def leave_stop(osc, motion, phase, contact, remaining, chatter):
     """Rest on a stop until release or for ``remaining``: the time it took, and whether to go on from there.
 
@@ -312,13 +312,13 @@ def propagate(osc, motion, duration):
             reset_frame_of(metric, motion)
 
 
-@piece
+@inline_always
 def advance(osc, motion):
     """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
     propagate(osc, motion, osc.period)
 
 
-@piece
+@inline_always
 def step(osc, motion, half):
     """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
     propagate(osc, motion, 0.5 * osc.period if half else osc.period)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import (
     Frame,
-    Push,
+    Loading,
     centred,
     complex_force,
     derivative,
@@ -21,8 +21,8 @@ from workers.model.free import (
     finite,
     frame_of,
     free_motion,
+    loading_of,
     phase_of,
-    push_of,
     signal_of,
     times,
 )
@@ -40,7 +40,7 @@ class Clamped(NamedTuple):
     """
 
     modes: Modes
-    push: Push
+    push: Loading
     row: Array
     row1: Array
     row2: Array
@@ -77,7 +77,7 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     few = taken(machines, first)
     force = complex_force(few)
     frame = frame_of(few.mass, few.damping, few.stiffness, few.gap_row)
-    push = push_of(frame.modes, frame.flexibility, force, few.load)
+    push = loading_of(frame.modes, frame.inverse_mass, force, few.load)
     clamped = _clamped(few, force, frame, push)
     even = np.any(force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     frame, push, clamped = taken(frame, kind), taken(push, kind), taken(clamped, kind)
@@ -102,7 +102,7 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         b_lower=free.b_lower,
         symmetric=np.where((free.b_upper == free.b_lower) & ~even & np.all(driven.load == 0.0, axis=1), 1.0, 0.0),
         R=R,
-        gap_mass=1.0 / frame.softness,
+        gap_mass=1.0 / frame.inverse_gap_mass,
         time_unit=1.0 / np.sqrt(np.min(driven.metric, axis=1)),
         period=2.0 * np.pi / machines.omega,
         tau=phase_of(machines.tau),
@@ -145,7 +145,7 @@ def _seen_along(matrix: Array, null: Array) -> Array:
     return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
 
 
-def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clamped:
+def _clamped(machines: Machines, force: Any, frame: Frame, push: Loading) -> Clamped:
     """What holds y of these machines, whose force, frame and push these are; see Clamped.
 
     Positions are counted from rest, so that what holds y at either stop is opposite where the stops are equally far.
@@ -154,16 +154,16 @@ def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clampe
     mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
     accelerance, free = frame.accelerance, frame.modes
-    d = accelerance / frame.softness[:, None]
+    d = accelerance / frame.inverse_gap_mass[:, None]
     null = _null_space(gap_row)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     inner = across @ mass @ null
     modes = split(inner, _seen_along(damping, null), _seen_along(stiffness, null))
-    flexibility = stacked(np.linalg.inv, inner.shape, inner)
+    inverse_mass = stacked(np.linalg.inv, inner.shape, inner)
     # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
     spread, gather = np.zeros((N, 2 * n, 2 * n - 2)), np.zeros((N, 2 * n - 2, 2 * n))
     spread[:, :n, : n - 1] = spread[:, n:, n - 1 :] = null
-    gather[:, : n - 1, :n] = gather[:, n - 1 :, n:] = flexibility @ across @ mass
+    gather[:, : n - 1, :n] = gather[:, n - 1 :, n:] = inverse_mass @ across @ mass
     down = modes.to_blocks @ gather @ free.to_physical
     up = free.to_blocks @ spread @ modes.to_physical
     pulls, drags = times(accelerance, stiffness), times(accelerance, damping)
@@ -186,7 +186,7 @@ def _clamped(machines: Machines, force: Any, frame: Frame, push: Push) -> Clampe
     row1 = derivative(row, modes)
     return Clamped(
         modes=modes,
-        push=push_of(modes, flexibility, force @ null, np.zeros((N, n - 1))),
+        push=loading_of(modes, inverse_mass, force @ null, np.zeros((N, n - 1))),
         row=row,
         row1=row1,
         row2=derivative(row1, modes),

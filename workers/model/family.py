@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.definition import faults
-from workers.model.free import Frame, Free, Push, complex_force, faults_of, finite, frame_of, free_motion, push_of
+from workers.model.free import Frame, Free, Loading, complex_force, faults_of, finite, frame_of, free_motion, loading_of
 from workers.model.oscillator import Array, Machines
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -32,7 +32,7 @@ class _Still(NamedTuple):
     fixed: dict[str, Array]
     machines: Machines
     frame: Frame
-    push: Push
+    push: Loading
     faults: NDArray[np.int8]
 
 
@@ -110,5 +110,5 @@ def _frame(machines: Machines) -> Frame:
     return frame_of(machines.mass, machines.damping, machines.stiffness, machines.gap_row)
 
 
-def _push(frame: Frame, machines: Machines) -> Push:
-    return push_of(frame.modes, frame.flexibility, complex_force(machines), machines.load)
+def _push(frame: Frame, machines: Machines) -> Loading:
+    return loading_of(frame.modes, frame.inverse_mass, complex_force(machines), machines.load)

@@ -23,14 +23,14 @@ ULPS = 8.0
 class Frame(NamedTuple):
     """What mass, damping, stiffness and gap row alone decide, of N machines.
 
-    modes; flexibility M^-1 (N, n, n); accelerance M^-1 g and softness g.M^-1 g of the gap row g; row, row1, row2 and
-    kick (N, n, 2) and trace (N,), see Oscillator.
+    modes; inverse_mass M^-1 (N, n, n); accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; row, row1,
+    row2 and kick (N, n, 2) and trace (N,), see Oscillator.
     """
 
     modes: Modes
-    flexibility: Array
+    inverse_mass: Array
     accelerance: Array
-    softness: Array
+    inverse_gap_mass: Array
     row: Array
     row1: Array
     row2: Array
@@ -38,7 +38,7 @@ class Frame(NamedTuple):
     trace: Array
 
 
-class Push(NamedTuple):
+class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
     waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
@@ -82,17 +82,17 @@ def frame_of(mass: Array, damping: Array, stiffness: Array, gap_row: Array) -> F
     """The frame of matrices (N, n, n) and gap rows (N, n)."""
     N, n = gap_row.shape
     accelerance = stacked(np.linalg.solve, (N, n, 1), mass, gap_row[..., None])[..., 0]
-    softness = dot(gap_row, accelerance)
-    d = accelerance / softness[:, None]
+    inverse_gap_mass = dot(gap_row, accelerance)
+    d = accelerance / inverse_gap_mass[:, None]
     modes = split(mass, damping, stiffness)
     row = times(np.concatenate([gap_row, np.zeros((N, n))], axis=1), modes.to_physical).reshape(N, n, 2)
     column = np.concatenate([np.zeros((N, n)), d], axis=1)
     row1 = derivative(row, modes)
     return Frame(
         modes=modes,
-        flexibility=stacked(np.linalg.inv, (N, n, n), mass),
+        inverse_mass=stacked(np.linalg.inv, (N, n, n), mass),
         accelerance=accelerance,
-        softness=softness,
+        inverse_gap_mass=inverse_gap_mass,
         row=row,
         row1=row1,
         row2=derivative(row1, modes),
@@ -101,13 +101,13 @@ def frame_of(mass: Array, damping: Array, stiffness: Array, gap_row: Array) -> F
     )
 
 
-def push_of(modes: Modes, flexibility: Array, force: Any, load: Array) -> Push:
-    """What force (N, H, n) and load (N, n) are to blocks; flexibility is M^-1.
+def loading_of(modes: Modes, inverse_mass: Array, force: Any, load: Array) -> Loading:
+    """What force (N, H, n) and load (N, n) are to blocks; inverse_mass is M^-1.
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
     N, n = modes.eta.shape
-    into = modes.to_blocks[:, :, n:] @ flexibility  # (N, 2n, n)
+    into = modes.to_blocks[:, :, n:] @ inverse_mass  # (N, 2n, n)
     waves = (into[:, None] @ force[..., None])[..., 0].reshape(N, force.shape[1], n, 2)
     steady = (into @ load[..., None])[..., 0].reshape(N, n, 2)
     rigid = modes.lam == 0.0
@@ -115,7 +115,7 @@ def push_of(modes: Modes, flexibility: Array, force: Any, load: Array) -> Push:
     p = l1 + 2.0 * modes.eta * l0
     at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
     loads = np.where(rigid, p, 0.0)
-    return Push(
+    return Loading(
         waves=waves,
         load=loads,
         rest=np.stack([at_rest, -l0], axis=-1),
@@ -123,7 +123,7 @@ def push_of(modes: Modes, flexibility: Array, force: Any, load: Array) -> Push:
     )
 
 
-def free_motion(frame: Frame, push: Push, machines: Machines) -> Free:
+def free_motion(frame: Frame, push: Loading, machines: Machines) -> Free:
     """The free motion of machines of that frame under that push."""
     push, b_upper, b_lower, unseen = centred(push, frame, machines)
     driven = drive(frame.modes, push, machines.omega)
@@ -161,7 +161,7 @@ def orders_of(force: Any) -> Array:
     return np.arange(1.0, force.shape[1] + 1.0)
 
 
-def drive(modes: Modes, push: Push, omega: Array) -> Driven:
+def drive(modes: Modes, push: Loading, omega: Array) -> Driven:
     """The blocks with the forced response and the rest position that a push gives them."""
     metric = modes.lam
     block, rigid = push.block, modes.lam == 0.0
@@ -194,7 +194,7 @@ def _response(modes: Modes, waves: Any, omega: Array) -> tuple[Array, NDArray[np
     return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
 
 
-def centred(push: Push, frame: Frame, machines: Machines) -> tuple[Push, Array, Array, NDArray[np.bool_]]:
+def centred(push: Loading, frame: Frame, machines: Machines) -> tuple[Loading, Array, Array, NDArray[np.bool_]]:
     """The push with rest positions midway between the stops where machines are balanced; the stops seen from rest; and
     where a rigid mode is one that the gap does not see.
 
@@ -204,7 +204,7 @@ def centred(push: Push, frame: Frame, machines: Machines) -> tuple[Push, Array, 
     rigid, even = modes.lam == 0.0, balanced(machines)
     moving = np.any(rigid, axis=1)
     share = np.sum(np.where(rigid, frame.row[..., 0], 0.0), axis=1)
-    unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.softness))
+    unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.inverse_gap_mass))
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
     rest, load, block = push.rest.copy(), push.load, push.block
@@ -212,7 +212,7 @@ def centred(push: Push, frame: Frame, machines: Machines) -> tuple[Push, Array, 
     rest[..., 0] += np.where(rigid, move[:, None], 0.0)
     rounding = np.where(even, middle - _at_rest(frame, rest), 0.0)
     if np.any(rounding != 0.0):
-        d = frame.accelerance / frame.softness[:, None] * rounding[:, None]
+        d = frame.accelerance / frame.inverse_gap_mass[:, None] * rounding[:, None]
         rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
     if np.any(load[even] != 0.0):
         load, block = np.where(even[:, None], 0.0, load), block.copy()

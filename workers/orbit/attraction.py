@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inline_always, kernel
 
 LOOK_AHEAD = 256
 """Turns of the linear map after which a deviation that has not grown back is taken not to."""
@@ -24,13 +24,13 @@ MOST_DOUBLINGS = 30
 """Of K. More would take |mu| within 1e-9 of 1, where rounding decides."""
 
 
-@piece
+@inline_always
 def weight(metric, k):
     """What the energy norm multiplies coordinate k of a block state (2n,) by."""
     return math.sqrt(metric[k // 2]) if k % 2 == 0 else 1.0
 
 
-@piece
+@inline_always
 def product(left, right, found):
     """Write the matrix product of two square matrices."""
     size = len(left)
@@ -86,7 +86,7 @@ def shrinking_norm(metric, J, contraction):
     return P
 
 
-@piece
+@inline_always
 def squared(P, d):
     """d.P d."""
     total = 0.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from workers.kernel.frame import inner
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, moduli
 from workers.kernel.motion import LOST, RUNNING, STATUS, axes
 from workers.kernel.stroboscopic import reset_frame
@@ -99,7 +99,7 @@ def block_logs(rotation, growth, triangle, ends, size):
     return logs, largest
 
 
-@piece
+@inline_always
 def floquet(osc, point, steps, half, most):
     """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``most`` < 2.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
 from workers.kernel.stroboscopic import step
 
@@ -42,7 +42,7 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
     return motion
 
 
-@piece
+@inline_always
 def iterate_alone(osc, h, contact, steps, half):
     """The image of h alone, without tangent vectors."""
     return iterate(osc, h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
@@ -59,7 +59,7 @@ def jacobian_of(V):
     return J
 
 
-@piece
+@inline_always
 def map_with_jacobian(osc, h, contact, steps, half):
     """The motion that so many steps of the map make of h, and the Jacobian (2n, 2n) of the map there."""
     motion = iterate(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)

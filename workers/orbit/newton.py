@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_at, scale_of
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.orbit.attraction import falls_into, shrinking_norm, stays_nearer
@@ -24,7 +24,7 @@ from workers.orbit.section import back_at_section, quiet_section, seen_later
 
 Array = NDArray[np.float64]
 
-NEWTON_STEPS = 12
+PROOF_STEPS = 12
 CYCLES = 60
 """Turns of the orbit that the Floquet frame may take to settle."""
 
@@ -90,7 +90,7 @@ def is_hopeless(J):
     return not square < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
-@piece
+@inline_always
 def newton(osc, start, contact, steps, half, scale, most):
     """The fixed point of the map near block state ``start``, to rounding, and the steps of Newton's method it took.
 
@@ -118,7 +118,7 @@ def newton(osc, start, contact, steps, half, scale, most):
     return best, spent
 
 
-@piece
+@inline_always
 def least_turn(osc, point, steps, half, scale):
     """(steps, half) of the shortest turn that closes an orbit which closes after these, and half periods flown to see.
 
@@ -138,7 +138,7 @@ def least_turn(osc, point, steps, half, scale):
     return steps, half, spent
 
 
-@piece
+@inline_always
 def approaches(osc, point, h, steps, half, contraction, scale, most):
     """Whether a motion at block state h falls into an orbit, seen in at most ``most`` turns; and these turns.
 
@@ -158,7 +158,7 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
     return False, most
 
 
-@piece
+@inline_always
 def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
@@ -168,7 +168,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     while True:
         unit = steps if half else 2 * steps
         turns_left = (budget - spent) // unit - RESERVED_TURNS
-        point, tried = newton(osc, guess, contact, steps, half, scale, min(NEWTON_STEPS, turns_left))
+        point, tried = newton(osc, guess, contact, steps, half, scale, min(PROOF_STEPS, turns_left))
         spent += tried * unit
         orbit = PeriodicOrbit(point.h, contact, steps, half, nothing_left(h.size), point.residual, 0.0)
         if point.residual == np.inf:
@@ -240,7 +240,7 @@ def far_from_closing(metric, swing, h, sections, cells, returns, limit):
     return found
 
 
-@piece
+@inline_always
 def settle(osc, motion, sections, near, longest, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent): the stable orbit that the motion falls into.
 

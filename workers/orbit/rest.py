@@ -6,7 +6,7 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_of
-from workers.kernel.jit import kernel, piece
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.stroboscopic import advance
 from workers.orbit.map import separation
@@ -31,7 +31,7 @@ def growth_of(V):
     return math.sqrt(square)
 
 
-@piece
+@inline_always
 def pass_period(osc, motion, rests):
     """Take a motion on by a period: whether it rests at its end, and whether that is the first section after a rest.
 

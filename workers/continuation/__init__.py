@@ -1,0 +1,31 @@
+"""Exact orbits. The map of many periods with its Jacobian, Newton's method on it and Floquet multipliers; and orbits as
+equations of their impacts, their branches in one parameter and their bifurcation and grazing curves in two.
+"""
+
+from workers.continuation.branches import Start, branch, leaving_branch
+from workers.continuation.curves import curve
+from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.events import Event, Point
+from workers.continuation.extended import Condition
+from workers.continuation.follow import BranchRun
+from workers.continuation.linear import Family, ModalOscillator, family_of
+from workers.continuation.seeds import orbit_from_state, section_state, section_states
+
+__all__ = [
+    "BranchRun",
+    "Condition",
+    "Event",
+    "Family",
+    "Itinerary",
+    "ModalOscillator",
+    "Orbit",
+    "Point",
+    "Start",
+    "branch",
+    "curve",
+    "family_of",
+    "leaving_branch",
+    "orbit_from_state",
+    "section_state",
+    "section_states",
+]

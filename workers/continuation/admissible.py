@@ -1,0 +1,125 @@
+"""Whether an orbit of the equations exists between the stops: each impact arrives at its stop, and nothing else does.
+
+Decided by the certified crossing of the kernel, without sampling.
+"""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.continuation.equations import Impacts, Itinerary, at_impacts, block_state, motion_at
+from workers.continuation.linear import ModalOscillator, rest_of
+from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
+from workers.kernel.signal import derivative_bounds
+from workers.model.oscillator import Signal
+
+Array = NDArray[np.float64]
+
+CONTACT, LOST, ORDER = "contact", "impact_lost", "order"
+"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order."""
+
+
+class Fault(NamedTuple):
+    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST or out of ORDER."""
+
+    reason: str
+    impact: int = -1
+    time: float = math.nan
+    side: int = 0
+
+
+class _Contact(NamedTuple):
+    """A contact of a turn: an impact, or a graze at v = 0; with the acceleration before it."""
+
+    time: float
+    side: int
+    v: float
+    a: float
+    touches: bool
+
+
+def first_fault(
+    signal: Signal, lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int = -1
+) -> Fault | None:
+    """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
+
+    ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
+    if any, is one whose speed is zero and counts as a graze.
+    """
+    span = float(itinerary.span(lin)[0])
+    contacts = _contacts(lin, itinerary, points, grazes, lost)
+    if isinstance(contacts, Fault):
+        return contacts
+    if not contacts:
+        return _next_contact(signal, lin, itinerary, points, _Contact(0.0, 0, 0.0, 0.0, False), span)
+    first = contacts[0]
+    sign = itinerary.sign
+    contacts.append(first._replace(time=first.time + span, side=sign * first.side, v=sign * first.v, a=sign * first.a))
+    for here, there in pairwise(contacts):
+        fault = _next_contact(signal, lin, itinerary, points, here, there.time - here.time, there)
+        if fault:
+            return fault
+    return None
+
+
+def _contacts(
+    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int
+) -> list[_Contact] | Fault:
+    """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
+    span, t = float(itinerary.span(lin)[0]), points.t[0]
+    _, v, a = (field[0] for field in at_impacts(lin, itinerary, points))
+    found = []
+    for i, side in enumerate(itinerary.sides):
+        if i != lost and side * v[i] <= 0.0:
+            return Fault(LOST, i)
+        found.append(_Contact(float(t[i]), side, float(v[i]), float(a[i]), i == lost))
+    ends = np.append(t, t[:1] + span)
+    if np.any(np.diff(ends) <= 0.0):
+        return Fault(ORDER, int(np.argmin(np.diff(ends))))
+    start = t[0] if len(t) else 0.0
+    for s in grazes:
+        turns = math.floor((s - start) / span)
+        time = float(s) - turns * span
+        y, _, bend, _ = (field[0, 0] for field in motion_at(lin, itinerary, points, np.array([[time]])))
+        found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(lin.lower[0]) else -1, 0.0, float(bend), True))
+    found.sort()
+    for contact in found:
+        if contact.touches and contact.side * contact.a >= 0.0:
+            return Fault(CONTACT, time=contact.time, side=contact.side)
+    return found
+
+
+def _open_for(contact: _Contact, M3: float) -> float:
+    """A time before a contact in which its gap is certainly open, with |y'''| <= M3.
+
+    The gap a time s before is at least v s - |a| s^2 / 2 - M3 s^3 / 6, or |a| s^2 / 2 - M3 s^3 / 6 at a graze.
+    """
+    if contact.touches:
+        return 1.5 * abs(contact.a) / max(M3, TINY)
+    return 0.5 * min(abs(contact.v) / max(abs(contact.a), TINY), math.sqrt(abs(contact.v) / max(M3, TINY)))
+
+
+def _next_contact(
+    signal: Signal,
+    lin: ModalOscillator,
+    itinerary: Itinerary,
+    points: Impacts,
+    here: _Contact,
+    duration: float,
+    there: _Contact | None = None,
+) -> Fault | None:
+    """A contact on the flight from one contact to the next, before it; None if there is none."""
+    parts = block_state(lin, itinerary, points, np.array([[here.time]]))
+    h = np.ascontiguousarray(np.stack([part[0, :, 0] for part in parts], axis=-1))
+    M3 = derivative_bounds(signal, h)[2]
+    H = duration - (_open_for(there, M3) if there else 0.0)
+    if H <= 0.0:
+        return None
+    phase = math.fmod(float(lin.omega[0]) * here.time + float(lin.tau[0]), 2.0 * math.pi)
+    kind = ON_STOP_AT_REST if here.touches else ON_STOP_MOVING
+    upper, lower, offset = float(lin.upper[0]), -float(lin.lower[0]), float(rest_of(lin, 0))
+    s, side, _count = next_crossing(signal, h, phase, offset, upper, lower, here.side, kind, H, np.zeros(h.shape))
+    return Fault(CONTACT, time=here.time + s, side=int(side)) if side else None

@@ -1,0 +1,173 @@
+"""A periodic orbit with m impacts as 2m equations for their times and speeds, and these linearised.
+
+    y(t_i) = +upper or -lower,  y'(t_i^-) = v_i,  with  y(t) = Y(t) - (1 + R) sum_j v_j g(t - t_j)
+
+A rigid mode adds the offset of y, and (1 + R) k sum_i v_i = load span. Of a symmetric orbit, y(t + L/2) = -y(t), only
+the impacts of one half are unknown: a turn is half the orbit, and kicks change sign from turn to turn.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.continuation.linear import ModalOscillator, rigid_mode
+from workers.continuation.pulses import before_impacts, between_impacts, blocks_between, linearised_table
+
+Array = NDArray[np.float64]
+Table = NDArray[Any]
+"""Real numbers, complex ones where z is."""
+
+
+class Itinerary(NamedTuple):
+    """What is fixed while an orbit is followed: its stops in order, +1 upper and -1 lower, and its length.
+
+    sides (m,) of one turn; periods of the force in the whole orbit; symmetric: a turn is half the orbit.
+    """
+
+    sides: tuple[int, ...]
+    periods: int
+    symmetric: bool = False
+
+    @property
+    def sign(self) -> int:
+        """What kicks are multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
+        return -1 if self.symmetric else 1
+
+    def span(self, lin: ModalOscillator) -> Array:
+        """The length (N,) of a turn."""
+        return (0.5 if self.symmetric else 1.0) * self.periods * 2.0 * math.pi / lin.omega
+
+    def impacts(self, side: int) -> int:
+        """Impacts at this stop in the whole orbit."""
+        return len(self.sides) if self.symmetric else self.sides.count(side)
+
+
+class Orbit(NamedTuple):
+    """A periodic orbit: times (m,) of its impacts in one turn after a section, signed speeds (m,) before them.
+
+    ``offset`` of y is that of a rigid mode, 0 without one.
+    """
+
+    itinerary: Itinerary
+    times: Array
+    speeds: Array
+    offset: float = 0.0
+
+
+class Impacts(NamedTuple):
+    """Times and signed speeds (N, m) of the impacts of N orbits of one itinerary, and their offsets (N,)."""
+
+    t: Array
+    v: Array
+    offset: Array
+
+
+def in_one_turn(orbit: Orbit, span: float) -> Orbit:
+    """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
+    if not len(orbit.times):
+        return orbit
+    turns = np.floor(orbit.times / span)
+    flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
+    times = orbit.times - turns * span
+    order = np.argsort(times, kind="stable")
+    sides = (flips * np.array(orbit.itinerary.sides))[order]
+    itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
+    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order], orbit.offset)
+
+
+def impacts_of(orbit: Orbit) -> Impacts:
+    """One orbit as one of many."""
+    return Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))
+
+
+def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
+    """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry."""
+    if np.any(lin.R <= 0.0):
+        raise ValueError(
+            "R = 0: an impact without rebound may rest on its stop, which these orbits exclude; take R > 0"
+        )
+    for side, name, stop in ((1, "upper", lin.upper), (-1, "lower", lin.lower)):
+        if side in itinerary.sides and not np.all(np.isfinite(stop)):
+            raise ValueError(f"an impact at the {name} stop, which is not there: b_{name} = {stop[0]}")
+    if itinerary.periods < 1 or any(side not in (1, -1) for side in itinerary.sides):
+        raise ValueError(f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1")
+    if not itinerary.symmetric:
+        return
+    if itinerary.periods % 2 == 0:
+        raise ValueError(f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}")
+    even = np.any(lin.sin_part[:, 1::2]) or np.any(lin.cos_part[:, 1::2])
+    if even or np.any(lin.load) or not np.array_equal(lin.upper, lin.lower):
+        raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
+
+
+def unknown_offset(lin: ModalOscillator, itinerary: Itinerary) -> bool:
+    """Whether the offset of y is an unknown: a rigid mode, and an orbit that is not symmetric."""
+    return not itinerary.symmetric and rigid_mode(lin) is not None
+
+
+def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple[Array, Array, Array]:
+    """y, y' and y'' (N, m) just before each impact."""
+    y, v, a = before_impacts(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points))
+    return y, v, a
+
+
+def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+    """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
+    y, v, _ = at_impacts(lin, itinerary, points)
+    parts = [y - stops(lin, itinerary), v - points.v]
+    if unknown_offset(lin, itinerary):
+        parts.append(_balance(lin, itinerary, points)[:, None])
+    return np.concatenate(parts, axis=1)
+
+
+def stops(lin: ModalOscillator, itinerary: Itinerary) -> Array:
+    """Positions (N, m) of the stops of the impacts."""
+    if not itinerary.sides:
+        return np.zeros((len(lin.omega), 0))
+    return np.stack([lin.upper if side > 0 else -lin.lower for side in itinerary.sides], axis=1)
+
+
+def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: complex = 1) -> Table:
+    """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
+
+    z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Where perturbed kicks are the same each
+    turn, a rigid mode adds the perturbed offset and the balance of the kicks; without that
+
+        det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)):
+
+    zero where z is a multiplier, and without poles.
+    """
+    given = lin, itinerary.span(lin), float(itinerary.sign), z if isinstance(z, complex) else float(z)
+    rigid = rigid_mode(lin) if itinerary.sign * z == 1 else None
+    found: Table = linearised_table(*given, *_plain(points), -1 if rigid is None else rigid)
+    return found
+
+
+def _balance(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+    """(1 + R) k sum_i v_i - load span of the rigid mode."""
+    j = rigid_mode(lin)
+    kicks = (1.0 + lin.R) * lin.k[:, j, 1] * points.v.sum(1)
+    return np.asarray(kicks - lin.load[:, j] * itinerary.span(lin))
+
+
+def motion_at(
+    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array
+) -> tuple[Array, Array, Array, Array]:
+    """y and its first three derivatives at times s (N, K), any times but those of impacts."""
+    y, v, a, j = between_impacts(
+        lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s)
+    )
+    return y, v, a, j
+
+
+def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
+    """Block coordinates h, h' (N, n, K) at times s (N, K), forced response and rest position taken off."""
+    h, rate = blocks_between(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s))
+    return h, rate
+
+
+def _plain(points: Impacts) -> tuple[Array, Array, Array]:
+    """Times, speeds and offsets as kernels take them."""
+    return np.ascontiguousarray(points.t), np.ascontiguousarray(points.v), np.ascontiguousarray(points.offset)

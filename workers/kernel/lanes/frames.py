@@ -1,0 +1,342 @@
+"""The tangent frames of a batch's lanes: through flights and impacts, and made orthonormal again.
+
+Loops over the first n lanes, all of them in every round: a lane whose flight goes on keeps its frame by a mask, which
+costs less than to pick the others out. u are the fields of one vector, see entry.
+Sums over blocks go two blocks at a time: those before the last two add up in ``partial``; the last two finish the sum
+and use it at once, and the others use it after them. Where there are two blocks it is one loop. Blocks are even in
+number: see layout.padded_blocks.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.elementary import log
+from workers.kernel.flight import TINY
+from workers.kernel.fma import fma
+from workers.kernel.frame import graded_flow, orthonormalise
+from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.lanes.layout import (
+    AT_SECTION,
+    BLOCK,
+    BLOCK_SIZE,
+    COLUMN,
+    FLYING,
+    LANE,
+    LANE_SIZE,
+    LEFT,
+    STRIDE,
+    padded_blocks,
+    room_for_vectors,
+)
+from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
+
+Array = NDArray[np.float64]
+
+MAX_SPREAD_OF_ONE = 100.0
+"""MAX_SPREAD of a frame of one vector, which no other can drown: its square stays in range."""
+
+
+class Workspace(NamedTuple):
+    """Where the frames of some lanes are made orthonormal, as normalise_pass takes them; lanes are which.
+
+    frames (m, 2 n STRIDE) and growths (m, STRIDE) as those of the lanes, metric (2 n STRIDE,), rank (STRIDE,);
+    partial (2 STRIDE,) for two sums over blocks.
+    """
+
+    frames: Array
+    growths: Array
+    metric: Array
+    rank: Array
+    lanes: NDArray[np.uint32]
+    partial: Array
+
+
+@inlined
+def entry(j, c, i):
+    """Where number c (0 or 1) of block j of frame i is in the numbers of one vector of many frames.
+
+    Unsigned: the check of a negative index would keep a loop over i from becoming vector instructions.
+    """
+    return np.uint64((2 * j + c) * STRIDE + i)
+
+
+@inlined
+def last_two(u):
+    """The block that the last two begin with."""
+    return len(u) // (2 * STRIDE) - 2
+
+
+@kernel
+def clear(partial, count):
+    """Begin the sums over blocks."""
+    for i in range(count):
+        partial[entry(0, 0, i)] = partial[entry(0, 1, i)] = 0.0
+
+
+@inlined
+def product_of_two(metric, u, w, j, i, total):
+    """The total with the share of blocks j and j + 1 in the product of ``frame.inner``."""
+    e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
+    total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
+    return fma(u[e3], w[e3], fma(metric[e2] * u[e2], w[e2], total))
+
+
+@inlined
+def scale_two(u, j, i, factor):
+    """Multiply blocks j and j + 1 of vector i."""
+    u[entry(j, 0, i)] *= factor
+    u[entry(j, 1, i)] *= factor
+    u[entry(j, 2, i)] *= factor
+    u[entry(j, 3, i)] *= factor
+
+
+@inlined
+def subtract_two(u, w, j, i, factor):
+    """Take the multiple of u out of blocks j and j + 1 of w."""
+    e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
+    w[e0] = fma(-factor, u[e0], w[e0])
+    w[e1] = fma(-factor, u[e1], w[e1])
+    w[e2] = fma(-factor, u[e2], w[e2])
+    w[e3] = fma(-factor, u[e3], w[e3])
+
+
+@kernel
+def products(metric, u, w, partial, count):
+    """The products of u and w over all blocks but the last two."""
+    clear(partial, count)
+    for j in range(0, last_two(u), 2):
+        for i in range(count):
+            partial[i] = product_of_two(metric, u, w, j, i, partial[i])
+
+
+@kernel
+def normalise_pass(metric, rank, k, u, growth, partial, count):
+    """The part of frame.orthonormalise that makes vector k a unit vector, for ``count`` frames at once.
+
+    u (2 n STRIDE,) are its numbers, see entry, and metric (2 n STRIDE,) stands where the first of each two does; rank
+    and growth (STRIDE,) have one number for each frame.
+    """
+    products(metric, u, u, partial, count)
+    last = last_two(u)
+    for i in range(count):
+        square = product_of_two(metric, u, u, last, i, partial[i])
+        exists, norm = k < rank[i], math.sqrt(square)
+        growth[i] += log(norm if exists else 0.0)
+        inverse = 1.0 / norm if exists else 0.0
+        scale_two(u, last, i, inverse)
+        partial[i] = inverse
+    for j in range(0, last, 2):
+        for i in range(count):
+            scale_two(u, j, i, partial[i])
+
+
+@kernel
+def project_pass(metric, u, w, partial, count):
+    """The part of frame.orthonormalise that takes the unit vector u out of the later vector w; see normalise_pass."""
+    products(metric, u, w, partial, count)
+    last = last_two(u)
+    for i in range(count):
+        overlap = product_of_two(metric, u, w, last, i, partial[i])
+        subtract_two(u, w, last, i, overlap)
+        partial[i] = overlap
+    for j in range(0, last, 2):
+        for i in range(count):
+            subtract_two(u, w, j, i, partial[i])
+
+
+@inlined
+def at(j, field, i):
+    """Where a field of block j of lane i is; unsigned as entry is."""
+    return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
+
+
+@inline_always
+def workspace(m, n):
+    """A workspace for m vectors of n blocks."""
+    size = 2 * padded_blocks(n) * STRIDE
+    return Workspace(
+        room_for_vectors(m * size).reshape((m, size)),
+        room_for_vectors(m * STRIDE).reshape((m, STRIDE)),
+        room_for_vectors(size),
+        room_for_vectors(STRIDE),
+        np.zeros(STRIDE, dtype=np.uint32),
+        room_for_vectors(2 * STRIDE),
+    )
+
+
+@kernel
+def spread_pass(a, limit, n):
+    """What happens to each frame; how many are to be orthonormal first, also those that the flight spreads far."""
+    count = 0
+    for i in range(n):
+        side, v, before = a[LANE.event + i], a[LANE.v + i], a[LANE.frame_spread + i]
+        hit = abs(side) == 1.0
+        moves = side != FLYING and side != LEFT
+        ratio = a[LANE.a + i] / (side * max(side * v, TINY))
+        ratio = ratio if hit else 0.0
+        jump = impact_spread(ratio, a[LANE.time_unit + i], a[LANE.loss_spread + i])
+        jump = jump if hit else 0.0
+        spread = a[LANE.flown + i] * a[LANE.spread_rate + i]
+        due = moves and needs_reset(before, spread + jump, limit)
+        start = 0.0 if due else before
+        far = moves and start + spread > limit
+        after = (0.0 if far else start + spread) + jump
+        a[LANE.frame_spread + i] = after if moves else before
+        a[LANE.ratio + i] = ratio
+        a[LANE.loss + i] = 1.0 + a[LANE.restitution + i] if hit else 0.0
+        a[LANE.due + i] = 1.0 if due or far else 0.0
+        count += int(due or far)
+        a[LANE.far + i] = 1.0 if far else 0.0
+        a[LANE.flows + i] = 1.0 if moves and not far else 0.0
+    return count
+
+
+@inline_always
+def orthonormalise_due(a, count, frames, growths, space, blocks):
+    """frame.orthonormalise of the frames of the first ``count`` of space.lanes."""
+    U, growing, metric, rank, lanes, partial = space
+    m = len(frames)
+    for e in range(count):
+        i = lanes[e]
+        rank[e] = a[LANE.rank + i]
+        for j in range(blocks):
+            metric[entry(j, 0, e)] = a[at(j, BLOCK.metric, i)]
+        for k in range(m):
+            growing[k, e] = growths[k, i]
+            for j in range(blocks):
+                U[k, entry(j, 0, e)], U[k, entry(j, 1, e)] = frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)]
+    for k in range(m):
+        normalise_pass(metric, rank, k, U[k], growing[k], partial, padded(count))
+        for later in range(k + 1, m):
+            project_pass(metric, U[k], U[later], partial, padded(count))
+    for e in range(count):
+        i = lanes[e]
+        for k in range(m):
+            growths[k, i] = growing[k, e]
+            for j in range(blocks):
+                frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)] = U[k, entry(j, 0, e)], U[k, entry(j, 1, e)]
+
+
+@inlined
+def fly_block(a, u, j, i, dy, dv):
+    """Take block j of vector i through a flight that has ended; (dy, dv) with its share, for an impact."""
+    flows, e0, e1 = a[LANE.flows + i] > 0.0, entry(j, 0, i), entry(j, 1, i)
+    u0, u1 = u[e0], u[e1]
+    w0 = fma(a[at(j, BLOCK.f11, i)], u0, a[at(j, BLOCK.f12, i)] * u1)
+    w1 = fma(a[at(j, BLOCK.f21, i)], u0, a[at(j, BLOCK.f22, i)] * u1)
+    w0, w1 = w0 if flows else u0, w1 if flows else u1
+    u[e0], u[e1] = w0, w1
+    dy = fma(a[at(j, BLOCK.c1, i)], w1, fma(a[at(j, BLOCK.c0, i)], w0, dy))
+    return dy, fma(a[at(j, BLOCK.cA1, i)], w1, fma(a[at(j, BLOCK.cA0, i)], w0, dv))
+
+
+@inlined
+def kick_block(a, u, j, i, along_k, along_Ak):
+    """Add what an impact does to block j of vector i; see impact.saltation."""
+    e0, e1 = entry(j, 0, i), entry(j, 1, i)
+    u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
+    u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
+
+
+@kernel
+def transfer_pass(a, u, partial, n):
+    """Take one vector through the flights that have ended, and through the impacts, as impact.saltation does."""
+    last = last_two(u)
+    clear(partial, n)
+    for j in range(0, last, 2):
+        for i in range(n):
+            first, second = entry(0, 0, i), entry(0, 1, i)
+            dy, dv = fly_block(a, u, j, i, partial[first], partial[second])
+            partial[first], partial[second] = fly_block(a, u, j + 1, i, dy, dv)
+    for i in range(n):
+        first, second = entry(0, 0, i), entry(0, 1, i)
+        dy, dv = fly_block(a, u, last, i, partial[first], partial[second])
+        dy, dv = fly_block(a, u, last + 1, i, dy, dv)
+        along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
+        along_Ak = -a[LANE.loss + i] * dy
+        kick_block(a, u, last, i, along_k, along_Ak)
+        kick_block(a, u, last + 1, i, along_k, along_Ak)
+        partial[first], partial[second] = along_k, along_Ak
+    for j in range(0, last, 2):
+        for i in range(n):
+            first, second = entry(0, 0, i), entry(0, 1, i)
+            kick_block(a, u, j, i, partial[first], partial[second])
+            kick_block(a, u, j + 1, i, partial[first], partial[second])
+
+
+@inline_always
+def fly_frame_far(a, i, blocks, frames, growths):
+    """As transfer_pass for the flight of lane i, which spreads its frame far; blocks: see Batch."""
+    m, n = frames.shape[0], blocks.shape[1]
+    constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
+    V, growth, metric, no_triangle = np.empty((m, n, 2)), np.empty(m), np.empty(n), np.zeros((0, 0))
+    for j in range(n):
+        metric[j] = constants[j, COLUMN.metric]
+    take_frame(frames, growths, i, V, growth)
+    graded_flow(constants, a[LANE.flown + i], V, growth, no_triangle, rank)
+    orthonormalise(metric, V, growth, no_triangle, rank)
+    give_frame(V, growth, frames, growths, i)
+
+
+@inline_always
+def move_frames(a, n, blocks, frames, growths, space):
+    """Take the tangent vectors of all lanes through the flights and impacts just ended, as stroboscopic.propagate does.
+
+    blocks: see Batch.
+    """
+    if spread_pass(a, MAX_SPREAD if len(frames) > 1 else MAX_SPREAD_OF_ONE, n) > 0:
+        count = list_lanes(a, LANE.due, n, space.lanes)
+        orthonormalise_due(a, count, frames, growths, space, blocks.shape[1])
+        for i in space.lanes[:count]:
+            if a[LANE.far + i] > 0.0:
+                fly_frame_far(a, i, blocks, frames, growths)
+    for k in range(len(frames)):
+        transfer_pass(a, frames[k], space.partial, n)
+
+
+@inlined
+def square_of_block(a, u, j, i, total):
+    """The total with the share of block j in the square of a vector's length."""
+    u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
+    return fma(u1, u1, fma(a[at(j, BLOCK.metric, i)] * u0, u0, total))
+
+
+@kernel
+def measure_pass(a, u, growth, partial, n):
+    """The growth over the period of the first vector, where a lane is at its section or has just begun.
+
+    LANE.log_length, NaN where it is yet unknown, is frame.log_length at the last section.
+    """
+    last = last_two(u)
+    clear(partial, n)
+    for j in range(0, last, 2):
+        for i in range(n):
+            partial[i] = square_of_block(a, u, j + 1, i, square_of_block(a, u, j, i, partial[i]))
+    for i in range(n):
+        before = a[LANE.log_length + i]
+        square = square_of_block(a, u, last + 1, i, square_of_block(a, u, last, i, partial[i]))
+        length = growth[i] + 0.5 * log(square)
+        a[LANE.period_growth + i] = length - before
+        a[LANE.log_length + i] = length if a[LANE.event + i] == AT_SECTION or before != before else before
+
+
+@inlined
+def give_frame(V, growth, frames, growths, i):
+    """Put tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
+    for k in range(V.shape[0]):
+        growths[k, i] = growth[k]
+        for j in range(V.shape[1]):
+            frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)] = V[k, j, 0], V[k, j, 1]
+
+
+@inlined
+def take_frame(frames, growths, i, V, growth):
+    """Write the tangent vectors of lane i to V (m, n, 2) and their growth (m,)."""
+    for k in range(V.shape[0]):
+        growth[k] = growths[k, i]
+        for j in range(V.shape[1]):
+            V[k, j, 0], V[k, j, 1] = frames[k, entry(j, 0, i)], frames[k, entry(j, 1, i)]

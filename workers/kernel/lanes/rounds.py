@@ -1,0 +1,119 @@
+"""One round of a batch: each lane takes its next certified step, or goes through the impact or section it has reached.
+
+A lane's results are the same bits whatever the other lanes hold, how many there are, and which of them it is.
+"""
+
+import math
+
+from workers.kernel.flight import REFRESH, TINY
+from workers.kernel.impact import is_rebound, load_at_rest
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.lanes.layout import AT_SECTION, FLYING, LANE, LEFT, padded_blocks
+from workers.kernel.lanes.search import safe_steps, step_pass
+from workers.kernel.lanes.signal import (
+    block_pass,
+    bounds_pass,
+    fields_of,
+    fields_of_harmonic,
+    forced_pass,
+    harmonic_pass,
+    oscillating_block_pass,
+    oscillating_bounds_pass,
+    restart_pass,
+)
+
+RENEWAL = float(REFRESH)
+
+LONGEST_PERIOD = 2000.0
+"""Evaluations in one period after which a lane is left to the kernels of one cell, in which every period ends."""
+
+
+@kernel
+def arrival_pass(a, n):
+    """The event that each lane has reached: an impact's kick and counts, and the start of the next flight.
+
+    Returns how many lanes stop at a section or have left, and how many want bounds anew.
+    """
+    stopping, renewing = 0, 0
+    for i in range(n):
+        side, s, y, acceleration = a[LANE.event + i], a[LANE.time + i], a[LANE.y + i], a[LANE.a + i]
+        up, down, r, cA2k = a[LANE.upper + i], a[LANE.lower + i], a[LANE.restitution + i], a[LANE.cA2k + i]
+        hit = abs(side) == 1.0
+        event = side != FLYING
+        at_section = side == AT_SECTION
+        v = side * max(side * a[LANE.v + i], TINY)
+        before, phase, tau = a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.tau + i]
+        t = before + s
+        load = load_at_rest(side, v, acceleration, cA2k)
+        rebound = is_rebound(load, v, r, cA2k, a[LANE.scale + i] + abs(y), a[LANE.period + i] - t)
+        stop = up if side > 0.0 else down
+        a[LANE.kick + i] = -(1.0 + r) * v if hit else 0.0
+        a[LANE.shift + i] = stop - y if hit else 0.0
+        a[LANE.impacts_upper + i] += 1.0 if side == 1.0 else 0.0
+        a[LANE.impacts_lower + i] += 1.0 if side == -1.0 else 0.0
+        speed = abs(v)
+        slowest, fastest = a[LANE.slowest_impact + i], a[LANE.fastest_impact + i]
+        a[LANE.slowest_impact + i] = min(slowest, speed) if hit else slowest
+        a[LANE.fastest_impact + i] = max(fastest, speed) if hit else fastest
+        a[LANE.impact_speeds + i] += speed if hit else 0.0
+        a[LANE.impact_loss + i] += (1.0 - r * r) * (speed * speed) if hit else 0.0
+        count = a[LANE.flight_evaluations + i]
+        cost = max(1.0, count)
+        spent = a[LANE.period_cost + i]
+        spent = spent + cost if event else spent
+        a[LANE.evaluations + i] += count if event else 0.0
+        a[LANE.period_cost + i] = spent
+        a[LANE.flight_evaluations + i] = 0.0 if event else count
+        a[LANE.starts + i] = 1.0 if event else 0.0
+        renews = event or count == RENEWAL * math.floor(count * (1.0 / RENEWAL))
+        a[LANE.renews + i] = 1.0 if renews else 0.0
+        renewing += int(renews)
+        phase_hit = phase + a[LANE.omega + i] * s
+        phase = phase_hit if hit else phase
+        a[LANE.flight_phase + i] = tau if at_section else phase
+        t = t if hit else before
+        a[LANE.flight_start + i] = 0.0 if at_section else t
+        a[LANE.own_stop + i] = side if hit else 0.0
+        a[LANE.flown + i] = s
+        a[LANE.time + i] = 0.0 if event else s
+        y_force, v_force = a[LANE.forced + i], a[LANE.forced_rate + i]
+        y_tau, v_tau = a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i]
+        a[LANE.forced + i] = y_tau if at_section else y_force
+        a[LANE.forced_rate + i] = v_tau if at_section else v_force
+        a_force, j_force = a[LANE.forced_second + i], a[LANE.forced_third + i]
+        a_tau, j_tau = a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i]
+        a[LANE.forced_second + i] = a_tau if at_section else a_force
+        a[LANE.forced_third + i] = j_tau if at_section else j_force
+        leaves = hit and (not rebound or spent > LONGEST_PERIOD)
+        a[LANE.event + i] = LEFT if leaves else side
+        stops = leaves or side >= AT_SECTION
+        a[LANE.stops + i] = 1.0 if stops else 0.0
+        stopping += int(stops)
+    return stopping, renewing
+
+
+@inline_always
+def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
+    """One round of the first n lanes, a multiple of VECTOR_WIDTH; so many harmonics besides the first.
+
+    oscillates says that all blocks of all cells are underdamped, renews that a lane may want bounds anew; chosen and c
+    are overwritten. Returns what arrival_pass does.
+    """
+    if renews:
+        restart_pass(a, n)
+        for j in range(blocks):
+            if oscillates:
+                oscillating_bounds_pass(a, fields_of(a, j), n)
+            else:
+                bounds_pass(a, fields_of(a, j), n)
+    safe_steps(a, n, chosen, c)
+    step_pass(a, n)
+    forced_pass(a, n)
+    for k in range(harmonics):
+        harmonic_pass(a, fields_of_harmonic(a, padded_blocks(blocks), k), k + 2.0, n)
+    for j in range(blocks):
+        if oscillates:
+            oscillating_block_pass(a, fields_of(a, j), n)
+        else:
+            block_pass(a, fields_of(a, j), n)
+    return arrival_pass(a, n)

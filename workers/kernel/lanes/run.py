@@ -1,0 +1,293 @@
+"""Many cells at a time through whole periods: each lane takes the next cell of the queue when its own is through."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.averages import add_growth
+from workers.kernel.frame import log_length
+from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.lanes.frames import give_frame, measure_pass, move_frames, take_frame, workspace
+from workers.kernel.lanes.layout import (
+    BLOCK,
+    BLOCK_CONSTANTS,
+    BLOCK_SIZE,
+    FLYING,
+    GAP_SIZE,
+    HARMONIC,
+    HARMONIC_SIZE,
+    LANE,
+    LANE_CONSTANTS,
+    LANE_SIZE,
+    LANES,
+    LEFT,
+    STRIDE,
+    padded_blocks,
+    room_for_vectors,
+)
+from workers.kernel.lanes.rounds import take_round
+from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.lanes.signal import fields_of_harmonic
+from workers.kernel.motion import (
+    EVALUATIONS,
+    FREE,
+    LOSS,
+    LOST,
+    LOWER,
+    MAX_SPEED,
+    MIN_SPEED,
+    RECORDED,
+    RUNNING,
+    SPEEDS,
+    SPREAD,
+    STATUS,
+    UPPER,
+    WORK,
+    Motion,
+    motion_of,
+    oscillator_of,
+)
+from workers.kernel.signal import forced
+from workers.kernel.stroboscopic import advance, loss_spread, spread_rate
+from workers.model.oscillator import Oscillator
+
+Array = NDArray[np.float64]
+
+
+class Batch(NamedTuple):
+    """N cells that are to go on by some periods each: every field stacked along its first axis.
+
+    head         (N, LANE_CONSTANTS)      constants of the oscillators, see LaneFields
+    blocks       (N, n, BLOCK_CONSTANTS)  constants of each of their blocks, see BlockFields
+    harmonics    (N, H - 1, 2)            sine and cosine parts of the harmonics after the first
+    oscillators, motions                  records of many
+    periods      (N,)                     wanted; done (N,) completed, before and after
+    levels       (N, LEVELS, 4), weighted (N, 2): as in Averages
+    sections     (N, K, n, 2)             the last K states
+    """
+
+    head: Array
+    blocks: Array
+    harmonics: Array
+    oscillators: Oscillator
+    motions: Motion
+    periods: NDArray[np.int64]
+    done: NDArray[np.int64]
+    levels: Array
+    weighted: Array
+    sections: Array
+
+
+def constants(oscillators: Oscillator) -> tuple[Array, Array, Array]:
+    """Batch.head, Batch.blocks and Batch.harmonics of many oscillators."""
+    gap = oscillators.gap
+    head = (
+        gap.omega, gap.sin_part[:, 0], gap.cos_part[:, 0], gap.amplitude, *gap.swing.T,
+        oscillators.b_upper, -oscillators.b_lower, oscillators.R, oscillators.cA2k, oscillators.period, oscillators.tau,
+        oscillators.time_unit,
+    )  # fmt: skip
+    blocks = (gap.block, gap.row, gap.row1, oscillators.kick, oscillators.kick1)
+    harmonics = np.stack([gap.sin_part[:, 1:], gap.cos_part[:, 1:]], axis=-1)
+    return np.stack(head, axis=-1), np.concatenate(blocks, axis=-1), harmonics
+
+
+@inline_always
+def load(a, i, r, head, blocks, harmonics, h, tally):
+    """Put the state of cell r into lane i, at its section."""
+    for f in range(LANE_CONSTANTS):
+        a[f * STRIDE + i] = head[r, f]
+    for j in range(h.shape[1]):
+        b = LANE_SIZE + j * BLOCK_SIZE + i
+        for f in range(BLOCK_CONSTANTS):
+            a[b + f * STRIDE] = blocks[r, j, f]
+        a[b + BLOCK.h0], a[b + BLOCK.h1] = h[r, j, 0], h[r, j, 1]
+    tau, w = a[LANE.tau + i], a[LANE.omega + i]
+    y, v, second, third = forced(tau, w, a[LANE.sin_part + i], a[LANE.cos_part + i])
+    for k in range(harmonics.shape[1]):
+        fields = fields_of_harmonic(a, padded_blocks(h.shape[1]), k)
+        fields[HARMONIC.sin_part + i], fields[HARMONIC.cos_part + i] = harmonics[r, k, 0], harmonics[r, k, 1]
+        order = k + 2.0
+        y_, v_, second_, third_ = forced(order * tau, order * w, harmonics[r, k, 0], harmonics[r, k, 1])
+        y, v, second, third = y + y_, v + v_, second + second_, third + third_
+    a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i] = y, v
+    a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i] = second, third
+    a[LANE.forced + i], a[LANE.forced_rate + i] = y, v
+    a[LANE.forced_second + i], a[LANE.forced_third + i] = second, third
+    a[LANE.spread_rate + i] = spread_rate(blocks[r])
+    a[LANE.loss_spread + i] = loss_spread(a[LANE.restitution + i])
+    a[LANE.flight_start + i], a[LANE.flight_phase + i], a[LANE.time + i] = 0.0, a[LANE.tau + i], 0.0
+    a[LANE.own_stop + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
+    a[LANE.event + i], a[LANE.starts + i], a[LANE.renews + i] = FLYING, 1.0, 1.0
+    a[LANE.kick + i], a[LANE.shift + i] = 0.0, 0.0
+    a[LANE.impacts_upper + i], a[LANE.impacts_lower + i] = tally[r, UPPER], tally[r, LOWER]
+    a[LANE.slowest_impact + i], a[LANE.fastest_impact + i] = tally[r, MIN_SPEED], tally[r, MAX_SPEED]
+    a[LANE.impact_speeds + i], a[LANE.impact_loss + i] = tally[r, SPEEDS], tally[r, LOSS]
+    a[LANE.frame_spread + i] = tally[r, SPREAD]
+    a[LANE.evaluations + i], a[LANE.period_cost + i] = tally[r, EVALUATIONS], 0.0
+    a[LANE.rank + i], a[LANE.log_length + i] = 2 * h.shape[1] - tally[r, LOST], np.nan
+    a[LANE.recorded + i], a[LANE.cell + i] = tally[r, RECORDED], r
+
+
+@inlined
+def save(a, i, r, h, tally):
+    """Write the section state of lane i back to its cell."""
+    for j in range(h.shape[1]):
+        b = LANE_SIZE + j * BLOCK_SIZE + i
+        h[r, j, 0], h[r, j, 1] = a[b + BLOCK.h0], a[b + BLOCK.h1]
+    tally[r, UPPER], tally[r, LOWER] = a[LANE.impacts_upper + i], a[LANE.impacts_lower + i]
+    tally[r, MIN_SPEED], tally[r, MAX_SPEED] = a[LANE.slowest_impact + i], a[LANE.fastest_impact + i]
+    tally[r, SPEEDS], tally[r, LOSS] = a[LANE.impact_speeds + i], a[LANE.impact_loss + i]
+    tally[r, SPREAD] = a[LANE.frame_spread + i]
+    tally[r, EVALUATIONS], tally[r, RECORDED] = a[LANE.evaluations + i], a[LANE.recorded + i]
+    tally[r, WORK] -= a[LANE.period_cost + i]
+    a[LANE.period_cost + i] = 0.0
+
+
+@inlined
+def record(a, i, impacts):
+    """Write the impact that lane i has reached down, while there is room in impacts (K, 3)."""
+    row = int(a[LANE.recorded + i])
+    if row < impacts.shape[0]:
+        impacts[row, 0], impacts[row, 1] = a[LANE.flight_start + i], a[LANE.event + i]
+        impacts[row, 2] = abs(a[LANE.v + i])
+        a[LANE.recorded + i] += 1.0
+
+
+@inlined
+def keep_section(h, r, k, periods, sections):
+    """Keep the state after period k if it is one of the last that are asked for."""
+    row = k - (periods - sections.shape[1])
+    if row >= 0:
+        for j in range(h.shape[1]):
+            sections[r, row, j, 0], sections[r, row, j, 1] = h[r, j, 0], h[r, j, 1]
+
+
+@kernel
+def move_lane(a, source, target):
+    """Copy a lane."""
+    for f in range(len(a) // STRIDE):
+        a[f * STRIDE + target] = a[f * STRIDE + source]
+
+
+@kernel
+def park(a, i):
+    """Give a lane that no cell needs a mass that nothing moves, for the passes to run over."""
+    for f in range(len(a) // STRIDE):
+        a[f * STRIDE + i] = 0.0
+    a[LANE.upper + i], a[LANE.lower + i], a[LANE.period + i] = 1.0, -1.0, 1.0
+
+
+@inlined
+def over(r, done, periods, tally):
+    """Whether nothing is left to do for cell r: it is through, or its motion ends, or its work is spent."""
+    return done[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
+
+
+@inline_always
+def go_alone(batch, r):
+    """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
+    motion = motion_of(batch.motions, r)
+    osc = oscillator_of(batch.oscillators, r)
+    vectors = motion.growth.shape[0] > 0
+    before = log_length(osc.gap.metric, motion.V, motion.growth) if vectors else 0.0
+    while not over(r, batch.done, batch.periods, batch.motions.tally):
+        advance(osc, motion)
+        if motion.tally[STATUS] != RUNNING:
+            return
+        k = batch.done[r]
+        if vectors:
+            length = log_length(osc.gap.metric, motion.V, motion.growth)
+            add_growth(batch.levels[r], batch.weighted[r], length - before, k, batch.periods[r])
+            before = length
+        keep_section(batch.motions.h, r, k, batch.periods[r], batch.sections)
+        batch.done[r] = k + 1
+        if motion.contact[0] == FREE:
+            return
+
+
+@kernel
+def run_batch(batch, cells, enough, lanes, oscillates):
+    """Advance these cells of a batch by their periods, or to where their motion or their work ends.
+
+    Changes the arrays of the batch, see there. At most ``lanes`` <= LANES cells are under way at a time; once fewer
+    than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
+    """
+    # Taken out once: a field of a record costs a reference count at every use.
+    head, blocks, harmonics, periods, done, sections = (
+        batch.head, batch.blocks, batch.harmonics, batch.periods, batch.done, batch.sections
+    )  # fmt: skip
+    h, V, growth, tally, contact = (
+        batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.contact
+    )  # fmt: skip
+    impacts, levels, weighted = batch.motions.impacts, batch.levels, batch.weighted
+    n, m = h.shape[1], V.shape[1]
+    wide = padded_blocks(n)
+    vectors = LANE_SIZE + wide * BLOCK_SIZE + harmonics.shape[1] * HARMONIC_SIZE
+    growing = vectors + m * wide * 2 * STRIDE
+    a = room_for_vectors(growing + m * STRIDE)
+    frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
+    gathered, chosen = room_for_vectors(GAP_SIZE), np.zeros(LANES, dtype=np.uint32)
+    space = workspace(m, n)
+    left = np.zeros(LANES, dtype=np.uint32)  # the cells that have left their lanes
+    for i in range(LANES):
+        park(a, i)
+    active = queued = leaving = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    begun, ending, renewing = False, False, 0
+    while True:
+        while leaving > 0 or (active < lanes and queued < len(cells)):
+            if leaving > 0:
+                leaving -= 1
+                r, alone = np.int64(left[leaving]), True
+            else:
+                r = cells[queued]
+                queued += 1
+                alone = contact[r, 0] != FREE
+                if done[r] == 0:
+                    weighted[r, 0] = weighted[r, 1] = 0.0
+            if alone:
+                go_alone(batch, r)
+            if not (ending or over(r, done, periods, tally)):
+                load(a, active, r, head, blocks, harmonics, h, tally)
+                give_frame(V[r], growth[r], frames, growths, active)
+                begun = True
+                active += 1
+        if active == 0:
+            return
+        if m > 0 and begun:
+            measure_pass(a, frames[0], growths[0], space.partial, padded(active))
+        ending = active < enough
+        stopping, renewing = take_round(
+            a, n, harmonics.shape[1], oscillates, begun or renewing > 0, padded(active), chosen, gathered
+        )
+        begun = False
+        if m > 0:
+            move_frames(a, padded(active), blocks, frames, growths, space)
+        if impacts.shape[1] > 0:
+            for i in range(active):
+                if abs(a[LANE.event + i]) == 1.0:
+                    record(a, i, impacts[int(a[LANE.cell + i])])
+        if stopping == 0:
+            continue
+        if m > 0:
+            measure_pass(a, frames[0], growths[0], space.partial, padded(active))
+        count = list_lanes(a, LANE.stops, active, chosen)
+        for e in range(count - 1, -1, -1):  # from the last: the lane that moves into a freed one has been seen
+            i = chosen[e]
+            r = np.int64(a[LANE.cell + i])
+            leaves = a[LANE.event + i] == LEFT
+            if leaves:
+                left[leaving] = r
+                leaving += 1
+            else:
+                k = done[r]
+                if m > 0:
+                    add_growth(levels[r], weighted[r], a[LANE.period_growth + i], k, periods[r])
+                    take_frame(frames, growths, i, V[r], growth[r])
+                save(a, i, r, h, tally)
+                keep_section(h, r, k, periods[r], sections)
+                done[r] = k + 1
+            if leaves or ending or over(r, done, periods, tally):
+                active -= 1
+                move_lane(a, active, i)
+                park(a, active)

@@ -1,0 +1,164 @@
+"""The next time of every lane, certified or an arrival: one turn of the loop of flight.next_crossing.
+
+Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). What few lanes need is
+done for those alone, gathered in c (see GapFields).
+"""
+
+import numpy as np
+
+from workers.kernel.flight import GAP_ROUNDING, LEAST_STEP, arrival, bracket, close_in, curvature, meets
+from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.lanes.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
+
+LONGEST_MARCH = 64
+"""Steps of one flight after which a lane is left to the kernels of one cell."""
+
+LANE_TRIALS = 2
+"""Trial lengths at the end of a safe step: flight.TRIALS cost more than they spare but at a graze."""
+
+
+@kernel
+def approach_pass(a, n):
+    """The stop that each mass moves towards: the gap, and the time after which it is certain to have just closed."""
+    for i in range(n):
+        upper, lower = a[LANE.upper + i], a[LANE.lower + i]
+        ahead = 1.0 if a[LANE.v + i] > 0.0 else -1.0
+        stop = upper if ahead > 0.0 else lower
+        reach = a[LANE.bound0 + i] * (1.0 + 1e-12)
+        room = a[LANE.period + i] - a[LANE.flight_start + i] - a[LANE.time + i]
+        g = ahead * (stop - a[LANE.y + i])
+        g = 0.0 if a[LANE.own_stop + i] == ahead else g
+        v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
+        tolerance = GAP_ROUNDING * (a[LANE.scale + i] + abs(stop))
+        contact = meets(g, v, push, jerk, a[LANE.bound3 + i], a[LANE.bound4 + i], tolerance, room)
+        contact = contact if reach - ahead * stop >= 0.0 else np.inf
+        a[LANE.side + i] = ahead
+        a[LANE.gap + i] = max(g, 0.0)
+        a[LANE.contact_time + i] = contact
+        a[LANE.step + i] = room
+        a[LANE.searched + i] = 1.0 if reach - ahead * stop >= 0.0 and contact == np.inf else 0.0
+
+
+@kernel
+def retreat_pass(a, n):
+    """The stop that each mass moves away from: the gap, and a time safe from it; how many lanes seek a longer one."""
+    count = 0
+    for i in range(n):
+        step, ahead, upper, lower = a[LANE.step + i], a[LANE.side + i], a[LANE.upper + i], a[LANE.lower + i]
+        reach = a[LANE.bound0 + i] * (1.0 + 1e-12)
+        behind = lower if ahead > 0.0 else upper
+        g = ahead * (a[LANE.y + i] - behind)
+        g = max(0.0 if a[LANE.own_stop + i] == -ahead else g, 0.0)
+        v, push, jerk = -ahead * a[LANE.v + i], -ahead * a[LANE.a + i], -ahead * a[LANE.jerk + i]
+        K = curvature(push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], step)
+        L = min(step, arrival(g, v, K))
+        a[LANE.side + i] = -ahead
+        a[LANE.gap + i] = g
+        a[LANE.safe_time + i] = L
+        seek = reach + ahead * behind >= 0.0 and step > L and a[LANE.contact_time + i] == np.inf
+        a[LANE.searched + i] = 1.0 if seek else 0.0
+        count += int(seek)
+    return count
+
+
+@inlined
+def padded(count):
+    """The next multiple of VECTOR_WIDTH: how far loops over so many lanes run."""
+    return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
+
+
+@kernel
+def list_lanes(a, field, n, chosen):
+    """How many lanes have this field set, and which: without a branch, which the processor would often mispredict."""
+    count, bits = 0, a.view(np.uint64)
+    for i in range(n):
+        chosen[count] = i
+        count += int(bits[field + i] != 0)
+    return count
+
+
+@inline_always
+def gather(a, chosen, count, c):
+    """The gaps of lanes chosen[:count] to the stop on their side, as GapFields in c; how far loops over them run."""
+    for e in range(count):
+        i = chosen[e]
+        side = a[LANE.side + i]
+        c[GAP.gap + e] = a[LANE.gap + i]
+        v, push, jerk = side * a[LANE.v + i], side * a[LANE.a + i], side * a[LANE.jerk + i]
+        bound2, bound3, bound4 = a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i]
+        c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e] = v, push, jerk
+        c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e] = bound2, bound3, bound4
+        c[GAP.low + e], c[GAP.high + e] = a[LANE.safe_time + i], a[LANE.step + i]
+    return padded(count)
+
+
+@kernel
+def ahead_pass(a, n):
+    """A step that is safe from the stop ahead, for every lane that is not certain to meet it: a first one."""
+    for i in range(n):
+        ahead, g, H = a[LANE.side + i], a[LANE.gap + i], a[LANE.step + i]
+        v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
+        L, U = bracket(g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], H)
+        a[LANE.safe_time + i] = L
+        a[LANE.limit + i] = U
+
+
+@kernel
+def advance_pass(a, n):
+    """The longest step found between those bounds."""
+    for i in range(n):
+        ahead, g, L, U = a[LANE.side + i], a[LANE.gap + i], a[LANE.safe_time + i], a[LANE.limit + i]
+        v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
+        h = close_in(L, U, g, v, push, jerk, a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i], LANE_TRIALS)
+        a[LANE.step + i] = h if a[LANE.searched + i] > 0.0 else a[LANE.step + i]
+
+
+@kernel
+def close_in_pass(c, n):
+    """The time for which each gap stays open, from bounds of it."""
+    for e in range(n):
+        g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
+        M2_, M3_, M4_ = c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e]
+        c[GAP.low + e] = close_in(c[GAP.low + e], c[GAP.high + e], g, v, push, jerk, M2_, M3_, M4_, LANE_TRIALS)
+
+
+@inline_always
+def scatter(a, chosen, count, c):
+    """Take the times found as the lanes' steps."""
+    for e in range(count):
+        a[LANE.step + chosen[e]] = c[GAP.low + e]
+
+
+@inline_always
+def safe_steps(a, n, chosen, c):
+    """A step that is safe from both stops, for every lane that is not certain to meet one."""
+    approach_pass(a, n)
+    ahead_pass(a, n)
+    advance_pass(a, n)
+    if retreat_pass(a, n) > 0:
+        count = list_lanes(a, LANE.searched, n, chosen)
+        close_in_pass(c, gather(a, chosen, count, c))
+        scatter(a, chosen, count, c)
+
+
+@kernel
+def step_pass(a, n):
+    """The event and the time that each lane goes to next."""
+    for i in range(n):
+        s, step, contact, ahead = a[LANE.time + i], a[LANE.step + i], a[LANE.contact_time + i], -a[LANE.side + i]
+        reach = a[LANE.bound0 + i] * (1.0 + 1e-12)
+        H = a[LANE.period + i] - a[LANE.flight_start + i]
+        met = contact < np.inf
+        excluded = reach < a[LANE.upper + i] and -reach > a[LANE.lower + i]
+        later = s + contact if met else s + step
+        ends = excluded or (later >= H and not met)
+        count = a[LANE.flight_evaluations + i]
+        count = count if excluded else count + 1.0
+        stuck = not later > s + LEAST_STEP * H or count >= LONGEST_MARCH
+        mode = LEFT if stuck else FLYING
+        mode = ahead if met else mode
+        mode = AT_SECTION if ends else mode
+        a[LANE.event + i] = mode
+        a[LANE.time + i] = H if ends else later
+        a[LANE.flight_evaluations + i] = count
+        a[LANE.own_stop + i] = 0.0

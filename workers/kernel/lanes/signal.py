@@ -1,0 +1,214 @@
+"""The signal y(t) of every lane with its derivatives, and bounds of them for all later times: sums over blocks.
+
+Each function is a loop over the first n lanes; a holds the fields of all lanes, q those of one block (see layout.py).
+"""
+
+from workers.kernel.flow import fall, flow_entries, oscillating_flow
+from workers.kernel.fma import fma
+from workers.kernel.jit import inlined, kernel
+from workers.kernel.lanes.layout import BLOCK, BLOCK_SIZE, HARMONIC, HARMONIC_SIZE, LANE, LANE_SIZE
+from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, forced, loaded_output
+
+
+@kernel
+def fields_of(a, j):
+    """The fields of block j of all lanes."""
+    return a[LANE_SIZE + j * BLOCK_SIZE : LANE_SIZE + (j + 1) * BLOCK_SIZE]
+
+
+@kernel
+def fields_of_harmonic(a, blocks, k):
+    """The fields of harmonic k + 2 of all lanes, which lie behind those of so many blocks."""
+    first = LANE_SIZE + blocks * BLOCK_SIZE
+    return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
+
+
+@kernel
+def forced_pass(a, n):
+    """Begin the sums of the signal and its derivatives at LANE.time with the forced part."""
+    for i in range(n):
+        w = a[LANE.omega + i]
+        phase = fma(w, a[LANE.time + i], a[LANE.flight_phase + i])
+        y, v, second, third = forced(phase, w, a[LANE.sin_part + i], a[LANE.cos_part + i])
+        a[LANE.forced + i] = y
+        a[LANE.forced_rate + i] = v
+        a[LANE.forced_second + i] = second
+        a[LANE.forced_third + i] = third
+        a[LANE.y + i] = y
+        a[LANE.v + i] = v
+        a[LANE.a + i] = second
+        a[LANE.jerk + i] = third
+        a[LANE.scale + i] = abs(y)
+
+
+@kernel
+def harmonic_pass(a, q, order, n):
+    """Add the harmonic of this order, the fields of which are q, to those sums."""
+    for i in range(n):
+        w = order * a[LANE.omega + i]
+        phase = order * fma(a[LANE.omega + i], a[LANE.time + i], a[LANE.flight_phase + i])
+        y, v, second, third = forced(phase, w, q[HARMONIC.sin_part + i], q[HARMONIC.cos_part + i])
+        a[LANE.forced + i] += y
+        a[LANE.forced_rate + i] += v
+        a[LANE.forced_second + i] += second
+        a[LANE.forced_third + i] += third
+        a[LANE.y + i] += y
+        a[LANE.v + i] += v
+        a[LANE.a + i] += second
+        a[LANE.jerk + i] += third
+        a[LANE.scale + i] += abs(y)
+
+
+@inlined
+def output_of(q, i, h0, h1):
+    """flight.block_output of a state of one block of lane i."""
+    eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
+    c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
+    return block_output(h0, h1, eta, lam, c0, c1, cA0, cA1)
+
+
+@inlined
+def loaded_output_of(q, i, h0, h1):
+    """flight.loaded_output of a state of one block of lane i."""
+    eta, lam, load = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.load + i]
+    c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
+    return loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
+
+
+@inlined
+def moved(q, i, flow):
+    """The state of one block of lane i at the flight's start, taken on by a flow, which is kept."""
+    f11, f12, f21, f22 = flow
+    q[BLOCK.f11 + i] = f11
+    q[BLOCK.f12 + i] = f12
+    q[BLOCK.f21 + i] = f21
+    q[BLOCK.f22 + i] = f22
+    start0, start1 = q[BLOCK.start0 + i], q[BLOCK.start1 + i]
+    return fma(f11, start0, f12 * start1), fma(f21, start0, f22 * start1)
+
+
+@inlined
+def add_share(a, q, i, h0, h1, share):
+    """Keep the state of one block of lane i and add its share of the signal."""
+    q0, q1, q2, q3 = share
+    q[BLOCK.h0 + i] = h0
+    q[BLOCK.h1 + i] = h1
+    a[LANE.y + i] += q0
+    a[LANE.v + i] += q1
+    a[LANE.a + i] += q2
+    a[LANE.jerk + i] += q3
+    a[LANE.scale + i] += abs(q0)
+
+
+@kernel
+def oscillating_block_pass(a, q, n):
+    """Take one block to LANE.time and add its share of the signal; it is underdamped in every lane."""
+    for i in range(n):
+        eta, lam, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
+        h0, h1 = moved(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
+        add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
+
+
+@kernel
+def block_pass(a, q, n):
+    """Take one block to LANE.time and add its share of the signal, whatever its damping and its load."""
+    for i in range(n):
+        s, load = a[LANE.time + i], q[BLOCK.load + i]
+        eta, lam, d, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.d + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
+        flow = flow_entries(s, eta, lam, d, w, inv_w, q[BLOCK.slow + i], q[BLOCK.fast + i])
+        h0, h1 = moved(q, i, flow)
+        h0, h1 = fma(load, fall(s, eta), h0), fma(load, flow[1], h1)
+        add_share(a, q, i, h0, h1, loaded_output_of(q, i, h0, h1))
+
+
+@kernel
+def restart_pass(a, n):
+    """Begin the sums of signal and bounds anew: the signal where a flight starts, the bounds there and now and then."""
+    for i in range(n):
+        y, v, second, third = (
+            a[LANE.forced + i],
+            a[LANE.forced_rate + i],
+            a[LANE.forced_second + i],
+            a[LANE.forced_third + i],
+        )
+        fresh, renew = a[LANE.starts + i] > 0.0, a[LANE.renews + i] > 0.0
+        y_, v_, a_, j_, scale = a[LANE.y + i], a[LANE.v + i], a[LANE.a + i], a[LANE.jerk + i], a[LANE.scale + i]
+        m0, m2, m3, m4 = a[LANE.bound0 + i], a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i]
+        a[LANE.y + i] = y if fresh else y_
+        a[LANE.v + i] = v if fresh else v_
+        a[LANE.a + i] = second if fresh else a_
+        a[LANE.jerk + i] = third if fresh else j_
+        a[LANE.scale + i] = abs(y) if fresh else scale
+        b0, b2, b3, b4 = a[LANE.amplitude + i], a[LANE.swing2 + i], a[LANE.swing3 + i], a[LANE.swing4 + i]
+        a[LANE.bound0 + i] = b0 if renew else m0
+        a[LANE.bound2 + i] = b2 if renew else m2
+        a[LANE.bound3 + i] = b3 if renew else m3
+        a[LANE.bound4 + i] = b4 if renew else m4
+
+
+@inlined
+def state_at_start(a, q, i):
+    """A block's state where bounds are wanted; where a flight starts there, after the impact's kick."""
+    fresh = a[LANE.starts + i] > 0.0
+    g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
+    dv, dy = a[LANE.kick + i], a[LANE.shift + i]
+    kicked0 = fma(dy, q[BLOCK.Ak0 + i], fma(dv, q[BLOCK.k0 + i], g0))
+    kicked1 = fma(dy, q[BLOCK.Ak1 + i], fma(dv, q[BLOCK.k1 + i], g1))
+    h0, h1 = kicked0 if fresh else g0, kicked1 if fresh else g1
+    q[BLOCK.start0 + i] = h0 if fresh else start0
+    q[BLOCK.start1 + i] = h1 if fresh else start1
+    return h0, h1
+
+
+@inlined
+def share_at_start(a, i, share):
+    """Add a block's share to the sums where a flight starts."""
+    fresh = a[LANE.starts + i] > 0.0
+    q0, q1, q2, q3 = share
+    a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
+    a[LANE.v + i] = a[LANE.v + i] + q1 if fresh else a[LANE.v + i]
+    a[LANE.a + i] = a[LANE.a + i] + q2 if fresh else a[LANE.a + i]
+    a[LANE.jerk + i] = a[LANE.jerk + i] + q3 if fresh else a[LANE.jerk + i]
+    a[LANE.scale + i] = a[LANE.scale + i] + abs(q0) if fresh else a[LANE.scale + i]
+
+
+@inlined
+def amplitude_factors(q, i):
+    """What kernel.signal.amplitude_bounds needs of one block of lane i."""
+    return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
+
+
+@inlined
+def add_bounds(a, i, bounds):
+    """Add a block's bounds to the sums where they are computed anew."""
+    renew = a[LANE.renews + i] > 0.0
+    b0, b2, b3, b4 = bounds
+    a[LANE.bound0 + i] = a[LANE.bound0 + i] + b0 if renew else a[LANE.bound0 + i]
+    a[LANE.bound2 + i] = a[LANE.bound2 + i] + b2 if renew else a[LANE.bound2 + i]
+    a[LANE.bound3 + i] = a[LANE.bound3 + i] + b3 if renew else a[LANE.bound3 + i]
+    a[LANE.bound4 + i] = a[LANE.bound4 + i] + b4 if renew else a[LANE.bound4 + i]
+
+
+@kernel
+def oscillating_bounds_pass(a, q, n):
+    """Add one block's share to the sums that restart_pass began; underdamped in every lane."""
+    for i in range(n):
+        h0, h1 = state_at_start(a, q, i)
+        share = output_of(q, i, h0, h1)
+        share_at_start(a, i, share)
+        tilt, weight, grow2, grow3, grow4 = amplitude_factors(q, i)
+        add_bounds(a, i, amplitude_bounds(share[0], share[1], tilt, weight, grow2, grow3, grow4))
+
+
+@kernel
+def bounds_pass(a, q, n):
+    """Add one block's share to the sums that restart_pass began, whatever its damping."""
+    for i in range(n):
+        h0, h1 = state_at_start(a, q, i)
+        share = loaded_output_of(q, i, h0, h1)
+        share_at_start(a, i, share)
+        q0, q1, pull = share[0], share[1], q[BLOCK.c0 + i] * q[BLOCK.load + i]
+        eta, lam, d, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.d + i], q[BLOCK.inv_w + i]
+        slow, fast = q[BLOCK.slow + i], q[BLOCK.fast + i]
+        tilt, weight, grow2, grow3, grow4 = amplitude_factors(q, i)
+        add_bounds(a, i, block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4))
