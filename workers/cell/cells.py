@@ -49,6 +49,11 @@ class Average(NamedTuple):
     tally: Array
     apart: Array
 
+    @property
+    def deviation(self) -> Array:
+        """The error that results give: the larger of both."""
+        return np.maximum(self.error, self.apart)
+
 
 class Cells:
     """N cells and where each of them is; its motion, periods and averages are those of the batch.

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from workers.cell.cells import LONG_PERIOD, NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
+from workers.cell.cells import CLEAR, LONG_PERIOD, NEAR, RETURNS, Array, Cells, Mask, Rows, clearly_positive
 from workers.cell.exponents import impact_count
 from workers.cell.outcome import (
     put,
@@ -184,7 +184,7 @@ class Course:
     def _finish(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
         average = self.cells.whole_average(rows)
-        clear = clearly_positive(average.mean, average.error, average.periods)
+        clear = clearly_positive(average.mean, average.deviation, average.periods)
         relaxed = ~(self.first[rows] < self.memory[rows])
         put_chaotic(self.cells, rows[clear], np.where(relaxed[clear], NO_REASON, NOT_RELAXED))
         put_undecided(self.cells, rows[~clear])
@@ -313,13 +313,17 @@ class Course:
         return np.concatenate([rows[chaotic], self._find_order(rows[~chaotic])])
 
     def _judge_second(self, rows: Rows) -> Rows:
-        """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived."""
+        """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived.
+
+        What is positive is to be clearly so.
+        """
         whole = self.cells.whole_average(rows)
         _, error, _ = self.cells.growth(rows)
-        deviation = np.maximum(whole.error, whole.apart)
-        wanted = _periods_for(whole.periods, deviation, self.settings.tolerance) - whole.periods
+        least = np.where(whole.mean > 0.0, whole.mean / CLEAR, math.inf)
+        accuracy = np.minimum(self.settings.tolerance, least)
+        wanted = _periods_for(whole.periods, whole.deviation, accuracy) - whole.periods
         watch = self._to_watch(rows)
-        precise = (self._changed(rows) | (deviation <= self.settings.tolerance)) & (error <= 2.0 * self._half)
+        precise = (self._changed(rows) | (whole.deviation <= accuracy)) & (error <= 2.0 * self._half)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
         return np.concatenate([rows[~enough], self._compare(rows[enough])])
@@ -379,6 +383,6 @@ class Course:
         return np.setdiff1d(rows, negative[settled], assume_unique=True)
 
 
-def _periods_for(count: Array, error: Array, wanted: float) -> Array:
+def _periods_for(count: Array, error: Array, wanted: Array | float) -> Array:
     """Periods that an average takes whose error is that over ``count`` periods, until it is as small as wanted."""
     return np.asarray(count * np.minimum(error / wanted, FARTHEST) ** 2)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.cells import Array, Cells, Mask, Rows, clearly_positive
+from workers.cell.cells import Array, Average, Cells, Mask, Rows, clearly_positive
 from workers.cell.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.cell.ranges import FOLLOWED, free_range, impact_range
 from workers.cell.stretch import batch_of, run
@@ -189,7 +189,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     some, count, tally = rows[counted], average.periods[counted], average.tally[counted]
     whole, periods = cells.counts(some)
     if cells.vectors:
-        put_growth(cells, some, whole, *(field[counted] for field in average))
+        put_growth(cells, some, whole, taken(average, np.flatnonzero(counted)))
     sticks = whole[:, STUCK] > 0.0
     put(
         cells,
@@ -224,33 +224,24 @@ def put_speeds(cells: Cells, rows: Rows, tally: Array, periods: Array | Rows) ->
     )
 
 
-def put_growth(
-    cells: Cells,
-    rows: Rows,
-    whole: Array,
-    mean: Array,
-    error: Array,
-    count: Array,
-    growth: Array,
-    tally: Array,
-    apart: Array,
-) -> None:
-    """Write the exponents that an average shows of these cells; see Average.
+def put_growth(cells: Cells, rows: Rows, whole: Array, average: Average) -> None:
+    """Write the exponents that an average shows of these cells.
 
     Directions that are lost by the counts of the ``whole`` motion are lost, though not in the average.
     """
-    spectrum = -np.sort(-growth / count[:, None], axis=1)
+    count = average.periods
+    spectrum = -np.sort(-average.growth / count[:, None], axis=1)
     size = 2 * cells.oscillators.gap_row.shape[1]
     spectrum[np.arange(spectrum.shape[1]) >= size - whole[:, LOST, None]] = -math.inf
     put(
         cells,
         rows,
-        largest=mean,
-        error=np.maximum(error, apart),
-        average=spectrum if cells.settings.exponents == "spectrum" else mean,
+        largest=average.mean,
+        error=average.deviation,
+        average=spectrum if cells.settings.exponents == "spectrum" else average.mean,
     )
-    total = np.sum(growth, axis=1) / count
-    hits = impact_count(tally) / count
+    total = np.sum(average.growth, axis=1) / count
+    hits = impact_count(average.tally) / count
     if cells.settings.exponents == "spectrum":
         put(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum))
         put(cells, rows, sum_law_defect=_defect(taken(cells.oscillators, rows), total, whole, hits))
@@ -285,7 +276,7 @@ def put_undecided(cells: Cells, rows: Rows, reason: int = NO_REASON) -> None:
     if not len(rows):
         return
     average = cells.whole_average(rows)
-    chaotic = clearly_positive(average.mean, average.error, average.periods)
+    chaotic = clearly_positive(average.mean, average.deviation, average.periods)
     put_chaotic(cells, rows[chaotic])
     put_averaged(cells, rows[~chaotic])
     put(cells, rows[~chaotic], regime=UNDETERMINED, error=math.nan, reason=reason)
