@@ -113,7 +113,7 @@ def counts(params: dict[str, float], periods: int = 1000) -> tuple[float, float]
     before = float(motion.tally[EVALUATIONS])
     run_periods(osc, motion, periods)
     count = (float(motion.tally[EVALUATIONS]) - before) / periods
-    return count, count * (2 + sum(3 if d > 0.0 else 5 for d in osc.gap.block[:, COLUMN.d]))
+    return count, count * (2 + sum(3 if d > 0.0 else 5 for d in osc.gap.blocks[:, COLUMN.d]))
 
 
 def measure(schedule: Schedule) -> list[dict[str, Any]]:

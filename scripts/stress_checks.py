@@ -92,7 +92,7 @@ def _gap(osc: Oscillator, h: Array, t: float) -> float:
 
 def _physical(osc: Oscillator, h: Array, t: float) -> Array:
     """Physical state (2n,) of block coordinates at a time since the section."""
-    full = h + np.sum(np.array(osc.forced) * _waves(osc, t), axis=(2, 3)) + osc.rest
+    full = h + np.sum(np.array(osc.gap.forced) * _waves(osc, t), axis=(2, 3)) + osc.rest
     return np.asarray(np.array(osc.to_physical) @ full.ravel())
 
 

@@ -79,7 +79,7 @@ def response(omega: float, k: float = 1.0, zeta: float = 0.0) -> float:
 @pytest.mark.parametrize("a", [0.3, 0.5, 2.0])
 def test_the_extremes_of_two_harmonics_are_those_of_the_closed_form(a: float) -> None:
     """Truth: cos phi + a cos 2 phi lies between -a - 1 / (8 a), where cos phi = -1 / (4 a), and 1 + a, for a > 1/4."""
-    signal = LOADED_MANY._replace(sin_part=np.zeros((1, 4)), cos_part=np.array([[1.0, a, 0.0, 0.0]]))
+    signal = LOADED_MANY._replace(waves=np.array([[[0.0, 1.0], [0.0, a], [0.0, 0.0], [0.0, 0.0]]]))
     assert [float(each[0]) for each in grazing.extremes(signal)] == pytest.approx([1 + a, -a - 1 / (8 * a)], rel=1e-14)
 
 
@@ -87,7 +87,7 @@ def test_no_value_of_any_harmonics_lies_beyond_their_extremes() -> None:
     """Truth: 20,000 values of each signal, between which it cannot rise by more than 1e-6 of its size."""
     rng = np.random.default_rng(1)
     s, c = rng.normal(size=(2, 50, 4)) * 10.0 ** rng.integers(-8, 2, (50, 4))
-    highest, lowest = grazing.extremes(LOADED_MANY._replace(sin_part=s, cos_part=c))
+    highest, lowest = grazing.extremes(LOADED_MANY._replace(waves=np.stack([s, c], axis=-1)))
     phi = np.linspace(0, 2 * np.pi, 20_000)[:, None]
     k = np.arange(1, 5)
     for i in range(50):

@@ -10,7 +10,7 @@ from tests import naive
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing, safe_step
 from workers.kernel.flow import block_flow
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import Signal, make_blocks
+from workers.model.oscillator import OF_FLOW, Mode, make_blocks
 
 
 def flow(eta: float, lam: float, s: float) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_the_flow_is_continuous_where_its_formula_changes() -> None:
 # Random signals
 
 
-def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float] = (0.01, 3.0)) -> Signal:
+def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float] = (0.01, 3.0)) -> Mode:
     lam = np.exp(rng.uniform(np.log(0.2), np.log(40.0), n))
     eta = np.sqrt(lam) * np.exp(rng.uniform(*np.log(damping), n))
     row = rng.normal(size=(n, 2)) * [1.0, 0.2]
@@ -66,17 +66,17 @@ def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float]
     row2 = np.column_stack([-lam * row1[:, 1], row1[:, 0] - 2 * eta * row1[:, 1]])
     sin_part, cos_part = rng.normal(size=2) * 0.3
     omega, size = float(np.exp(rng.uniform(np.log(0.3), np.log(5.0)))), math.hypot(sin_part, cos_part)
-    return Signal(
-        eta, lam, lam, make_blocks(eta, lam), row, row1, row2, np.array([sin_part]), np.array([cos_part]),
-        size, size * omega ** np.array([2.0, 3.0, 4.0]), omega,
-    )  # fmt: skip
+    blocks = make_blocks(eta, lam)
+    blocks[:, OF_FLOW:] = np.hstack([row, row1, np.zeros((n, 4)), row2])
+    numbers = np.array([omega, *(size * omega**k for k in (0, 2, 3, 4))])
+    return Mode(blocks, lam, np.array([[sin_part, cos_part]]), numbers, np.zeros((n, 2, 1, 2)))
 
 
-def without_force(signal: Signal) -> Signal:
-    return signal._replace(sin_part=np.zeros(1), cos_part=np.zeros(1), amplitude=0.0, swing=np.zeros(3))
+def without_force(signal: Mode) -> Mode:
+    return signal._replace(waves=np.zeros((1, 2)), numbers=np.array([signal.omega, 0.0, 0.0, 0.0, 0.0]))
 
 
-def random_state(rng: np.random.Generator, signal: Signal) -> np.ndarray:
+def random_state(rng: np.random.Generator, signal: Mode) -> np.ndarray:
     lam = np.array(signal.lam)
     return rng.normal(size=(len(lam), 2)) * np.column_stack([np.ones_like(lam), np.sqrt(lam)])
 
@@ -93,7 +93,7 @@ def test_the_bounds_hold_for_all_later_times_at_any_damping() -> None:
         h, phase = random_state(rng, signal), rng.uniform(0, 2 * math.pi)
         exact = naive.Exponentials.of(signal, h, phase)
         times = np.concatenate([[0.0], np.geomspace(1e-4, 30.0, 600)])
-        for order, bound in zip((0, 2, 3, 4), derivative_bounds(signal, h), strict=True):
+        for order, bound in zip((0, 2, 3, 4), derivative_bounds(signal.blocks, signal.numbers, h), strict=True):
             assert np.max(np.abs(exact.at(times, order))) <= bound * (1 + 1e-9)
 
 
@@ -106,7 +106,7 @@ def test_no_gap_closes_within_a_safe_step() -> None:
         exact = naive.Exponentials.of(signal, h, phase)
         y, v, a, j3 = (float(exact.at(np.zeros(1), k)[0]) for k in range(4))
         g = abs(rng.normal()) * 10.0 ** rng.uniform(-6, 0)
-        _, M2, M3, M4 = derivative_bounds(signal, h)
+        _, M2, M3, M4 = derivative_bounds(signal.blocks, signal.numbers, h)
         step = safe_step(g, v, a, j3, M2, M3, M4, 20.0)
         assert 0.0 < step <= 20.0
         assert np.max(exact.at(np.linspace(0.0, step, 400))) <= y + g + 1e-12
@@ -184,7 +184,7 @@ def test_a_stop_that_the_bound_excludes_costs_no_evaluation() -> None:
     rng = np.random.default_rng(7)
     signal = random_signal(rng, 2)
     h = random_state(rng, signal)
-    reach = derivative_bounds(signal, h)[0]
+    reach = derivative_bounds(signal.blocks, signal.numbers, h)[0]
     assert crossing(signal, h, 0.4, 1.001 * reach, -1.001 * reach, 9.0) == (9.0, 0, 0)
 
 
@@ -207,7 +207,7 @@ def test_no_motion_at_all_reaches_nothing() -> None:
     assert crossing(signal, np.zeros((2, 2)), 0.0, 1e-3, -1e-3, 5.0) == (5.0, 0, 0)
 
 
-def on_stop(rng: np.random.Generator, zero: int) -> tuple[Signal, np.ndarray, float, naive.Exponentials]:
+def on_stop(rng: np.random.Generator, zero: int) -> tuple[Mode, np.ndarray, float, naive.Exponentials]:
     """A flight whose first ``zero`` derivatives vanish and whose next one points away from the upper stop at y(0)."""
     signal = random_signal(rng, 2)
     phase = rng.uniform(0, 2 * math.pi)

@@ -65,4 +65,4 @@ def test_a_dashpot_along_the_gap_leaves_what_moves_on_a_stop_undamped() -> None:
             )
         )  # fmt: skip
         assert reasons[0] == NO_REASON
-        assert built.held.release.block[0, 0, COLUMN.eta] == 0.0
+        assert built.held.mode.blocks[0, 0, COLUMN.eta] == 0.0

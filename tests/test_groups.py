@@ -106,13 +106,13 @@ def test_stores_as_they_were_made_have_no_fault(whole: Path, basins: Path, label
 def test_a_flipped_byte_is_found_in_every_object(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     path = copied(request.getfixturevalue(which), tmp_path)
     missed = []
-    for file in objects(path):
+    for k, file in enumerate(objects(path)):  # the first, a middle or the last byte in turn
         before = (path / file).read_bytes()
-        for byte in (0, len(before) // 2, len(before) - 1):
-            flip(path / file, byte)
-            if not faults(path):
-                missed.append((str(file), byte))
-            (path / file).write_bytes(before)
+        byte = (0, len(before) // 2, len(before) - 1)[k % 3]
+        flip(path / file, byte)
+        if not faults(path):
+            missed.append((str(file), byte))
+        (path / file).write_bytes(before)
     assert missed == []
 
 

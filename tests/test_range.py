@@ -9,7 +9,7 @@ from tests import naive
 from tests.followed import ball_in_flight, follow, on_attractor
 from workers import Settings, solve_tile
 from workers.cell.ranges import FOLLOWED, free_range
-from workers.kernel.excursion import excursions
+from workers.kernel.cells import excursions
 from workers.model.oscillator import many_of
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
 

@@ -202,7 +202,7 @@ def test_an_error_covers_both_of_two_averages_that_differ_where_the_budget_ends(
 def test_energy_relaxes_at_the_rate_of_the_slowest_mode_without_impact() -> None:
     """The energy of free motion falls as exp(-2 eta t)."""
     cells = cells_of({"omega": 2.0, "b": 50.0, "zeta": np.array([0.01, 0.1, 0.3])})
-    slowest = np.asarray(cells.oscillators.gap.block)[..., 0].min(axis=1)
+    slowest = np.asarray(cells.oscillators.gap.blocks)[..., 0].min(axis=1)
     assert relaxation(cells) == pytest.approx(1.0 / (2.0 * slowest * math.pi), rel=1e-12)
 
 

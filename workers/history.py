@@ -60,7 +60,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     start = np.array([values[name] for name in record.states])
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
     oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
-    motions = motions_at(np.zeros((1, *osc.kick.shape)), vectors=vectors, record=RECORD)
+    motions = motions_at(np.zeros((1, *osc.gap.kick.shape)), vectors=vectors, record=RECORD)
     scale = start_motions(oscillators, motions, start[None], cell)
     motion = each(motions, lambda field: field[0])
     if motion.contact[0] == BEYOND:

@@ -195,7 +195,8 @@ def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:
     row = np.array(osc.gap_row)
     n = row.size
     stop = osc.upper if side > 0 else osc.lower
-    kick = (np.array(osc.to_physical) @ np.array(osc.kick).ravel())[n:]  # what an impact changes the velocities along
+    # What an impact changes the velocities along.
+    kick = (np.array(osc.to_physical) @ np.array(osc.gap.kick).ravel())[n:]
     on_stop = state.copy()
     on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
     on_stop[n:] += kick * (velocity - row @ state[n:])

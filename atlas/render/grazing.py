@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from atlas.render import axes, machine
-from workers.model.oscillator import Oscillator, Signal
+from workers.model.oscillator import Mode, Oscillator
 from workers.model.system import System
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def drifts(osc: Oscillator) -> NDArray[np.bool_]:
     return np.asarray(np.any(osc.gap.lam == 0.0, axis=1))
 
 
-def extremes(signal: Signal) -> tuple[Array, Array]:
+def extremes(signal: Mode) -> tuple[Array, Array]:
     """The largest and the smallest value over a period of the forced part of many signals.
 
     With z = exp(i phi) the derivative of sum_k s_k sin(k phi) + c_k cos(k phi) is that of half of

@@ -61,7 +61,7 @@ def why_no_twins(system: System, values: Mapping[str, float]) -> str:
         return "there is only one stop"
     if osc.b_upper != osc.b_lower:
         return f"the stops lie {osc.b_upper:g} above and {osc.b_lower:g} below the rest position"
-    if np.any(osc.gap.block[:, COLUMN.load] != 0.0):
+    if np.any(osc.gap.blocks[:, COLUMN.load] != 0.0):
         return "a constant load acts on a mass that no spring holds"
     return "the force has even harmonics"
 

@@ -91,7 +91,7 @@ def attractor_of_orbit(oscillators: Oscillator, cell: int, found: "Found", r: in
     largest = float(orbits.exponents[r, 0])
     if regime == NO_IMPACT:
         new.h, new.period, new.shift = np.zeros_like(new.h), 1, 0.0
-        rates = oscillators.gap.block[cell][:, COLUMN.slow]
+        rates = oscillators.gap.blocks[cell][:, COLUMN.slow]
         largest = -float(rates.min() * oscillators.period[cell])
     new.orbit = states_at(oscillators, cell, new, new.shift, new.period)[: new.period]
     if largest < 0.0 and new.period <= LONGEST_KNOWN:

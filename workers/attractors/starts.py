@@ -93,7 +93,7 @@ def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tu
     """
     N, n = oscillators.gap_row.shape
     moves = oscillators.to_physical
-    forced = oscillators.forced.reshape(N, 2 * n, -1, 2)
+    forced = oscillators.gap.forced.reshape(N, 2 * n, -1, 2)
     amplitude = np.sum(np.hypot(*np.moveaxis(np.einsum("nij,njhp->nihp", moves, forced), -1, 0)), axis=-1)
     middle = np.einsum("nij,nj->ni", moves, oscillators.rest.reshape(N, 2 * n))
     row = np.abs(oscillators.gap_row)

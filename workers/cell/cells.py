@@ -194,7 +194,7 @@ class Cells:
         """
         gap, oscillators = self.oscillators.gap, self.oscillators
         reach = np.minimum(oscillators.b_upper, oscillators.b_lower)[cells]
-        block = gap.block[cells]
+        block = gap.blocks[cells]
         damped = np.all((block[..., COLUMN.eta] > 0.0) & (block[..., COLUMN.load] == 0.0), axis=-1)
         found: Mask = self.orbits.near[cells] | (damped & (np.asarray(gap.amplitude)[cells] < reach))
         return found | ((self._directions == 2) & self._can_rest(cells))
@@ -202,7 +202,7 @@ class Cells:
     def _can_rest(self, cells: Rows) -> Mask:
         """Of which of these cells the load presses the mass on a stop at some phase of the force."""
         held, o = self.oscillators.held, self.oscillators
-        load, push = np.asarray(held.release.amplitude)[cells], held.push[cells]
+        load, push = np.asarray(held.mode.amplitude)[cells], held.push[cells]
         upper = np.isfinite(np.asarray(o.b_upper)[cells]) & (load + push[:, 0] > 0.0)
         lower = np.isfinite(np.asarray(o.b_lower)[cells]) & (load - push[:, 1] > 0.0)
         pressed: Mask = (upper | lower) & (np.asarray(o.R)[cells] < 1.0)

@@ -86,7 +86,7 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Arra
     1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, take
     their part of one of the 2n squares that the energy is a sum of. May be infinite.
     """
-    slowest = oscillators.gap.block[rows][..., COLUMN.slow].min(axis=-1)
+    slowest = oscillators.gap.blocks[rows][..., COLUMN.slow].min(axis=-1)
     freedoms = 2.0 * oscillators.gap_row.shape[1]
     rate = 2.0 * slowest * oscillators.period[rows] + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms
     return np.asarray(1.0 / rate)

@@ -16,7 +16,7 @@ def free_exponents(osc: Oscillator) -> Array:
 
     -eta_j T twice for an underdamped block, -(eta_j -+ sqrt(eta_j^2 - lam_j)) T for another.
     """
-    block = osc.gap.block
+    block = osc.gap.blocks
     rates = np.concatenate([block[..., COLUMN.slow], block[..., COLUMN.fast]], axis=-1)
     return -np.sort(rates, axis=-1) * np.asarray(osc.period)[..., None]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.excursion import excursions
+from workers.kernel.cells import excursions
 from workers.kernel.motion import FREE, LOWER, UPPER
 from workers.model.oscillator import Oscillator
 

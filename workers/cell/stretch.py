@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import LEVELS, Averages, no_averages
-from workers.kernel.lanes.layout import COLUMN, LANES
-from workers.kernel.lanes.run import Batch, constants, run_batch
+from workers.kernel.lanes.layout import LANES
+from workers.kernel.lanes.run import Batch, run_batch
 from workers.kernel.motion import RUNNING, STATUS, WORK, Motion
-from workers.model.oscillator import Oscillator, each, many_of
+from workers.model.oscillator import COLUMN, Oscillator, each, many_of
 
 Array = NDArray[np.float64]
 
@@ -15,11 +15,7 @@ Array = NDArray[np.float64]
 def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
     """A batch of many motions that have nowhere to go yet, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
-    head, blocks, harmonics = constants(oscillators)
     return Batch(
-        head=head,
-        blocks=blocks,
-        harmonics=harmonics,
         oscillators=oscillators,
         motions=motions,
         periods=np.zeros(N, dtype=np.int64),
@@ -48,7 +44,7 @@ def run(batch: Batch, cells: NDArray[np.int64], *, to_end: bool = True, lanes: i
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
     place. Cells of underdamped modes alone need less arithmetic and are taken apart from the others.
     """
-    underdamped = np.all(batch.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
+    underdamped = np.all(batch.oscillators.gap.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
     for oscillates in (True, False):
         some = cells[underdamped == oscillates]
         if len(some):

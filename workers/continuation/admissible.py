@@ -14,7 +14,7 @@ from workers.continuation.equations import Impacts, Itinerary, at_impacts, block
 from workers.continuation.linear import ModalOscillator, rest_of
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import Signal
+from workers.model.oscillator import Mode
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class _Contact(NamedTuple):
 
 
 def first_fault(
-    signal: Signal, lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int = -1
+    signal: Mode, lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int = -1
 ) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
@@ -103,7 +103,7 @@ def _open_for(contact: _Contact, M3: float) -> float:
 
 
 def _next_contact(
-    signal: Signal,
+    signal: Mode,
     lin: ModalOscillator,
     itinerary: Itinerary,
     points: Impacts,
@@ -114,7 +114,7 @@ def _next_contact(
     """A contact on the flight from one contact to the next, before it; None if there is none."""
     parts = block_state(lin, itinerary, points, np.array([[here.time]]))
     h = np.ascontiguousarray(np.stack([part[0, :, 0] for part in parts], axis=-1))
-    M3 = derivative_bounds(signal, h)[2]
+    M3 = derivative_bounds(signal.blocks, signal.numbers, h)[2]
     H = duration - (_open_for(there, M3) if there else 0.0)
     if H <= 0.0:
         return None

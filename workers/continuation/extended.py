@@ -23,7 +23,7 @@ from workers.continuation.equations import (
 )
 from workers.continuation.linear import Family, ModalOscillator, NoOscillatorError, taken
 from workers.continuation.stability import multipliers, pair_near
-from workers.model.oscillator import Signal, each
+from workers.model.oscillator import Mode, each
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Extended:
         self, family: Family, orbit: Orbit, conditions: tuple[Condition, ...], values: Array, width: Array
     ) -> None:
         self.family, self.itinerary, self.conditions = family, orbit.itinerary, conditions
-        self.known: dict[bytes, tuple[ModalOscillator, Signal | None]] = {}
+        self.known: dict[bytes, tuple[ModalOscillator, Mode | None]] = {}
         lin = self.model(np.asarray(values, dtype=np.float64))[0]
         check_orbits(lin, orbit.itinerary)
         self.m, self.free = len(orbit.itinerary.sides), len(family.free)
@@ -79,7 +79,7 @@ class Extended:
         self.totals = [2.0 * condition.kappa for condition in conditions]
         self.borders: list[tuple[Array, Array] | None] = [None] * len(conditions)
 
-    def model(self, values: Array) -> tuple[ModalOscillator, Signal | None]:
+    def model(self, values: Array) -> tuple[ModalOscillator, Mode | None]:
         """The oscillator, as the only one of a record of many, and its gap signal at parameters (free,)."""
         key = values.tobytes()
         if key not in self.known:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from workers.kernel.jit import kernel
 from workers.model.family import FreeMotions, Motions
 from workers.model.free import phase_of
-from workers.model.oscillator import COLUMN, Oscillator, Signal
+from workers.model.oscillator import COLUMN, Mode, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
 
@@ -57,7 +57,7 @@ class Family(NamedTuple):
     """
 
     free: tuple[str, ...]
-    model: Callable[[Array], tuple[ModalOscillator, Signal | None]]
+    model: Callable[[Array], tuple[ModalOscillator, Mode | None]]
 
 
 def linear_of(oscillators: Oscillator) -> ModalOscillator:
@@ -67,10 +67,10 @@ def linear_of(oscillators: Oscillator) -> ModalOscillator:
         eta=gap.eta,
         lam=lam,
         c=gap.row,
-        k=oscillators.kick,
+        k=oscillators.gap.kick,
         sin_part=np.asarray(gap.sin_part),
         cos_part=np.asarray(gap.cos_part),
-        load=np.asarray(gap.block)[..., COLUMN.load],
+        load=np.asarray(gap.blocks)[..., COLUMN.load],
         upper=np.asarray(oscillators.b_upper),
         lower=np.asarray(oscillators.b_lower),
         omega=np.asarray(gap.omega),
@@ -87,7 +87,7 @@ def _linear_of(found: Motions) -> ModalOscillator:
         eta=frame.modes.eta,
         lam=frame.modes.lam,
         c=frame.row,
-        k=frame.kick,
+        k=free.gap.kick,
         sin_part=free.gap.sin_part,
         cos_part=free.gap.cos_part,
         load=free.driven.load,
@@ -109,7 +109,7 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
         system.parameter(name)
     motions = FreeMotions(system, values, free)
 
-    def model(rows: Array) -> tuple[ModalOscillator, Signal | None]:
+    def model(rows: Array) -> tuple[ModalOscillator, Mode | None]:
         found = motions(rows)
         if np.any(found.reasons != NO_REASON):
             bad = int(np.flatnonzero(found.reasons != NO_REASON)[0])

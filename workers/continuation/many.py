@@ -12,7 +12,7 @@ from workers.continuation.extended import NEWTON_STEPS
 from workers.continuation.linear import Family, ModalOscillator, taken
 from workers.continuation.minimal import is_minimal
 from workers.continuation.stability import multipliers
-from workers.model.oscillator import Signal, each
+from workers.model.oscillator import Mode, each
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -110,12 +110,12 @@ def attract(family: Family, orbits: Many) -> Mask:
     return good
 
 
-def _one_signal(signals: Signal, k: int) -> Signal:
-    found: Signal = each(signals, lambda field: field[k])
+def _one_signal(signals: Mode, k: int) -> Mode:
+    found: Mode = each(signals, lambda field: field[k])
     return found
 
 
-def _is_orbit(lin: ModalOscillator, signal: Signal | None, itinerary: Itinerary, points: Impacts) -> bool:
+def _is_orbit(lin: ModalOscillator, signal: Mode | None, itinerary: Itinerary, points: Impacts) -> bool:
     if not is_minimal(itinerary, points, float(itinerary.span(lin)[0]), float(lin.omega[0])):
         return False
     return signal is None or first_fault(signal, lin, itinerary, points, np.zeros(0)) is None

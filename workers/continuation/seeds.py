@@ -117,9 +117,9 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     since = np.mod(points.t / period - shift, 1.0)
     points = points._replace(t=np.where(since <= AT_SECTION, points.t - AT_SECTION * period, points.t))
     parts = block_state(lin, itinerary, points, (np.arange(itinerary.periods) + shift) * period)
-    angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.forced.shape[3] + 1.0)
+    angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.gap.forced.shape[3] + 1.0)
     waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, None, None]
-    still = oscillators.rest + np.sum(oscillators.forced * waves, axis=(3, 4))
+    still = oscillators.rest + np.sum(oscillators.gap.forced * waves, axis=(3, 4))
     blocks = np.stack([np.moveaxis(part, 1, 2) for part in parts], axis=-1) + still[:, None]
     flat = blocks.reshape(count, itinerary.periods, -1)
     return np.asarray(np.einsum("nij,nkj->nki", oscillators.to_physical, flat))

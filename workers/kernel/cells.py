@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from workers.kernel.averages import COUNT, MEAN, standard_error
+from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import enter_blocks, leave_blocks, placed, put_on_stop
 from workers.kernel.jit import kernel
 from workers.kernel.motion import (
@@ -15,15 +16,17 @@ from workers.kernel.motion import (
     FREE,
     LOST,
     MIN_SPEED,
+    RUNNING,
     STATUS,
     TALLIES,
     WORK,
     motion_of,
+    motion_with,
     oscillator_of,
-    signal_of,
 )
 from workers.kernel.signal import derivative_bounds
-from workers.kernel.stroboscopic import contact_at_rest, reset_frame_of
+from workers.kernel.stroboscopic import OVERDRAFT, advance, contact_at_rest, reset_frame_of
+from workers.model.oscillator import HEAD
 
 
 @kernel
@@ -52,12 +55,12 @@ def start_motions(oscillators, motions, states, cells):
     """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
     # Taken out once: an oscillator of its own costs a reference count for each of its fields.
     o, h, contact = oscillators, motions.h, motions.contact
-    to_blocks, response, rest, row, tau = o.to_blocks, o.forced, o.rest, o.gap_row, o.tau
-    upper, lower, metric, swing = o.upper, o.lower, o.gap.metric, o.swing
+    to_blocks, response, rest, row, tau = o.to_blocks, o.gap.forced, o.rest, o.gap_row, o.tau
+    head, metric, swing = o.head, o.gap.metric, o.swing
     scales = np.zeros(len(states))
     for r in cells:
         y, v, y_error, v_error = enter_blocks(to_blocks[r], response[r], rest[r], row[r], tau[r], states[r], h[r])
-        contact[r, 0] = placed(y, v, y_error, v_error, upper[r], lower[r])
+        contact[r, 0] = placed(y, v, y_error, v_error, head[r, HEAD.upper], head[r, HEAD.lower])
         if abs(contact[r, 0]) == AT_REST:
             contact[r, 0] = contact_at_rest(oscillator_of(oscillators, r), np.sign(contact[r, 0]), h[r])
         scales[r] = scale_at(metric[r], swing[r], h[r])
@@ -83,11 +86,12 @@ def put_inside(row, upper, lower, states):
 @kernel
 def impact_free(oscillators, motions, cells):
     """Of which of these cells no impact is possible from this section on: the bound of |y| stays inside both stops."""
+    gap, head = oscillators.gap, oscillators.head
     found = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        reach = derivative_bounds(signal_of(oscillators.gap, r), motions.h[r])[0] * (1.0 + 1e-12)
-        inside = reach < oscillators.b_upper[r] and reach < oscillators.b_lower[r]
+        reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r])[0] * (1.0 + 1e-12)
+        inside = reach < head[r, HEAD.top] and -reach > head[r, HEAD.bottom]
         found[e] = motions.contact[r, 0] == FREE and inside
     return found
 
@@ -122,14 +126,12 @@ def reset_frames(metric, motions, cells):
 def physical_states(oscillators, motions, cells):
     """Physical section states of these cells."""
     o, h, contact = oscillators, motions.h, motions.contact
-    to_physical, response, rest, row, tau = o.to_physical, o.forced, o.rest, o.gap_row, o.tau
-    upper, lower = o.upper, o.lower
+    to_physical, response, rest, row, tau, head = o.to_physical, o.gap.forced, o.rest, o.gap_row, o.tau, o.head
     states = np.empty((len(cells), 2 * h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        leave_blocks(
-            to_physical[r], response[r], rest[r], row[r], tau[r], upper[r], lower[r], h[r], contact[r, 0], states[e]
-        )
+        upper, lower = head[r, HEAD.upper], head[r, HEAD.lower]
+        leave_blocks(to_physical[r], response[r], rest[r], row[r], tau[r], upper, lower, h[r], contact[r, 0], states[e])
     return states
 
 
@@ -141,3 +143,23 @@ def mean_growth(levels, cells):
         of_cell = levels[cells[e]]
         mean[e], error[e], count[e] = of_cell[0, MEAN], standard_error(of_cell), of_cell[0, COUNT]
     return mean, error, count
+
+
+@kernel
+def excursions(oscillators, h, contact, periods, allowance, cells):
+    """The least and the greatest y - y0 (N, 2) of motions from block states h (N, n, 2) with contacts (N, 1).
+
+    Of these cells, over ``periods`` (N,); NaN of the others, and of those that cannot be followed, or not with
+    ``allowance`` (N,) evaluations.
+    """
+    found = np.full((len(periods), 2), np.nan)
+    n = h.shape[1]
+    for r in cells:
+        osc = borrowed(oscillator_of(oscillators, r))
+        motion = motion_with(h[r], contact[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
+        motion.tally[WORK] = allowance[r] - OVERDRAFT
+        for _ in range(periods[r]):
+            advance(osc, borrowed(motion))
+        if motion.tally[STATUS] == RUNNING:
+            found[r, 0], found[r, 1] = motion.extremes[0], motion.extremes[1]
+    return found

@@ -13,7 +13,8 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.flow import flow
 from workers.kernel.fma import fma
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.signal import bounded, evaluate
+from workers.kernel.signal import derivative_bounds, evaluate
+from workers.model.oscillator import NUMBER
 
 GAP_ROUNDING = 4e-16
 """Gap below which the mass is at the stop, in units of the terms that add up to y."""
@@ -145,23 +146,24 @@ def _first_step(kind, side, a, j3, M3, M4):
 
 
 @kernel
-def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch):
-    """The first time in [0, H] at which the signal reaches ``upper`` from below or ``lower`` from above.
+def next_crossing(mode, h, phase, offset, upper, lower, own, kind, H, scratch):
+    """The first time in [0, H] at which a guard, offset added, reaches ``upper`` from below or ``lower`` from above.
 
     h (n, 2) and phase: the start; own: the stop (+1 upper, -1 lower, 0 none) that the start lies on and
     kind how (ON_STOP_...). scratch: (n, 2) to overwrite.
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
     2 where the march needed more than MAX_EVALUATIONS.
     """
-    signal, h, scratch = borrowed(signal), borrowed(h), borrowed(scratch)
-    block, row, row1 = signal.block, signal.row, signal.row1
-    M0, M2, M3, M4 = bounded(block, row, row1, signal.amplitude, signal.swing, h)
+    mode, h, scratch = borrowed(mode), borrowed(h), borrowed(scratch)
+    blocks, waves, numbers = mode.blocks, mode.waves, mode.numbers
+    omega = numbers[NUMBER.omega]
+    M0, M2, M3, M4 = derivative_bounds(blocks, numbers, h)
     s = 0.0
     for count in range(1, MAX_EVALUATIONS + 1):
         reach = M0 * (1.0 + 1e-12)
         if offset + reach < upper and offset - reach > lower:
             return H, 0, count - 1
-        y, v, a, j3, scale = evaluate(signal, h, s, phase, offset)
+        y, v, a, j3, scale = evaluate(blocks, waves, omega, h, s, phase, offset)
         step = H - s
         ahead = 1 if v > 0.0 else -1
         for side in (ahead, -ahead):
@@ -187,6 +189,6 @@ def next_crossing(signal, h, phase, offset, upper, lower, own, kind, H, scratch)
         if count % REFRESH == 0:
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]
-            flow(block, s, scratch)
-            M0, M2, M3, M4 = bounded(block, row, row1, signal.amplitude, signal.swing, scratch)
+            flow(blocks, s, scratch)
+            M0, M2, M3, M4 = derivative_bounds(blocks, numbers, scratch)
     return s, 2, MAX_EVALUATIONS

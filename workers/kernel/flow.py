@@ -49,7 +49,7 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
 
 @inlined
 def block_flow(block, s):
-    """flow_entries of the constants of a block, a row of Signal.block."""
+    """flow_entries of the constants of a block, a row of Mode.blocks."""
     eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
     if block[COLUMN.d] > 0.0:
         return oscillating_flow(s, eta, lam, w, inv_w)
@@ -109,18 +109,18 @@ def flow_with_tangent(block, s, h, V):
 
 
 @kernel
-def dot(row, h):
-    """row . h over all blocks, both (n, 2)."""
+def guard_of(blocks, h):
+    """c . h over all blocks, h (n, 2)."""
     total = 0.0
-    for j in range(len(row)):
-        total = fma(row[j, 1], h[j, 1], fma(row[j, 0], h[j, 0], total))
+    for j in range(len(blocks)):
+        total = fma(blocks[j, COLUMN.c1], h[j, 1], fma(blocks[j, COLUMN.c0], h[j, 0], total))
     return total
 
 
 @kernel
-def dot_vector(row, V, i):
-    """row . V[i] over all blocks."""
+def guard_rate_of(blocks, h):
+    """cA . h over all blocks, h (n, 2)."""
     total = 0.0
-    for j in range(len(row)):
-        total = fma(row[j, 1], V[i, j, 1], fma(row[j, 0], V[i, j, 0], total))
+    for j in range(len(blocks)):
+        total = fma(blocks[j, COLUMN.cA1], h[j, 1], fma(blocks[j, COLUMN.cA0], h[j, 0], total))
     return total

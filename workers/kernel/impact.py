@@ -5,10 +5,11 @@ import numpy as np
 from workers.kernel.borrow import borrowed
 from workers.kernel.elementary import sin_cos
 from workers.kernel.flight import next_crossing
-from workers.kernel.flow import dot, dot_vector, flow, flow_with_tangent
+from workers.kernel.flow import flow, flow_with_tangent, guard_of, guard_rate_of
 from workers.kernel.frame import graded_flow
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.signal import all_forced, derivative_bounds
+from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 REBOUND, REST, LEAVE = range(3)
 """What an impact leads to: a rebound; rest on the stop; v = 0 with the load pulling away (R = 0)."""
@@ -51,76 +52,71 @@ def outcome(osc, h, side, v, a, scale, remaining):
     rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
     """
     osc = borrowed(osc)
-    load = load_at_rest(side, v, a, osc.cA2k)
-    if is_rebound(load, v, osc.R, osc.cA2k, scale, remaining):
+    R, cA2k = osc.head[HEAD.R], osc.head[HEAD.cA2k]
+    load = load_at_rest(side, v, a, cA2k)
+    if is_rebound(load, v, R, cA2k, scale, remaining):
         return REBOUND
-    if osc.R == 0.0:
+    if R == 0.0:
         return REST if load > 0.0 else LEAVE
-    w = osc.R * abs(v)
+    w = R * abs(v)
     if w * w <= 200.0 * load * EPS * scale:
         return REST
-    M3 = derivative_bounds(osc.gap, h)[2]
-    duration = chatter_time(load, w, osc.R)
-    return REST if duration * M3 + 2.0 * abs(osc.cA2k * v) <= COMPLETION * load else REBOUND
+    M3 = derivative_bounds(osc.gap.blocks, osc.gap.numbers, h)[2]
+    duration = chatter_time(load, w, R)
+    return REST if duration * M3 + 2.0 * abs(cA2k * v) <= COMPLETION * load else REBOUND
 
 
 @inlined
-def add_column(h, factor, column):
-    """h + factor column, in place, both (n, 2)."""
-    for j in range(len(column)):
-        h[j, 0] += factor * column[j, 0]
-        h[j, 1] += factor * column[j, 1]
-
-
-@inline_always
-def kick(osc, h, dv):
+def kick(blocks, h, dv):
     """Change the velocity of the gap coordinate by dv: z + dv k, in place."""
-    add_column(h, dv, osc.kick)
+    for j in range(len(blocks)):
+        h[j, 0] += dv * blocks[j, COLUMN.k0]
+        h[j, 1] += dv * blocks[j, COLUMN.k1]
 
 
-@inline_always
-def shift(osc, h, dy):
+@inlined
+def shift(blocks, h, dy):
     """Move the gap coordinate by dy, a rounding error: z + dy A k, in place; c.A k = 1."""
-    add_column(h, dy, osc.kick1)
+    for j in range(len(blocks)):
+        h[j, 0] += dy * blocks[j, COLUMN.Ak0]
+        h[j, 1] += dy * blocks[j, COLUMN.Ak1]
+
+
+@inlined
+def add_columns(blocks, u, along_k, along_Ak):
+    """Add along_k k + along_Ak A k to a tangent vector u (n, 2), in place."""
+    for j in range(len(blocks)):
+        u[j, 0] += along_k * blocks[j, COLUMN.k0] + along_Ak * blocks[j, COLUMN.Ak0]
+        u[j, 1] += along_k * blocks[j, COLUMN.k1] + along_Ak * blocks[j, COLUMN.Ak1]
 
 
 @inline_always
-def saltation(row, row1, kick, kick1, R, V, ratio):
+def saltation(blocks, R, V, ratio):
     """Carry tangent vectors V (m, n, 2) through an impact with ratio = a / v just before it, in place.
 
     S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
     """
     q = 1.0 + R
-    for i in range(V.shape[0]):
-        dy = dot_vector(row, V, i)
-        dv = dot_vector(row1, V, i)
-        along_k = -q * (dv - ratio * dy)
-        along_Ak = -q * dy
-        for j in range(len(kick)):
-            V[i, j, 0] += along_k * kick[j, 0] + along_Ak * kick1[j, 0]
-            V[i, j, 1] += along_k * kick[j, 1] + along_Ak * kick1[j, 1]
+    for u in V:
+        dy, dv = guard_of(blocks, u), guard_rate_of(blocks, u)
+        add_columns(blocks, u, -q * (dv - ratio * dy), -q * dy)
 
 
 @inline_always
-def rest_projection(osc, V):
+def rest_projection(blocks, cA2k, V):
     """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
 
     P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
     """
-    kick, kick1 = osc.kick, osc.kick1
-    for i in range(V.shape[0]):
-        dy = dot_vector(osc.gap.row, V, i)
-        dv = dot_vector(osc.gap.row1, V, i)
-        along_k = -(dv - osc.cA2k * dy)
-        for j in range(len(kick)):
-            V[i, j, 0] += along_k * kick[j, 0] - dy * kick1[j, 0]
-            V[i, j, 1] += along_k * kick[j, 1] - dy * kick1[j, 1]
+    for u in V:
+        dy, dv = guard_of(blocks, u), guard_rate_of(blocks, u)
+        add_columns(blocks, u, -(dv - cA2k * dy), -dy)
 
 
 @inline_always
 def stop_position(osc, side):
     """Where the stop is: +b_upper or -b_lower."""
-    return osc.b_upper if side > 0 else -osc.b_lower
+    return osc.head[HEAD.top] if side > 0 else osc.head[HEAD.bottom]
 
 
 @inlined
@@ -159,13 +155,13 @@ def changed_blocks(matrix, shift, given, given_response, phase, found, found_res
 @inline_always
 def to_held(osc, h, phase, side, u):
     """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
-    changed_blocks(osc.held.down, osc.held.into[which(side)], h, osc.forced, phase, u, osc.held.forced)
+    changed_blocks(osc.held.down, osc.held.into[which(side)], h, osc.gap.forced, phase, u, osc.held.mode.forced)
 
 
 @inline_always
 def from_held(osc, u, phase, side, h):
     """Write the free block coordinates h (n, 2) of held ones u: y on the stop and v = 0."""
-    changed_blocks(osc.held.up, osc.held.out[which(side)], u, osc.held.forced, phase, h, osc.forced)
+    changed_blocks(osc.held.up, osc.held.out[which(side)], u, osc.held.mode.forced, phase, h, osc.gap.forced)
 
 
 @kernel
@@ -183,9 +179,9 @@ def transformed(matrix, V, U):
 @inline_always
 def load_on_stop(osc, u, phase, side):
     """side * a: the free acceleration that presses the mass on the stop while it rests there."""
-    release = osc.held.release
-    load = all_forced(release.sin_part, release.cos_part, release.omega, phase)[0]
-    return side * (dot(release.row, u) + load + osc.held.push[which(side)])
+    held = osc.held.mode
+    load = all_forced(held.waves, held.numbers[NUMBER.omega], phase)[0]
+    return side * (guard_of(held.blocks, u) + load + osc.held.push[which(side)])
 
 
 @kernel
@@ -195,21 +191,21 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     Returns (time, released, evaluations); released is 2 where the march gave up.
     """
     osc, h, V = borrowed(osc), borrowed(h), borrowed(V)
-    n = len(osc.held.release.lam)
+    held = osc.held.mode
+    n = len(held.blocks)
     u, scratch = np.empty((n, 2)), np.empty((n, 2))
     U = np.empty((V.shape[0], n, 2))
-    release = osc.held.release
     to_held(osc, h, phase, side, u)
     transformed(osc.held.down, V, U)
     upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
     offset = osc.held.push[which(side)]
     none = np.int64(0)  # no literal, or Numba compiles for it what is called with it
-    s, crossed, evaluations = next_crossing(release, u, phase, offset, upper, lower, none, none, H, scratch)
+    s, crossed, evaluations = next_crossing(held, u, phase, offset, upper, lower, none, none, H, scratch)
     if growth.shape[0] > 0:
-        flow(release.block, s, u)
-        graded_flow(release.block, s, U, growth, triangle, 2 * n)
+        flow(held.blocks, s, u)
+        graded_flow(held.blocks, s, U, growth, triangle, 2 * n)
     else:
-        flow_with_tangent(release.block, s, u, U)
-    from_held(osc, u, phase + release.omega * s, side, h)
+        flow_with_tangent(held.blocks, s, u, U)
+    from_held(osc, u, phase + held.numbers[NUMBER.omega] * s, side, h)
     transformed(osc.held.up, U, V)
     return s, abs(crossed), evaluations

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import inlined, kernel
-from workers.model.oscillator import Held, Oscillator, Signal
+from workers.model.oscillator import Held, Mode, Oscillator
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 """Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no motion."""
@@ -39,6 +39,7 @@ class Motion(NamedTuple):
     triangle (m, m)     what orthonormalisation took out, see there; (0, 0) if not wanted
     tally    (TALLIES,) counts, see UPPER...
     impacts  (K, 3)     the first K impacts: time after the section, side, speed before it; K = 0 for none
+    extremes (2,)       the least and the greatest y - y0 so far; (0,) if not wanted
     scratch  (n, 2)
     """
 
@@ -49,17 +50,15 @@ class Motion(NamedTuple):
     triangle: NDArray[np.float64]
     tally: NDArray[np.float64]
     impacts: NDArray[np.float64]
+    extremes: NDArray[np.float64]
     scratch: NDArray[np.float64]
 
 
 @inlined
-def signal_of(signals, r):
-    """Signal r of many."""
-    s = signals
-    return Signal(
-        s.eta[r], s.lam[r], s.metric[r], s.block[r], s.row[r], s.row1[r], s.row2[r],
-        s.sin_part[r], s.cos_part[r], s.amplitude[r], s.swing[r], s.omega[r],
-    )  # fmt: skip
+def mode_of(modes, r):
+    """Mode r of many."""
+    m = modes
+    return Mode(m.blocks[r], m.metric[r], m.waves[r], m.numbers[r], m.forced[r])
 
 
 @kernel
@@ -67,13 +66,8 @@ def oscillator_of(oscillators, r):
     """Oscillator r of many, borrowed from them."""
     o, held = oscillators, oscillators.held
     return borrowed(Oscillator(
-        signal_of(o.gap, r), o.kick[r], o.kick1[r], o.cA2k[r], o.forced[r], o.swing[r], o.rest[r],
-        o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.upper[r], o.lower[r], o.b_upper[r], o.b_lower[r],
-        o.symmetric[r], o.R[r], o.gap_mass[r], o.time_unit[r], o.period[r], o.tau[r], o.trace[r],
-        Held(
-            held.down[r], held.up[r], held.into[r], held.out[r], held.forced[r], signal_of(held.release, r),
-            held.push[r],
-        ),
+        mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],
+        Held(mode_of(held.mode, r), held.down[r], held.up[r], held.into[r], held.out[r], held.push[r]),
     ))  # fmt: skip
 
 
@@ -81,9 +75,9 @@ def oscillator_of(oscillators, r):
 def motion_of(motions, r):
     """Motion r of many, borrowed from them."""
     m = motions
-    return borrowed(
-        Motion(m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.scratch[r])
-    )
+    return borrowed(Motion(
+        m.h[r], m.contact[r], m.V[r], m.growth[r], m.triangle[r], m.tally[r], m.impacts[r], m.extremes[r], m.scratch[r],
+    ))  # fmt: skip
 
 
 @register_jitable
@@ -94,13 +88,17 @@ def motion_with(
     growth: NDArray[np.float64],
     triangle: NDArray[np.float64],
     record: int = 0,
+    watched: bool = False,
 ) -> Motion:
     """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
     tally = np.zeros(TALLIES)
     tally[MIN_SPEED] = np.inf
     tally[WORK] = WORK_OF_A_TRIAL
     contacts = np.full(1, contact)
-    return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), np.zeros(h.shape))
+    extremes = np.full(2 if watched else 0, np.inf)
+    if watched:
+        extremes[1] = -np.inf
+    return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), extremes, np.zeros(h.shape))
 
 
 @register_jitable
@@ -127,6 +125,7 @@ def motions_at(
         triangle=np.zeros((N, 0, 0)),
         tally=tally,
         impacts=np.zeros((N, record, 3)),
+        extremes=np.zeros((N, 0)),
         scratch=np.zeros(h.shape),
     )
 

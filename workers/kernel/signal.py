@@ -1,4 +1,4 @@
-"""A signal of the oscillator at any time of a free flight: its value, its derivatives, and bounds of these."""
+"""The guard of a mode at any time: its value, its derivatives, and bounds of these."""
 
 import math
 
@@ -7,8 +7,8 @@ import numpy as np
 from workers.kernel.elementary import sin_cos
 from workers.kernel.flow import block_flow, fall
 from workers.kernel.fma import fma
-from workers.kernel.jit import inline_always, inlined, kernel
-from workers.model.oscillator import COLUMN
+from workers.kernel.jit import inlined, kernel
+from workers.model.oscillator import COLUMN, NUMBER
 
 
 @inlined
@@ -20,12 +20,12 @@ def forced(phase, w, sin_part, cos_part):
 
 
 @inlined
-def all_forced(sin_part, cos_part, omega, phase):
+def all_forced(waves, omega, phase):
     """The forced part at a phase, its first three derivatives, and the sum of the moduli that add up to it."""
     y, v, a, j3, scale = 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(len(sin_part)):
+    for k in range(len(waves)):
         order = k + 1.0
-        y_, v_, a_, j_ = forced(order * phase, order * omega, sin_part[k], cos_part[k])
+        y_, v_, a_, j_ = forced(order * phase, order * omega, waves[k, 0], waves[k, 1])
         y, v, a, j3, scale = y + y_, v + v_, a + a_, j3 + j_, scale + abs(y_)
     return y, v, a, j3, scale
 
@@ -48,28 +48,25 @@ def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
     return q0, q1, q2, fma(-2.0 * eta, q2, -lam * q1)
 
 
-@inline_always
-def evaluate(signal, h, s, phase, offset):
-    """The signal and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding."""
-    return evaluated(
-        signal.block, signal.row, signal.row1, signal.sin_part, signal.cos_part, signal.omega, h, s, phase, offset
-    )
-
-
 @kernel
-def evaluated(block, row, row1, sin_part, cos_part, omega, h, s, phase, offset):
-    """evaluate for the arrays of a signal, which, once out of the record, cost no reference count at every use."""
-    y, v, a, j3, scale = all_forced(sin_part, cos_part, omega, fma(omega, s, phase))
+def evaluate(blocks, waves, omega, h, s, phase, offset):
+    """A guard and its first three derivatives a time s after block state h (n, 2) at a phase; scale of rounding.
+
+    Of a mode of these blocks and waves; offset is added to the guard.
+    """
+    y, v, a, j3, scale = all_forced(waves, omega, fma(omega, s, phase))
     y, scale = y + offset, scale + abs(offset)
-    for j in range(len(block)):
+    for j in range(len(blocks)):
+        block = blocks[j]
         h0, h1 = h[j, 0], h[j, 1]
-        eta, lam, load = block[j, COLUMN.eta], block[j, COLUMN.lam], block[j, COLUMN.load]
+        eta, lam, load = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.load]
         if s > 0.0:
-            f11, f12, f21, f22 = block_flow(block[j], s)
+            f11, f12, f21, f22 = block_flow(block, s)
             h0, h1 = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
             if load != 0.0:
                 h0, h1 = fma(load, fall(s, eta), h0), fma(load, f12, h1)
-        q0, q1, q2, q3 = loaded_output(h0, h1, eta, lam, row[j, 0], row[j, 1], row1[j, 0], row1[j, 1], load)
+        c0, c1, cA0, cA1 = block[COLUMN.c0], block[COLUMN.c1], block[COLUMN.cA0], block[COLUMN.cA1]
+        q0, q1, q2, q3 = loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
         y += q0
         v += q1
         a += q2
@@ -125,31 +122,21 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
 
 
 @kernel
-def derivative_bounds(signal, h):
-    """Bounds M0, M2, M3, M4 of |y - offset| and of its second to fourth derivatives, for all times after h (n, 2)."""
-    return bounded(signal.block, signal.row, signal.row1, signal.amplitude, signal.swing, h)
+def derivative_bounds(blocks, numbers, h):
+    """Bounds M0, M2, M3, M4 of a guard's modulus and of its second to fourth derivative, for all times after h (n, 2).
 
-
-@kernel
-def bounded(block, row, row1, amplitude, swing, h):
-    """derivative_bounds for the arrays of a signal; see evaluated."""
-    M0, M2, M3, M4 = amplitude, swing[0], swing[1], swing[2]
-    for j in range(len(block)):
-        load = block[j, COLUMN.load]
-        q0 = row[j, 0] * h[j, 0] + row[j, 1] * h[j, 1]
-        q1 = row1[j, 0] * h[j, 0] + row1[j, 1] * h[j, 1] + row[j, 1] * load
-        pull = row[j, 0] * load
-        eta, lam, d, inv_w = block[j, COLUMN.eta], block[j, COLUMN.lam], block[j, COLUMN.d], block[j, COLUMN.inv_w]
-        slow, fast, tilt, weight = (
-            block[j, COLUMN.slow],
-            block[j, COLUMN.fast],
-            block[j, COLUMN.tilt],
-            block[j, COLUMN.weight],
-        )
-        grow2, grow3, grow4 = block[j, COLUMN.grow2], block[j, COLUMN.grow3], block[j, COLUMN.grow4]
-        b0, b2, b3, b4 = block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4)
-        M0 += b0
-        M2 += b2
-        M3 += b3
-        M4 += b4
+    Of a mode of these blocks and numbers.
+    """
+    M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
+    for j in range(len(blocks)):
+        block = blocks[j]
+        load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
+        q0 = c0 * h[j, 0] + c1 * h[j, 1]
+        q1 = block[COLUMN.cA0] * h[j, 0] + block[COLUMN.cA1] * h[j, 1] + c1 * load
+        b0, b2, b3, b4 = block_bounds(
+            q0, q1, c0 * load, block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.d], block[COLUMN.inv_w],
+            block[COLUMN.slow], block[COLUMN.fast], block[COLUMN.tilt], block[COLUMN.weight],
+            block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
+        )  # fmt: skip
+        M0, M2, M3, M4 = M0 + b0, M2 + b2, M3 + b3, M4 + b4
     return M0, M2, M3, M4

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import enter_blocks, leave_blocks, placed
+from workers.kernel.excursion import turning_points
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.frame import graded_flow, orthonormalise
@@ -17,15 +18,17 @@ from workers.kernel.impact import (
     LEAVE,
     REBOUND,
     REST,
-    add_column,
     chatter_time,
     is_rebound,
+    kick,
     load_at_rest,
     load_on_stop,
     outcome,
     rest_projection,
     saltation,
+    shift,
     stay_on_stop,
+    stop_position,
     to_held,
 )
 from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part
@@ -55,7 +58,7 @@ from workers.kernel.motion import (
     motion_at,
 )
 from workers.kernel.signal import evaluate
-from workers.model.oscillator import COLUMN, Oscillator
+from workers.model.oscillator import COLUMN, HEAD, NUMBER, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
 
 OVERDRAFT = 1_000_000
@@ -79,7 +82,7 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     Its contact is the one that the state shows: on a stop with v = 0 held or about to leave, else free. InvalidError
     beyond a stop.
     """
-    h = np.zeros(osc.kick.shape)
+    h = np.zeros((len(osc.gap_row), 2))
     contact = start_at(osc, np.asarray(state, dtype=np.float64), h)
     if contact == BEYOND:
         raise InvalidError(BEYOND_STOP)
@@ -89,8 +92,8 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
 @kernel
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
-    y, v, y_error, v_error = enter_blocks(osc.to_blocks, osc.forced, osc.rest, osc.gap_row, osc.tau, state, h)
-    contact = placed(y, v, y_error, v_error, osc.upper, osc.lower)
+    y, v, y_error, v_error = enter_blocks(osc.to_blocks, osc.gap.forced, osc.rest, osc.gap_row, osc.tau, state, h)
+    contact = placed(y, v, y_error, v_error, osc.head[HEAD.upper], osc.head[HEAD.lower])
     return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
 
 
@@ -107,31 +110,32 @@ def blocks_to_physical(osc, motion):
     """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there, see ``placed``."""
     state = np.empty(2 * motion.h.shape[0])
     leave_blocks(
-        osc.to_physical, osc.forced, osc.rest, osc.gap_row, osc.tau, osc.upper, osc.lower, motion.h, motion.contact[0],
-        state,
+        osc.to_physical, osc.gap.forced, osc.rest, osc.gap_row, osc.tau, osc.head[HEAD.upper], osc.head[HEAD.lower],
+        motion.h, motion.contact[0], state,
     )  # fmt: skip
     return state
 
 
 @kernel
-def spread_rate(block):
+def spread_rate(blocks):
     """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks.
 
     The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time.
     """
     rate = 0.0
-    for j in range(len(block)):
-        shear = math.sqrt(block[j, COLUMN.metric]) if block[j, COLUMN.lam] == 0.0 else 0.0
-        rate = max(rate, block[j, COLUMN.fast] + shear)
+    for j in range(len(blocks)):
+        shear = math.sqrt(blocks[j, COLUMN.metric]) if blocks[j, COLUMN.lam] == 0.0 else 0.0
+        rate = max(rate, blocks[j, COLUMN.fast] + shear)
     return rate
 
 
 @inline_always
 def fly_far(osc, motion, s):
     """Move the state and the frame on by s in free flight, however far that spreads the frame."""
-    rank = 2 * len(osc.kick) - int(motion.tally[LOST])
-    flow(osc.gap.block, s, motion.h)
-    graded_flow(osc.gap.block, s, motion.V, motion.growth, motion.triangle, rank)
+    blocks = osc.gap.blocks
+    rank = 2 * len(blocks) - int(motion.tally[LOST])
+    flow(blocks, s, motion.h)
+    graded_flow(blocks, s, motion.V, motion.growth, motion.triangle, rank)
     reset_frame(osc, motion)
 
 
@@ -173,20 +177,13 @@ def record_impact(tally, impacts, t, side, speed, R):
 
 
 @inline_always
-def arrival_of(gap, h, s, phase, side):
-    """(y, v, a, scale of rounding) at the stop that a flight of s reaches."""
-    y, v, a, _, scale = evaluate(gap, h, s, phase, 0.0)
-    return y, side * max(side * v, TINY), a, scale  # seen to approach; evaluated anew, the last digit may differ
-
-
-@inline_always
-def come_to_rest(osc, motion, v):
+def come_to_rest(blocks, cA2k, motion, v):
     """The end of chatter that an impact at velocity v begins."""
-    h, V, tally = motion.h, motion.V, motion.tally
+    tally = motion.tally
     tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
     tally[LOSS] += v * v
-    add_column(h, -v, osc.kick)
-    rest_projection(osc, V)
+    kick(blocks, motion.h, -v)
+    rest_projection(blocks, cA2k, motion.V)
 
 
 @inlined
@@ -235,29 +232,57 @@ def leave_stop(osc, motion, phase, contact, remaining, chatter):
     return s, tally[STATUS] == RUNNING and released == 1
 
 
+@inlined
+def widen(extremes, y):
+    """Take a position of the gap coordinate into the least and greatest one (2,)."""
+    extremes[0], extremes[1] = min(extremes[0], y), max(extremes[1], y)
+
+
+@inline_always
+def watch_flight(gap, motion, phase, s, own, kind, top, bottom):
+    """Take the turning points of a free flight of duration s into the motion's extremes.
+
+    They are looked for where the flight leaves the range known so far: as certainly as it would meet two stops there.
+    """
+    extremes, tally = motion.extremes, motion.tally
+    low, high = extremes[0], extremes[1]
+    if low <= bottom and high >= top:
+        return
+    _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, high, low, own, kind, s, motion.scratch)
+    if (side == 1 and high < top) or (side == -1 and low > bottom):
+        extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, own, kind, low, high)
+        evaluations += more
+    if side == 2 or extremes[1] != extremes[1]:
+        tally[STATUS] = MARCH_GAVE_UP
+    spend(tally, evaluations)
+
+
 @kernel_and_part
 def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 
-    Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
+    The one loop of mode, first guard and reset. Stops early with tally[STATUS] set if it cannot be completed, at once
+    where it starts beyond a stop.
     """
     osc, motion = borrowed(osc), borrowed(motion)
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
-    block, row, row1, metric, omega = gap.block, gap.row, gap.row1, gap.metric, gap.omega
-    column, column1, R, cA2k = osc.kick, osc.kick1, osc.R, osc.cA2k
-    upper, lower = osc.b_upper, -osc.b_lower
+    blocks, waves, metric, omega = gap.blocks, gap.waves, gap.metric, gap.numbers[NUMBER.omega]
+    R, cA2k, top, bottom = osc.head[HEAD.R], osc.head[HEAD.cA2k], osc.head[HEAD.top], osc.head[HEAD.bottom]
     contact = motion.contact[0]
     if abs(contact) == BEYOND:
         tally[STATUS] = STARTED_BEYOND
         return
     motion.contact[0] = FREE
-    vectors, frame = V.shape[0] > 0, motion.growth.shape[0] > 0
-    rate = spread_rate(block) if vectors else 0.0
-    unit, loss = osc.time_unit, loss_spread(R)
+    vectors, frame, watched = V.shape[0] > 0, motion.growth.shape[0] > 0, motion.extremes.shape[0] > 0
+    rate = spread_rate(blocks) if vectors else 0.0
+    unit, loss = osc.head[HEAD.time_unit], loss_spread(R)
     own, kind, chatter = 0, ON_STOP_MOVING, 0.0
+    t, phase = 0.0, osc.tau
+    if watched:
+        y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
+        widen(motion.extremes, min(max(y, bottom), top) if contact == FREE else stop_position(osc, contact))
     if abs(contact) == AT_REST:
         own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
-    t, phase = 0.0, osc.tau
     while True:
         if contact != FREE:
             s, released = leave_stop(osc, motion, phase, contact, duration - t, chatter)
@@ -269,12 +294,15 @@ def propagate(osc, motion, duration):
             if duration - t <= AT_THE_END * duration:
                 motion.contact[0] = contact * AT_REST
                 return
-        s, side, evaluations = next_crossing(gap, h, phase, 0.0, upper, lower, own, kind, duration - t, scratch)
+        s, side, evaluations = next_crossing(gap, h, phase, 0.0, top, bottom, own, kind, duration - t, scratch)
         spend(tally, evaluations)
         hit = abs(side) == 1
         y, v, a, scale = NOWHERE
         if hit:
-            y, v, a, scale = arrival_of(gap, h, s, phase, side)
+            y, v, a, _, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
+            v = side * max(side * v, TINY)  # seen to approach; evaluated anew, the last digit may differ
+        if watched:
+            watch_flight(gap, motion, phase, s, own, kind, top, bottom)
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
         flown = s * rate
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
@@ -282,7 +310,7 @@ def propagate(osc, motion, duration):
         if frame and tally[SPREAD] + flown > MAX_SPREAD:
             fly_far(osc, motion, s)
         else:
-            flow_with_tangent(block, s, h, V)
+            flow_with_tangent(blocks, s, h, V)
             tally[SPREAD] += flown
         if side == 0:
             return
@@ -292,19 +320,22 @@ def propagate(osc, motion, duration):
             return
         t += s
         phase += omega * s
+        stop = top if side > 0 else bottom
+        if watched:
+            widen(motion.extremes, stop)
         scale += abs(y)
         following = REBOUND
         if not is_rebound(load_at_rest(side, v, a, cA2k), v, R, cA2k, scale, duration - t):
             following = outcome(osc, h, side, v, a, scale, duration - t)
         own, kind, contact = side, ON_STOP_MOVING, FREE
         if following == REST:
-            come_to_rest(osc, motion, v)
+            come_to_rest(blocks, cA2k, motion, v)
             contact, chatter = side, chatter_time(load_at_rest(side, v, a, cA2k), R * abs(v), R)
             continue
         record_impact(tally, impacts, t, side, abs(v), R)
-        add_column(h, -(1.0 + R) * v, column)
-        add_column(h, (upper if side > 0 else lower) - y, column1)  # or rounding would add up over many impacts
-        saltation(row, row1, column, column1, R, V, a / v)
+        kick(blocks, h, -(1.0 + R) * v)
+        shift(blocks, h, stop - y)  # or rounding would add up over many impacts
+        saltation(blocks, R, V, a / v)
         tally[SPREAD] += spread
         if following == LEAVE:
             kind = ON_STOP_AT_REST
@@ -315,13 +346,14 @@ def propagate(osc, motion, duration):
 @inline_always
 def advance(osc, motion):
     """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
-    propagate(osc, motion, osc.period)
+    propagate(osc, motion, osc.head[HEAD.period])
 
 
 @inline_always
 def step(osc, motion, half):
     """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
-    propagate(osc, motion, 0.5 * osc.period if half else osc.period)
+    period = osc.head[HEAD.period]
+    propagate(osc, motion, 0.5 * period if half else period)
     if half:
         mirror(motion)
 

@@ -13,8 +13,8 @@ from workers.model.free import (
     Frame,
     Loading,
     centred,
+    columns_of,
     complex_force,
-    derivative,
     dot,
     drive,
     faults_of,
@@ -22,12 +22,12 @@ from workers.model.free import (
     frame_of,
     free_motion,
     loading_of,
+    mode_of,
     phase_of,
-    signal_of,
     times,
 )
 from workers.model.modes import FREE, Modes, split, stacked
-from workers.model.oscillator import Array, Held, Machines, Oscillator, each, one_of, taken
+from workers.model.oscillator import COLUMN, HEAD, Array, Head, Held, Machines, Oscillator, each, one_of, taken
 from workers.results import COUPLED_DAMPING, NO_REASON, OUT_OF_DOUBLES, RESONANCE, RIGID_MODE, UNSTABLE, InvalidError
 
 OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
@@ -36,14 +36,12 @@ OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", 
 
 class Clamped(NamedTuple):
     """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
-    frequency: its modes and its push; the rows of the signal ``release`` and its direct part; the rest as in Held.
+    frequency: its modes and its push; the columns and the direct part of its guard; the rest as in Held.
     """
 
     modes: Modes
     push: Loading
-    row: Array
-    row1: Array
-    row2: Array
+    columns: Array
     direct: Any
     down: Array
     up: Array
@@ -82,36 +80,37 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     even = np.any(force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     frame, push, clamped = taken(frame, kind), taken(push, kind), taken(clamped, kind)
     free = free_motion(frame, push, machines)
-    modes, kick, driven, gap = frame.modes, frame.kick, free.driven, free.gap
+    modes, driven, gap = frame.modes, free.driven, free.gap
     held, held_resonant = _held(clamped, machines.omega)
-    R, upper, lower = machines.R, machines.upper, machines.lower
+    head = Head(
+        top=free.b_upper,
+        bottom=-free.b_lower,
+        R=machines.R,
+        cA2k=np.sum(gap.row2 * gap.blocks[..., COLUMN.k0 : COLUMN.k1 + 1], axis=(1, 2)),
+        period=2.0 * np.pi / machines.omega,
+        time_unit=1.0 / np.sqrt(np.min(driven.metric, axis=1)),
+        upper=machines.upper,
+        lower=machines.lower,
+        symmetric=np.where((free.b_upper == free.b_lower) & ~even & np.all(driven.load == 0.0, axis=1), 1.0, 0.0),
+        gap_mass=1.0 / frame.inverse_gap_mass,
+        trace=frame.trace,
+    )
     oscillators = Oscillator(
         gap=gap,
-        kick=kick,
-        kick1=np.stack([kick[..., 1], -modes.lam * kick[..., 0] - 2.0 * modes.eta * kick[..., 1]], axis=-1),
-        cA2k=np.sum(gap.row2 * kick, axis=(1, 2)),
-        forced=driven.forced,
         swing=np.sum(np.hypot(driven.forced[..., 0], driven.forced[..., 1]), axis=-1),
         rest=driven.rest,
         to_physical=modes.to_physical,
         to_blocks=modes.to_blocks,
         gap_row=machines.gap_row,
-        upper=upper,
-        lower=lower,
-        b_upper=free.b_upper,
-        b_lower=free.b_lower,
-        symmetric=np.where((free.b_upper == free.b_lower) & ~even & np.all(driven.load == 0.0, axis=1), 1.0, 0.0),
-        R=R,
-        gap_mass=1.0 / frame.inverse_gap_mass,
-        time_unit=1.0 / np.sqrt(np.min(driven.metric, axis=1)),
-        period=2.0 * np.pi / machines.omega,
+        head=np.stack(head, axis=-1),
         tau=phase_of(machines.tau),
-        trace=frame.trace,
         held=held,
     )
-    reasons = np.full(len(R), NO_REASON, dtype=np.int8)
-    near = oscillators._replace(upper=R, lower=R, b_upper=R, b_lower=R)  # a stop may be infinitely far away
-    reasons[~finite(near) | np.isnan(upper) | np.isnan(lower)] = OUT_OF_DOUBLES
+    reasons = np.full(len(head.R), NO_REASON, dtype=np.int8)
+    near = oscillators.head.copy()
+    near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
+    unknown = np.isnan(head.upper) | np.isnan(head.lower)
+    reasons[~finite(oscillators._replace(head=near)) | unknown] = OUT_OF_DOUBLES
     of_rest = {
         RESONANCE: held_resonant,
         COUPLED_DAMPING: clamped.modes.inseparable,
@@ -183,13 +182,10 @@ def _clamped(machines: Machines, force: Any, frame: Frame, push: Loading) -> Cla
         out[:, side] = (up @ at_rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
         pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
     row = rows.reshape(N, n - 1, 2)
-    row1 = derivative(row, modes)
     return Clamped(
         modes=modes,
         push=loading_of(modes, inverse_mass, force @ null, np.zeros((N, n - 1))),
-        row=row,
-        row1=row1,
-        row2=derivative(row1, modes),
+        columns=columns_of(row, np.zeros_like(row), modes),
         direct=(force @ accelerance[..., None])[..., 0],
         down=down,
         up=up,
@@ -202,9 +198,8 @@ def _clamped(machines: Machines, force: Any, frame: Frame, push: Loading) -> Cla
 def _held(clamped: Clamped, omega: Array) -> tuple[Held, NDArray[np.bool_]]:
     """The motion with y fixed at forcing frequencies (N,); resonance."""
     driven = drive(clamped.modes, clamped.push, omega)
-    release = signal_of(driven, (clamped.row, clamped.row1, clamped.row2), clamped.direct, omega)
-    held = Held(clamped.down, clamped.up, clamped.into, clamped.out, driven.forced, release, clamped.pushes)
-    return held, driven.resonant
+    mode = mode_of(driven, clamped.columns, clamped.direct, omega)
+    return Held(mode, clamped.down, clamped.up, clamped.into, clamped.out, clamped.pushes), driven.resonant
 
 
 def _null_space(row: Array) -> Array:

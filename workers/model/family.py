@@ -74,7 +74,7 @@ class FreeMotions:
 
     def _reasons(self, rows: Array, still: _Still, machines: Machines, frame: Frame, free: Free) -> NDArray[np.int8]:
         reasons = np.full(len(rows), NO_REASON, dtype=np.int8)
-        known = finite((free.gap.swing,)) & ~np.isnan(free.b_upper) & ~np.isnan(free.b_lower)
+        known = finite((free.gap.numbers,)) & ~np.isnan(free.b_upper) & ~np.isnan(free.b_lower)
         if self._new_frame:
             known &= finite(frame)
         reasons[~known] = OUT_OF_DOUBLES

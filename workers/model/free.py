@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.modes import Modes, split, stacked
-from workers.model.oscillator import COLUMN, LARGEST_ANGLE, Array, Machines, Signal, make_blocks
+from workers.model.oscillator import COLUMN, LARGEST_ANGLE, OF_FLOW, Array, Machines, Mode, make_blocks
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
 UNSEEN = 1e-9
@@ -23,26 +23,28 @@ ULPS = 8.0
 class Frame(NamedTuple):
     """What mass, damping, stiffness and gap row alone decide, of N machines.
 
-    modes; inverse_mass M^-1 (N, n, n); accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; row, row1,
-    row2 and kick (N, n, 2) and trace (N,), see Oscillator.
+    modes; inverse_mass M^-1 (N, n, n); accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; columns, see
+    ``columns_of``; trace (N,), see Oscillator.
     """
 
     modes: Modes
     inverse_mass: Array
     accelerance: Array
     inverse_gap_mass: Array
-    row: Array
-    row1: Array
-    row2: Array
-    kick: Array
+    columns: Array
     trace: Array
+
+    @property
+    def row(self) -> Array:
+        """c (N, n, 2)."""
+        return self.columns[..., :2]
 
 
 class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
     waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
-    Oscillator; block (N, n, columns), see Signal, whose metric is that of elastic blocks.
+    Oscillator; block (N, n, columns), see Mode, whose metric is that of elastic blocks.
     """
 
     waves: Any
@@ -72,7 +74,7 @@ class Free(NamedTuple):
     """
 
     driven: Driven
-    gap: Signal
+    gap: Mode
     b_upper: Array
     b_lower: Array
     unseen: NDArray[np.bool_]
@@ -87,16 +89,13 @@ def frame_of(mass: Array, damping: Array, stiffness: Array, gap_row: Array) -> F
     modes = split(mass, damping, stiffness)
     row = times(np.concatenate([gap_row, np.zeros((N, n))], axis=1), modes.to_physical).reshape(N, n, 2)
     column = np.concatenate([np.zeros((N, n)), d], axis=1)
-    row1 = derivative(row, modes)
+    kick = (modes.to_blocks @ column[..., None])[..., 0].reshape(N, n, 2)
     return Frame(
         modes=modes,
         inverse_mass=stacked(np.linalg.inv, (N, n, n), mass),
         accelerance=accelerance,
         inverse_gap_mass=inverse_gap_mass,
-        row=row,
-        row1=row1,
-        row2=derivative(row1, modes),
-        kick=(modes.to_blocks @ column[..., None])[..., 0].reshape(N, n, 2),
+        columns=columns_of(row, kick, modes),
         trace=2.0 * np.sum(modes.eta, axis=1),
     )
 
@@ -128,13 +127,13 @@ def free_motion(frame: Frame, push: Loading, machines: Machines) -> Free:
     push, b_upper, b_lower, unseen = centred(push, frame, machines)
     driven = drive(frame.modes, push, machines.omega)
     none = np.zeros(push.waves.shape[:2], dtype=np.complex128)
-    gap = signal_of(driven, (frame.row, frame.row1, frame.row2), none, machines.omega)
+    gap = mode_of(driven, frame.columns, none, machines.omega)
     return Free(driven, gap, b_upper, b_lower, unseen)
 
 
 def faults_of(free: Free) -> list[tuple[int, NDArray[np.bool_]]]:
     """The reasons why free motion may be none, and where they hold (N,), the weightiest last."""
-    modes, block = free.driven.modes, free.gap.block
+    modes, block = free.driven.modes, free.gap.blocks
     turns = np.where(block[..., COLUMN.d] > 0.0, block[..., COLUMN.w], 0.0) * (2.0 * np.pi / free.gap.omega)[:, None]
     return [
         (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
@@ -267,20 +266,28 @@ def _finite(field: Array) -> NDArray[np.bool_]:
     return all_known if known.all() else np.asarray(known.all(axis=tuple(range(1, field.ndim))))
 
 
-def signal_of(driven: Driven, rows: tuple[Array, Array, Array], direct: Any, omega: Array) -> Signal:
-    """The signal row . blocks + direct sin(k phi); rows are its own and those of its derivatives, direct (N, H)."""
-    row, row1, row2 = rows
-    (N, n), H = row.shape[:2], direct.shape[1]
+def mode_of(driven: Driven, columns: Array, direct: Any, omega: Array) -> Mode:
+    """The mode of these blocks whose guard is c . blocks + direct sin(k phi); direct (N, H).
+
+    columns (N, n, COLUMN - OF_FLOW) are those that the flow does not decide, see Block.
+    """
+    (N, n), H = columns.shape[:2], direct.shape[1]
+    row = columns[..., :2]
     parts = (row.reshape(N, 1, 2 * n) @ driven.forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
-    sin_part, cos_part = direct.real + parts[..., 0], direct.imag + parts[..., 1]
-    sizes = np.hypot(sin_part, cos_part)
+    waves = np.stack([direct.real + parts[..., 0], direct.imag + parts[..., 1]], axis=-1)
+    sizes = np.hypot(waves[..., 0], waves[..., 1])
     w = omega[:, None] * orders_of(direct)
-    powers = [sizes * w**k for k in (2, 3, 4)]
-    return Signal(
-        driven.modes.eta, driven.modes.lam, driven.metric, driven.block, row, row1, row2,
-        sin_part=sin_part, cos_part=cos_part, amplitude=np.sum(sizes, axis=1),
-        swing=np.stack([np.sum(power, axis=1) for power in powers], axis=-1), omega=omega,
-    )  # fmt: skip
+    numbers = (omega, *(np.sum(size, axis=1) for size in (sizes, sizes * w**2, sizes * w**3, sizes * w**4)))
+    blocks = driven.block.copy()
+    blocks[..., OF_FLOW:] = columns
+    return Mode(blocks, driven.metric, waves, np.stack(numbers, axis=-1), driven.forced)
+
+
+def columns_of(row: Array, kick: Array, modes: Modes) -> Array:
+    """The columns of Block that the flow does not decide, of rows c (N, n, 2) and columns k (N, n, 2)."""
+    row1 = derivative(row, modes)
+    kick1 = np.stack([kick[..., 1], -modes.lam * kick[..., 0] - 2.0 * modes.eta * kick[..., 1]], axis=-1)
+    return np.concatenate([row, row1, kick, kick1, derivative(row1, modes)], axis=-1)
 
 
 def derivative(row: Array, modes: Modes) -> Array:

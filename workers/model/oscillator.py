@@ -17,12 +17,13 @@ LARGEST_ANGLE = 3e7
 
 
 class Block(NamedTuple):
-    """h'' + 2 eta h' + lam h = load with what its flow and its bounds need: columns of Signal.block.
+    """h'' + 2 eta h' + lam h = load with what its flow, its bounds and its guard need: columns of Mode.blocks.
 
     d = lam - eta^2; w = sqrt|d| and its inverse (0 for w = 0); the decay rates, both eta unless overdamped.
     tilt, weight and grow2...grow4 are those of signal.amplitude_bounds. metric weighs h^2 against h'^2 where states are
     compared: lam, so that undamped flight keeps the norm, or omega^2 for a rigid mode, lam = 0, which alone has a load:
-    that of any other mode moves its rest position.
+    that of any other mode moves its rest position. (c0, c1) is the row c of the guard, cA that of its first and cAA
+    that of its second derivative; (k0, k1) the column k that a reset kicks along, Ak its derivative.
     """
 
     eta: Any
@@ -39,14 +40,27 @@ class Block(NamedTuple):
     grow4: Any
     metric: Any
     load: Any
+    c0: Any
+    c1: Any
+    cA0: Any
+    cA1: Any
+    k0: Any
+    k1: Any
+    Ak0: Any
+    Ak1: Any
+    cAA0: Any
+    cAA1: Any
 
 
 COLUMN = Block(*range(len(Block._fields)))
-"""Columns of Signal.block by name."""
+"""Columns of Mode.blocks by name."""
+
+OF_FLOW = COLUMN.c0
+"""Columns that the flow alone decides: the first ones."""
 
 
 def make_blocks(eta: Array, lam: Array, metric: Array | None = None, load: Array | None = None) -> Array:
-    """Blocks (..., columns) of that damping and stiffness (...), lam >= 0.
+    """Blocks (..., columns), their rows and columns zero, of that damping and stiffness (...), lam >= 0.
 
     The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping, where that
     is large, its energy and q'' = -2 eta q' - lam q bound it better.
@@ -66,96 +80,182 @@ def make_blocks(eta: Array, lam: Array, metric: Array | None = None, load: Array
     inv_w = np.where(w > 0.0, 1.0 / np.where(w > 0.0, w, 1.0), 0.0)
     metric = lam if metric is None else metric
     load = np.zeros_like(lam) if load is None else load
-    columns = Block(eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, metric, load)
-    return np.stack(columns, axis=-1)
+    of_flow = (eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, metric, load)
+    blocks = np.zeros((*lam.shape, len(COLUMN)))
+    for column, field in enumerate(of_flow):
+        blocks[..., column] = field
+    return blocks
 
 
-class Signal(NamedTuple):
-    """A scalar output of a damped linear oscillator: sum_j row_j . u_j(t) + Y(t).
-
-    Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. Y = sum_k sin_part_k sin(k phi) + cos_part_k
-    cos(k phi), k = 1...H, is the forced part at the forcing phase phi = omega t + tau; its modulus is at most
-    ``amplitude``, equal to it where H = 1, and that of its second to fourth derivative at most ``swing`` (3,).
-    ``block`` (n, columns) holds the constants of each, see Block; ``row``, ``row1`` and ``row2`` (n, 2) give the
-    homogeneous part of the signal, of its first and of its second derivative.
+class Numbers(NamedTuple):
+    """What a guard's forced part is measured by: omega, bounds of its modulus and of those of its second to fourth
+    derivative. Columns of Mode.numbers.
     """
 
-    eta: Array
-    lam: Array
-    metric: Array
-    block: Array
-    row: Array
-    row1: Array
-    row2: Array
-    sin_part: Array
-    cos_part: Array
-    amplitude: Any
-    swing: Array
     omega: Any
+    amplitude: Any
+    swing2: Any
+    swing3: Any
+    swing4: Any
+
+
+NUMBER = Numbers(*range(len(Numbers._fields)))
+"""Columns of Mode.numbers by name."""
+
+
+class Mode(NamedTuple):
+    """An affine linear flow in blocks, and the guard that ends it: a signal that is linear in the state.
+
+    Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t), its forced
+    part Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
+
+    blocks   (n, columns)    constants of each block, see Block
+    metric   (n,)            their column of that name
+    waves    (H, 2)          sin_part and cos_part
+    numbers  (NUMBER,)       see Numbers; the amplitude is reached where H = 1
+    forced   (n, 2, H, 2)    forced response of the blocks, [block, (h, h'), harmonic, (sin, cos)]
+    """
+
+    blocks: Array
+    metric: Array
+    waves: Array
+    numbers: Array
+    forced: Array
+
+    def __getattr__(self, name: str) -> Any:
+        """A column of the blocks, see Block, or one of the numbers, see Numbers, by its name."""
+        return _named(name, (self.blocks, COLUMN), (self.numbers, NUMBER))
+
+    @property
+    def row(self) -> Array:
+        """c (..., n, 2)."""
+        return self.blocks[..., COLUMN.c0 : COLUMN.c1 + 1]
+
+    @property
+    def row1(self) -> Array:
+        """cA (..., n, 2)."""
+        return self.blocks[..., COLUMN.cA0 : COLUMN.cA1 + 1]
+
+    @property
+    def row2(self) -> Array:
+        """cA^2 (..., n, 2)."""
+        return self.blocks[..., COLUMN.cAA0 : COLUMN.cAA1 + 1]
+
+    @property
+    def kick(self) -> Array:
+        """k (..., n, 2)."""
+        return self.blocks[..., COLUMN.k0 : COLUMN.k1 + 1]
+
+    @property
+    def kick1(self) -> Array:
+        """A k (..., n, 2)."""
+        return self.blocks[..., COLUMN.Ak0 : COLUMN.Ak1 + 1]
+
+    @property
+    def sin_part(self) -> Array:
+        """(..., H)."""
+        return self.waves[..., 0]
+
+    @property
+    def cos_part(self) -> Array:
+        """(..., H)."""
+        return self.waves[..., 1]
+
+
+def _named(name: str, *tables: tuple[Array, Any]) -> Any:
+    """The column of that name of the first of these tables that has one."""
+    for table, columns in tables:
+        if name in columns._fields:
+            return table[..., getattr(columns, name)][()]  # a number, not an array without axes
+    raise AttributeError(name)
 
 
 class Held(NamedTuple):
-    """The motion while the impacting coordinate rests on a stop: n - 1 blocks of its own.
+    """The mode while the impacting coordinate rests on a stop, n - 1 blocks of its own, and the ways there and back.
 
     down (2n-2, 2n) takes free block coordinates to held ones, up (2n, 2n-2) takes those back.
     into (2, n-1, 2) and out (2, n, 2), for the upper and the lower stop, are what the rest positions add on either way.
-    forced (n-1, 2, H, 2) is the forced response [block, (h, h'), harmonic, (sin, cos)]. The free acceleration of the
-    gap coordinate is ``release`` + push, push (2,) for either stop.
+    The free acceleration of the gap coordinate is the guard of ``mode`` + push, push (2,) for either stop.
     """
 
+    mode: Mode
     down: Array
     up: Array
     into: Array
     out: Array
-    forced: Array
-    release: Signal
     push: Array
+
+
+class Head(NamedTuple):
+    """Numbers of an oscillator: columns of Oscillator.head. Those of a lane of many cells come first.
+
+    top, bottom     the stops as the gap signal sees them, upper - y0 and lower - y0
+    cA2k            cA^2.k, minus the damping rate that the gap coordinate feels
+    period          forcing period 2 pi / omega
+    time_unit       1 / sqrt(least metric)
+    upper, lower    positions of the stops, infinite where there is none
+    symmetric       1 where z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
+    gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
+    trace           trace of M^-1 C, the rate at which a flight contracts volume
+    """
+
+    top: Any
+    bottom: Any
+    R: Any
+    cA2k: Any
+    period: Any
+    time_unit: Any
+    upper: Any
+    lower: Any
+    symmetric: Any
+    gap_mass: Any
+    trace: Any
+
+
+HEAD = Head(*range(len(Head._fields)))
+"""Columns of Oscillator.head by name."""
+
+OF_LANE = HEAD.upper
+"""Numbers of an oscillator that a lane holds: the first ones."""
 
 
 class Oscillator(NamedTuple):
     """A linear oscillator whose gap coordinate y moves between two stops, or one.
 
-    gap             the signal y(t) - y0, seen from rest_y = y0; its rows are c, cA and cA^2
-    kick            (n, 2): the column k that an impact kicks along, cA.k = 1, c.k = 0
-    kick1           (n, 2): A k
-    cA2k            cA^2.k, minus the damping rate that the gap coordinate feels
-    forced          (n, 2, H, 2): forced response of the blocks, [block, (h, h'), harmonic, (sin, cos)]
-    swing           (n, 2): bound of its moduli
+    gap             free flight; its guard is y(t) - y0, seen from rest_y = y0, and its column k what an impact kicks
+                    along, cA.k = 1, c.k = 0
+    swing           (n, 2): bound of the moduli of its forced response
     rest            (n, 2): what the constant load adds to the blocks
     to_physical     (2n, 2n): (displacements, velocities) of block coordinates (h_1, h_1', h_2, ...)
     to_blocks       (2n, 2n): its inverse
     gap_row         (n,): y = gap_row . displacements
-    upper, lower    positions of the stops, infinite where there is none
-    b_upper, b_lower  upper - y0 and y0 - lower
-    symmetric       1 where z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
-    gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
-    time_unit       1 / sqrt(least metric)
-    period, tau     forcing period 2 pi / omega and forcing phase at a section
-    trace           trace of M^-1 C, the rate at which a flight contracts volume
+    head            (HEAD,): numbers, see Head; each is an attribute too
+    tau             forcing phase at a section
     """
 
-    gap: Signal
-    kick: Array
-    kick1: Array
-    cA2k: Any
-    forced: Array
+    gap: Mode
     swing: Array
     rest: Array
     to_physical: Array
     to_blocks: Array
     gap_row: Array
-    upper: Any
-    lower: Any
-    b_upper: Any
-    b_lower: Any
-    symmetric: Any
-    R: Any
-    gap_mass: Any
-    time_unit: Any
-    period: Any
+    head: Array
     tau: Any
-    trace: Any
     held: Held
+
+    def __getattr__(self, name: str) -> Any:
+        """One of the numbers of ``head``, see Head, by its name."""
+        return _named(name, (self.head, HEAD))
+
+    @property
+    def b_upper(self) -> Any:
+        """upper - y0, the gap to the upper stop at rest."""
+        return self.head[..., HEAD.top][()]
+
+    @property
+    def b_lower(self) -> Any:
+        """y0 - lower, the gap to the lower stop at rest."""
+        return -self.head[..., HEAD.bottom][()]
 
 
 class Machines(NamedTuple):

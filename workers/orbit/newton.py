@@ -16,6 +16,7 @@ from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
+from workers.model.oscillator import HEAD
 from workers.orbit.attraction import falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet, nothing_left
 from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
@@ -128,7 +129,7 @@ def least_turn(osc, point, steps, half, scale):
     for fewer in range(1, steps + 1):
         for halved in (True, False):
             own = halved == half and fewer < steps
-            mirrors = halved and not half and fewer % 2 == 1 and osc.symmetric > 0.0
+            mirrors = halved and not half and fewer % 2 == 1 and osc.head[HEAD.symmetric] > 0.0
             if steps % fewer != 0 or not (own or mirrors):
                 continue
             trial = iterate_alone(osc, point.h, point.contact, fewer, halved)
@@ -262,7 +263,8 @@ def settle(osc, motion, sections, near, longest, budget):
     for p in returns:
         for half in (True, False):
             left = 2 * budget - spent
-            if (half and not (osc.symmetric > 0.0 and p % 2 == 1)) or left // (p if half else 2 * p) <= RESERVED_TURNS:
+            halves = osc.head[HEAD.symmetric] > 0.0 and p % 2 == 1
+            if (half and not halves) or left // (p if half else 2 * p) <= RESERVED_TURNS:
                 continue
             found, orbit, half_periods = find_orbit(there, h, contact, p, half, scale, left)
             spent += half_periods + half_periods % 2

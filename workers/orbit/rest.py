@@ -71,7 +71,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     a motion does not come to such a section in K - 1 periods, or a disturbance grows FOLLOWED times on the way, where
     doubles cannot tell whether it does. Returns the periods gone (N,).
     """
-    gone = np.zeros(len(oscillators.period), dtype=np.int64)
+    gone = np.zeros(len(oscillators.tau), dtype=np.int64)
     K = sections.shape[1]
     for r in cells:
         osc, moved = borrowed(oscillator_of(oscillators, r)), motion_of(motions, r)

@@ -13,7 +13,7 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel
 from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
 from workers.kernel.stroboscopic import propagate
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import HEAD, Oscillator
 
 SHIFT = 0.3819660112501051
 """Of the first section that is tried, by the golden ratio; the next ones are multiples of it, less whole periods."""
@@ -31,11 +31,9 @@ AT_SECTION = 1e-12
 @kernel
 def seen_later(osc, shift):
     """The oscillator as it is seen from the section t = shift T."""
-    o = osc
     return borrowed(Oscillator(
-        o.gap, o.kick, o.kick1, o.cA2k, o.forced, o.swing, o.rest, o.to_physical, o.to_blocks, o.gap_row,
-        o.upper, o.lower, o.b_upper, o.b_lower, o.symmetric, o.R, o.gap_mass, o.time_unit, o.period,
-        o.tau + 2.0 * math.pi * shift, o.trace, o.held,
+        osc.gap, osc.swing, osc.rest, osc.to_physical, osc.to_blocks, osc.gap_row, osc.head,
+        osc.tau + 2.0 * math.pi * shift, osc.held,
     ))  # fmt: skip
 
 
@@ -43,7 +41,7 @@ def seen_later(osc, shift):
 def moved(osc, h, contact, shift):
     """The motion that block state h (n, 2) has come to after ``shift`` < 1 periods."""
     motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
-    propagate(osc, motion, shift * osc.period)
+    propagate(osc, motion, shift * osc.head[HEAD.period])
     return motion
 
 
@@ -60,9 +58,9 @@ def quiet_section(osc, h, contact):
         motion = moved(osc, h, contact, shift - MARGIN)
         before = motion.contact[0]
         motion.tally[MAX_SPEED] = 0.0
-        propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.period)
+        propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.head[HEAD.period])
         there, at = motion.h.copy(), motion.contact[0]
-        propagate(seen_later(osc, shift), motion, MARGIN * osc.period)
+        propagate(seen_later(osc, shift), motion, MARGIN * osc.head[HEAD.period])
         same = before == at and at == motion.contact[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break

@@ -22,7 +22,6 @@ from workers.kernel.lanes.layout import (
     AT_SECTION,
     BLOCK,
     BLOCK_SIZE,
-    COLUMN,
     FLYING,
     LANE,
     LANE_SIZE,
@@ -33,6 +32,7 @@ from workers.kernel.lanes.layout import (
 )
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
+from workers.model.oscillator import COLUMN
 
 Array = NDArray[np.float64]
 
@@ -270,7 +270,7 @@ def transfer_pass(a, u, partial, n):
 
 @inline_always
 def fly_frame_far(a, i, blocks, frames, growths):
-    """As transfer_pass for the flight of lane i, which spreads its frame far; blocks: see Batch."""
+    """As transfer_pass for the flight of lane i, which spreads its frame far; blocks (N, n, columns): of all cells."""
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
     V, growth, metric, no_triangle = np.empty((m, n, 2)), np.empty(m), np.empty(n), np.zeros((0, 0))
@@ -286,7 +286,7 @@ def fly_frame_far(a, i, blocks, frames, growths):
 def move_frames(a, n, blocks, frames, growths, space):
     """Take the tangent vectors of all lanes through the flights and impacts just ended, as stroboscopic.propagate does.
 
-    blocks: see Batch.
+    blocks (N, n, columns) are those of all cells.
     """
     if spread_pass(a, MAX_SPREAD if len(frames) > 1 else MAX_SPREAD_OF_ONE, n) > 0:
         count = list_lanes(a, LANE.due, n, space.lanes)

@@ -27,22 +27,23 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 class LaneFields(NamedTuple):
     """Fields of a lane. Velocities, accelerations and so on are those of the gap coordinate y."""
 
-    # constants of the oscillator, the columns of Batch.head
+    # those of oscillator.Numbers
     omega: int
-    sin_part: int  # of the first harmonic; for others see HarmonicFields
-    cos_part: int
     amplitude: int  # bounds of the forced part and of its second to fourth derivative
     swing2: int
     swing3: int
     swing4: int
+    # the first ones of oscillator.Head
     upper: int  # position of the upper stop
     lower: int  # position of the lower stop
     restitution: int
     cA2k: int
     period: int
-    tau: int
     time_unit: int  # see stroboscopic.impact_spread
-    # what follows from them
+    # other constants of the oscillator, and what follows from them
+    tau: int
+    sin_part: int  # of the first harmonic; for others see HarmonicFields
+    cos_part: int
     forced_at_section: int  # the forced part at a section, and its derivatives
     forced_rate_at_section: int
     forced_second_at_section: int
@@ -169,12 +170,8 @@ BLOCK = BlockFields(*(k * STRIDE for k in range(len(BlockFields._fields))))
 HARMONIC = HarmonicFields(*(k * STRIDE for k in range(len(HarmonicFields._fields))))
 GAP = GapFields(*(k * STRIDE for k in range(len(GapFields._fields))))
 
-COLUMN = BlockFields(*range(len(BlockFields._fields)))
-"""Columns of the constants of a block in Batch.blocks."""
-
-LANE_CONSTANTS = LaneFields._fields.index("forced_at_section")
 BLOCK_CONSTANTS = BlockFields._fields.index("start0")
-"""Fields that the oscillator sets: the first ones of each record."""
+"""Fields that the oscillator sets: the first columns of its blocks."""
 
 
 @register_jitable

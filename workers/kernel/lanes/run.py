@@ -18,7 +18,6 @@ from workers.kernel.lanes.layout import (
     HARMONIC,
     HARMONIC_SIZE,
     LANE,
-    LANE_CONSTANTS,
     LANE_SIZE,
     LANES,
     LEFT,
@@ -48,9 +47,9 @@ from workers.kernel.motion import (
     motion_of,
     oscillator_of,
 )
-from workers.kernel.signal import forced
+from workers.kernel.signal import all_forced
 from workers.kernel.stroboscopic import advance, loss_spread, spread_rate
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import NUMBER, OF_LANE, Oscillator
 
 Array = NDArray[np.float64]
 
@@ -58,18 +57,12 @@ Array = NDArray[np.float64]
 class Batch(NamedTuple):
     """N cells that are to go on by some periods each: every field stacked along its first axis.
 
-    head         (N, LANE_CONSTANTS)      constants of the oscillators, see LaneFields
-    blocks       (N, n, BLOCK_CONSTANTS)  constants of each of their blocks, see BlockFields
-    harmonics    (N, H - 1, 2)            sine and cosine parts of the harmonics after the first
-    oscillators, motions                  records of many
-    periods      (N,)                     wanted; done (N,) completed, before and after
+    oscillators, motions  records of many
+    periods      (N,)     wanted; done (N,) completed, before and after
     levels       (N, LEVELS, 4), weighted (N, 2): as in Averages
     sections     (N, K, n, 2)             the last K states
     """
 
-    head: Array
-    blocks: Array
-    harmonics: Array
     oscillators: Oscillator
     motions: Motion
     periods: NDArray[np.int64]
@@ -79,37 +72,23 @@ class Batch(NamedTuple):
     sections: Array
 
 
-def constants(oscillators: Oscillator) -> tuple[Array, Array, Array]:
-    """Batch.head, Batch.blocks and Batch.harmonics of many oscillators."""
-    gap = oscillators.gap
-    head = (
-        gap.omega, gap.sin_part[:, 0], gap.cos_part[:, 0], gap.amplitude, *gap.swing.T,
-        oscillators.b_upper, -oscillators.b_lower, oscillators.R, oscillators.cA2k, oscillators.period, oscillators.tau,
-        oscillators.time_unit,
-    )  # fmt: skip
-    blocks = (gap.block, gap.row, gap.row1, oscillators.kick, oscillators.kick1)
-    harmonics = np.stack([gap.sin_part[:, 1:], gap.cos_part[:, 1:]], axis=-1)
-    return np.stack(head, axis=-1), np.concatenate(blocks, axis=-1), harmonics
-
-
 @inline_always
-def load(a, i, r, head, blocks, harmonics, h, tally):
-    """Put the state of cell r into lane i, at its section."""
-    for f in range(LANE_CONSTANTS):
-        a[f * STRIDE + i] = head[r, f]
+def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
+    """Put the state of cell r into lane i, at its section, with the constants of its mode."""
+    for f in range(len(NUMBER)):
+        a[LANE.omega + f * STRIDE + i] = numbers[r, f]
+    for f in range(OF_LANE):
+        a[LANE.upper + f * STRIDE + i] = head[r, f]
+    a[LANE.tau + i], a[LANE.sin_part + i], a[LANE.cos_part + i] = tau[r], waves[r, 0, 0], waves[r, 0, 1]
     for j in range(h.shape[1]):
         b = LANE_SIZE + j * BLOCK_SIZE + i
         for f in range(BLOCK_CONSTANTS):
             a[b + f * STRIDE] = blocks[r, j, f]
         a[b + BLOCK.h0], a[b + BLOCK.h1] = h[r, j, 0], h[r, j, 1]
-    tau, w = a[LANE.tau + i], a[LANE.omega + i]
-    y, v, second, third = forced(tau, w, a[LANE.sin_part + i], a[LANE.cos_part + i])
-    for k in range(harmonics.shape[1]):
-        fields = fields_of_harmonic(a, padded_blocks(h.shape[1]), k)
-        fields[HARMONIC.sin_part + i], fields[HARMONIC.cos_part + i] = harmonics[r, k, 0], harmonics[r, k, 1]
-        order = k + 2.0
-        y_, v_, second_, third_ = forced(order * tau, order * w, harmonics[r, k, 0], harmonics[r, k, 1])
-        y, v, second, third = y + y_, v + v_, second + second_, third + third_
+    for k in range(1, waves.shape[1]):
+        fields = fields_of_harmonic(a, padded_blocks(h.shape[1]), k - 1)
+        fields[HARMONIC.sin_part + i], fields[HARMONIC.cos_part + i] = waves[r, k, 0], waves[r, k, 1]
+    y, v, second, third, _ = all_forced(waves[r], a[LANE.omega + i], a[LANE.tau + i])
     a[LANE.forced_at_section + i], a[LANE.forced_rate_at_section + i] = y, v
     a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i] = second, third
     a[LANE.forced + i], a[LANE.forced_rate + i] = y, v
@@ -214,16 +193,16 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     than ``enough`` are, each stops at its next section. oscillates says that all blocks of all of them are underdamped.
     """
     # Taken out once: a field of a record costs a reference count at every use.
-    head, blocks, harmonics, periods, done, sections = (
-        batch.head, batch.blocks, batch.harmonics, batch.periods, batch.done, batch.sections
-    )  # fmt: skip
+    gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau
+    blocks, waves, numbers = gap.blocks, gap.waves, gap.numbers
+    periods, done, sections = batch.periods, batch.done, batch.sections
     h, V, growth, tally, contact = (
         batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.contact
     )  # fmt: skip
     impacts, levels, weighted = batch.motions.impacts, batch.levels, batch.weighted
-    n, m = h.shape[1], V.shape[1]
+    n, m, harmonics = h.shape[1], V.shape[1], waves.shape[1] - 1
     wide = padded_blocks(n)
-    vectors = LANE_SIZE + wide * BLOCK_SIZE + harmonics.shape[1] * HARMONIC_SIZE
+    vectors = LANE_SIZE + wide * BLOCK_SIZE + harmonics * HARMONIC_SIZE
     growing = vectors + m * wide * 2 * STRIDE
     a = room_for_vectors(growing + m * STRIDE)
     frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
@@ -248,7 +227,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
             if alone:
                 go_alone(batch, r)
             if not (ending or over(r, done, periods, tally)):
-                load(a, active, r, head, blocks, harmonics, h, tally)
+                load(a, active, r, head, tau, blocks, waves, numbers, h, tally)
                 give_frame(V[r], growth[r], frames, growths, active)
                 begun = True
                 active += 1
@@ -258,7 +237,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
             measure_pass(a, frames[0], growths[0], space.partial, padded(active))
         ending = active < enough
         stopping, renewing = take_round(
-            a, n, harmonics.shape[1], oscillates, begun or renewing > 0, padded(active), chosen, gathered
+            a, n, harmonics, oscillates, begun or renewing > 0, padded(active), chosen, gathered
         )
         begun = False
         if m > 0:
