@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from workers.model.oscillator import Oscillator, Mode
+from workers.model.oscillator import Mode, Oscillator
 from workers.model.system import find_system
 
 Array = NDArray[np.float64]

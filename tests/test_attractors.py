@@ -5,7 +5,7 @@ import pytest
 
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
-from workers.attractors.known import MOST_TURN, Known
+from workers.attractors.known import LONGEST_KNOWN, Known
 from workers.attractors.same import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, distance, periods_to_settle
 from workers.attractors.starts import Starts, initial_states
 from workers.attractors.waves import Coexistence, solve_attractors
@@ -230,7 +230,7 @@ def test_motions_are_compared_with_the_orbits_of_their_own_cell_by_the_contracti
     assert {a.regime for a in known.attractors} == {PERIODIC, NO_IMPACT}
     for c, attractors in enumerate(of_cells):
         compared = known.places[known.orbits.first[c] : known.orbits.last[c]]
-        assert [known.attractors[k] for k in compared] == [a for a in attractors if a.period <= MOST_TURN]
+        assert [known.attractors[k] for k in compared] == [a for a in attractors if a.period <= LONGEST_KNOWN]
     for place, contraction in zip(known.places, known.orbits.contraction, strict=True):
         found = known.attractors[place]
         assert contraction == pytest.approx(1.0 - np.exp(found.result["largest"] * found.period), rel=1e-12)

@@ -18,18 +18,20 @@ from tests.faults import ROOT
 from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.test_branches import ball_orbit, pair_orbit
-from workers import Settings, identity, solve_tile
+from workers import Settings, solve_tile
+from workers.attractors import same
 from workers.attractors.basins import solve_basins
 from workers.attractors.same import batch_moments, orbits_reached, periods_to_settle, turn
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
-from workers.continuation import admissible, branch, curve, equations, linear, newton, pulses, seeds, stability, view
+from workers.continuation import admissible, branch, curve, equations, linear, pulses, seeds, stability, view
 from workers.kernel import cells, jit
 from workers.kernel.lanes import run
+from workers.orbit import newton
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
-OF_ATTRACTORS = [*KERNELS, *(value for value in vars(identity).values() if isinstance(value, jit.Kernel))]
+OF_ATTRACTORS = [*KERNELS, *(value for value in vars(same).values() if isinstance(value, jit.Kernel))]
 
 COUNTED = """
 import sys

@@ -20,7 +20,7 @@ from typing import Any
 from numba import config, njit, types
 from numba.extending import typeof_impl
 
-__all__ = ["CACHE", "inline_always", "inlined", "kernel", "kernel_and_part"]
+__all__ = ["CACHE", "inline_always", "inlined", "kernel", "kernel_and_part", "kernel_within"]
 
 
 def _source_hash() -> str:
@@ -63,18 +63,22 @@ _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper
 
 _NO_ENTRY: dict[str, Any] = {"no_cpython_wrapper": True}
 
+_WITHIN: dict[bool, dict[str, Any]] = {False: {}, True: {"inline": "always"}}
+
 
 class Kernel:
     """A function that Python calls as a kernel of its own, and other kernels as a part of them.
 
     A part has neither an entry for Python, which unpacks records of arrays and takes as long to compile as what the
     function does, nor a file in the cache. ``both``: compiled once for either, where a run needs it either way.
+    ``within``: its part is no function of its own but compiled with its caller.
     """
 
-    def __init__(self, function: Callable[..., Any], *, both: bool = False, **how: Any) -> None:
+    def __init__(self, function: Callable[..., Any], *, both: bool = False, within: bool = False, **how: Any) -> None:
         self.py_func = function
         self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
-        self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **how)(function)
+        self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **_WITHIN[within], **how)(function)
+        self.targetoptions = self.part.targetoptions  # where Numba looks whether to inline
         update_wrapper(self, function)
 
     def __call__(self, *given: Any) -> Any:
@@ -96,6 +100,10 @@ kernel_and_part: Callable[[Callable[..., Any]], Any] = partial(Kernel, both=True
 
 inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
+
+kernel_within: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
+"""Decorator of kernels that are parts of few others: a kernel compiles all that it calls once more, and so would each
+of those on the way from it to the kernels below."""
 
 inline_always = njit(inline="always", **_HOW)
 """Decorator of parts of one kernel: compiled with their caller, since a kernel compiles all that it calls once more."""

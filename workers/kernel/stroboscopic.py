@@ -31,7 +31,7 @@ from workers.kernel.impact import (
     stop_position,
     to_held,
 )
-from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part
+from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part, kernel_within
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -97,7 +97,7 @@ def start_at(osc, state, h):
     return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
 
 
-@kernel
+@kernel_within
 def contact_at_rest(osc, side, h):
     """The contact of a state that lies on this stop with v = 0: held where the load presses, else about to leave."""
     u = np.zeros((h.shape[0] - 1, 2))

@@ -6,7 +6,7 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_of
-from workers.kernel.jit import inline_always, kernel
+from workers.kernel.jit import inline_always, kernel, kernel_within
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.stroboscopic import advance
 from workers.orbit.map import separation
@@ -49,7 +49,7 @@ def pass_period(osc, motion, rests):
     return rests and not released, released
 
 
-@kernel
+@kernel_within
 def is_followed(osc, h, contact, periods):
     """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
     osc = borrowed(osc)

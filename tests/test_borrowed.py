@@ -1,0 +1,108 @@
+"""Claims about arrays that count no references: none of them reaches Python, which would read freed memory."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import workers
+from workers import Settings, solve_tile
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
+from workers.kernel import jit
+from workers.kernel.borrow import borrowed
+from workers.kernel.jit import kernel
+
+LENT = {"oscillator_of", "motion_of", "seen_later"}
+"""Kernels that return what they borrow: parts of others, which nothing in workers calls from Python."""
+
+
+@kernel
+def lend(values):
+    """What must not be."""
+    return borrowed(values[1:])
+
+
+@kernel
+def give(values):
+    """What may be."""
+    return values[1:]
+
+
+def arrays_of(found: Any) -> Iterator[np.ndarray]:
+    if isinstance(found, np.ndarray):
+        yield found
+    elif isinstance(found, tuple):
+        for each in found:
+            yield from arrays_of(each)
+
+
+def is_borrowed(array: np.ndarray) -> bool:
+    """An array of Numba's that has no owner: neither itself nor a base."""
+    return not array.flags.owndata and array.base is None
+
+
+def test_an_array_without_an_owner_is_told_from_others() -> None:
+    values = np.arange(3.0)
+    assert is_borrowed(lend(values))
+    assert not is_borrowed(give(values)) and not is_borrowed(values[1:])
+
+
+def test_no_kernel_that_python_calls_returns_a_borrowed_array(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of all that a tile of each exponent, a rest, and attractors call."""
+    called: set[str] = set()
+    run = jit.Kernel.__call__
+
+    def watched(self: jit.Kernel, *given: Any) -> Any:
+        found = run(self, *given)
+        called.add(self.py_func.__name__)
+        assert not any(is_borrowed(each) for each in arrays_of(found)), self.py_func
+        return found
+
+    monkeypatch.setattr(jit.Kernel, "__call__", watched)
+    brief = Settings(max_periods=2000, survival=500, tolerance=0.1, section_samples=2)
+    cells = {"omega": np.linspace(2.0, 4.0, 6), "b": np.linspace(0.1, 0.5, 6)}
+    solve_tile("two-mass", cells, brief)
+    solve_tile("bouncing-ball", {}, Settings(max_periods=500, survival=100, exponents="spectrum"))
+    solve_attractors("two-mass", {"omega": 4.0, "b": 0.1}, brief, Starts(4))
+    assert {"run_batch", "settle_each", "start_motions", "physical_states"} <= called
+    assert not LENT & called
+
+
+def returned_names(function: ast.FunctionDef) -> set[str]:
+    """Names that a function returns, or a part of: x of ``x``, ``x.y`` and ``x[i]``, alone and in tuples."""
+    returns = [node.value for node in ast.walk(function) if isinstance(node, ast.Return) and node.value]
+    parts = [each.elts if isinstance(each, ast.Tuple) else [each] for each in returns]
+    found = set()
+    for part in (each for group in parts for each in group):
+        while isinstance(part, ast.Attribute | ast.Subscript):
+            part = part.value
+        if isinstance(part, ast.Name):
+            found.add(part.id)
+    return found
+
+
+def borrows(function: ast.FunctionDef) -> set[str]:
+    """Names that hold what ``borrowed`` gives, and the word itself where that is returned at once."""
+    found = set()
+    for node in ast.walk(function):
+        if isinstance(node, ast.Return) and node.value and ast.unparse(node.value).startswith("borrowed("):
+            found.add("borrowed")
+        if isinstance(node, ast.Assign) and "borrowed(" in ast.unparse(node.value):
+            for target in node.targets:
+                found |= {each.id for each in ast.walk(target) if isinstance(each, ast.Name)}
+    return found
+
+
+def test_no_function_of_workers_returns_what_it_borrows_but_those_that_lend() -> None:
+    guilty = set()
+    for source in Path(workers.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text())):
+            if isinstance(node, ast.FunctionDef) and source.name != "borrow.py":
+                names = borrows(node)
+                if "borrowed" in names or names & returned_names(node):
+                    guilty.add(node.name)
+    assert guilty == LENT
