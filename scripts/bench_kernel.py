@@ -29,8 +29,8 @@ from scripts.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
 from scripts.heyoka_reference import INSTALLED, Taylor
 from workers import Settings, solve_tile
 from workers.cell.stretch import run_periods
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import EVALUATIONS
-from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import COLUMN
 from workers.model.system import find_system
 

@@ -15,8 +15,9 @@ from workers.kernel.averages import (
     no_averages,
     standard_error,
 )
+from workers.kernel.coordinates import motion_from
+from workers.kernel.frame import reset_frame
 from workers.kernel.motion import SPREAD
-from workers.kernel.stroboscopic import motion_from, reset_frame
 
 
 def blocking(values: np.ndarray) -> np.ndarray:

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from workers.kernel.cells import scale_of
+from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import FREE, motion_at
-from workers.kernel.stroboscopic import blocks_to_physical, motion_from
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.orbit.map import FixedPoint

@@ -15,8 +15,9 @@ from tests import naive
 from tests.test_bifurcations import KNOWN, TWO_MASS
 from workers import Settings
 from workers.continuation import section_states
+from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import RUNNING, STATUS
-from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
+from workers.kernel.stroboscopic import propagate
 
 pytestmark = pytest.mark.slow
 

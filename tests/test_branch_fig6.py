@@ -13,8 +13,8 @@ from atlas.branches.tree import Branch, Tree
 from tests.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, oscillator
 from workers import Settings
 from workers.continuation import Event, section_states
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FREE, RUNNING, STATUS
-from workers.kernel.stroboscopic import motion_from
 from workers.orbit.map import map_with_jacobian
 from workers.results import PERIODIC
 from workers.sweep import solve_lines

@@ -13,8 +13,9 @@ from workers.attractors.starts import Starts
 from workers.cell.outcome import put_stopped
 from workers.cell.solve import begun
 from workers.kernel.cells import physical_states, start_motions
+from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, STARTED_BEYOND, STATUS, motion_at, motions_at
-from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
+from workers.kernel.stroboscopic import propagate
 from workers.model.oscillator import Oscillator, many_of, taken
 from workers.model.system import find_system, system_names
 from workers.results import BEYOND_STOP, INVALID, NO_REASON, InvalidError, empty_results, result_variables

@@ -12,8 +12,10 @@ import pytest
 
 from tests.oracle import Machine, section_jacobian, simulate
 from tests.oracle.machines import random_machine
+from workers.kernel.coordinates import blocks_to_physical, motion_from
+from workers.kernel.frame import reset_frame
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
-from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate, reset_frame
+from workers.kernel.stroboscopic import propagate
 from workers.model.build import build_one
 from workers.model.oscillator import Machines, Oscillator
 

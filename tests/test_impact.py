@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from tests import naive
 from tests.oscillators import mass_spring
+from workers.kernel.coordinates import blocks_to_physical
 from workers.kernel.flow import guard_of, guard_rate_of
 from workers.kernel.impact import (
     LEAVE,
@@ -24,7 +25,6 @@ from workers.kernel.impact import (
     to_held,
 )
 from workers.kernel.motion import motion_at
-from workers.kernel.stroboscopic import blocks_to_physical
 from workers.model.oscillator import HEAD, Oscillator
 
 

@@ -12,8 +12,8 @@ from tests.test_attraction import naive_norm
 from tests.test_stroboscopic import KINDS
 from workers.attractors.same import KnownOrbits, orbits_reached, turn
 from workers.cell.stretch import run_periods
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FREE, motion_at, motions_at
-from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
 from workers.model.system import find_system
 from workers.orbit.attraction import shrinking_norm

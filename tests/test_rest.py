@@ -12,8 +12,8 @@ from tests.test_survival import cells_of
 from workers import Settings, solve_tile
 from workers.cell.outcome import put_averaged
 from workers.cell.stretch import run_periods
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, STUCK
-from workers.kernel.stroboscopic import motion_from
 from workers.results import CHAOTIC, PERIODIC, RESTED, UNDETERMINED
 
 RESTS_IN_THE_WATCH = {"A": 2.133705659525457, "R": 0.6482713451425055}

@@ -15,8 +15,9 @@ from workers import Settings
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.continuation import section_state
+from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import HELD, RECORDED, Motion
-from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
+from workers.kernel.stroboscopic import propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
 from workers.results import PERIODIC

@@ -12,8 +12,8 @@ from tests.oscillators import mass_spring
 from tests.test_stroboscopic import KINDS, differences, jacobian
 from workers.cell.solve import solve
 from workers.cell.stretch import run_periods
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, STUCK
-from workers.kernel.stroboscopic import motion_from
 from workers.model.oscillator import Oscillator, many_of
 from workers.results import PERIODIC, empty_results, result_variables
 from workers.settings import Settings

@@ -8,8 +8,9 @@ from mpmath import mp
 
 from tests.test_systems import table
 from workers import System
+from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import STUCK
-from workers.kernel.stroboscopic import blocks_to_physical, mirror, motion_from, propagate
+from workers.kernel.stroboscopic import mirror, propagate
 from workers.model.build import build
 from workers.model.oscillator import Machines, Oscillator, one_of
 from workers.model.reading import DefinitionError

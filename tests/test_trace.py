@@ -8,8 +8,9 @@ from scipy.linalg import expm
 
 from tests import naive
 from workers.history import trace
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOWER, UPPER
-from workers.kernel.stroboscopic import motion_from, propagate
+from workers.kernel.stroboscopic import propagate
 from workers.model.system import find_system
 from workers.settings import Settings
 from workers.tile import solve_tile

@@ -160,8 +160,9 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
 
 def _path(system: System, parameters: Mapping[str, float], periods: int) -> tuple[Array, Array, Array]:
     """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
+    from workers.kernel.coordinates import blocks_to_physical, motion_from
     from workers.kernel.motion import RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-    from workers.kernel.stroboscopic import blocks_to_physical, motion_from, propagate
+    from workers.kernel.stroboscopic import propagate
 
     osc = system.build(parameters)
     start = np.array([parameters[name] for name in system.states])

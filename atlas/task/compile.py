@@ -125,8 +125,8 @@ def warm_up(*parts: str) -> None:
     """Compile the kernels of cells, or load them, by one period of the default cell: every kernel is called.
 
     Those of attractors by all of a cell with one orbit, by means over a section state, which chaos alone has, and by
-    the scale that twins are compared at; those of orbits by a short branch. What a kernel is compiled for depends neither on the system nor on the settings: they
-    make arrays longer or empty.
+    the scale that twins are compared at; those of orbits by a short branch. What a kernel is compiled for depends
+    neither on the system nor on the settings: they make arrays longer or empty.
     """
     from workers.tile import solve_cells
 

@@ -18,8 +18,9 @@ from workers.continuation.equations import (
 )
 from workers.continuation.extended import Extended, solve
 from workers.continuation.linear import Family, family_of, linear_of
+from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
-from workers.kernel.stroboscopic import motion_from, propagate
+from workers.kernel.stroboscopic import propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section

@@ -9,10 +9,10 @@ import numpy as np
 
 from workers.kernel.averages import COUNT, MEAN, standard_error
 from workers.kernel.borrow import borrowed
-from workers.kernel.coordinates import enter_blocks, leave_blocks, placed, put_on_stop
+from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
+from workers.kernel.frame import reset_frame_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import (
-    AT_REST,
     FREE,
     LOST,
     MIN_SPEED,
@@ -25,7 +25,7 @@ from workers.kernel.motion import (
     oscillator_of,
 )
 from workers.kernel.signal import derivative_bounds
-from workers.kernel.stroboscopic import OVERDRAFT, advance, contact_at_rest, reset_frame_of
+from workers.kernel.stroboscopic import OVERDRAFT, advance
 from workers.model.oscillator import HEAD
 
 
@@ -53,17 +53,11 @@ def scale_at(metric, swing, h):
 @kernel
 def start_motions(oscillators, motions, states, cells):
     """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
-    # Taken out once: an oscillator of its own costs a reference count for each of its fields.
-    o, h, contact = oscillators, motions.h, motions.contact
-    to_blocks, response, rest, row, tau = o.to_blocks, o.gap.forced, o.rest, o.gap_row, o.tau
-    head, metric, swing = o.head, o.gap.metric, o.swing
     scales = np.zeros(len(states))
     for r in cells:
-        y, v, y_error, v_error = enter_blocks(to_blocks[r], response[r], rest[r], row[r], tau[r], states[r], h[r])
-        contact[r, 0] = placed(y, v, y_error, v_error, head[r, HEAD.upper], head[r, HEAD.lower])
-        if abs(contact[r, 0]) == AT_REST:
-            contact[r, 0] = contact_at_rest(oscillator_of(oscillators, r), np.sign(contact[r, 0]), h[r])
-        scales[r] = scale_at(metric[r], swing[r], h[r])
+        osc, h = oscillator_of(oscillators, r), motions.h[r]
+        motions.contact[r, 0] = start_at(borrowed(osc), states[r], h)
+        scales[r] = scale_of(osc, h)
     return scales
 
 
@@ -125,13 +119,10 @@ def reset_frames(metric, motions, cells):
 @kernel
 def physical_states(oscillators, motions, cells):
     """Physical section states of these cells."""
-    o, h, contact = oscillators, motions.h, motions.contact
-    to_physical, response, rest, row, tau, head = o.to_physical, o.gap.forced, o.rest, o.gap_row, o.tau, o.head
-    states = np.empty((len(cells), 2 * h.shape[1]))
+    states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        upper, lower = head[r, HEAD.upper], head[r, HEAD.lower]
-        leave_blocks(to_physical[r], response[r], rest[r], row[r], tau[r], upper, lower, h[r], contact[r, 0], states[e])
+        leave_blocks(borrowed(oscillator_of(oscillators, r)), motions.h[r], motions.contact[r, 0], states[e])
     return states
 
 

@@ -1,36 +1,59 @@
-"""Physical section states and block coordinates, the one made of the other; fields of one oscillator as arrays.
+"""Physical section states and block coordinates, the one made of the other, with the contact of a motion there.
 
 A motion carries its contact. Where there is a physical state alone, ``placed`` says by one rule what its contact is.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
-from workers.kernel.impact import forced_state
-from workers.kernel.jit import inline_always
-from workers.kernel.motion import AT_REST, BEYOND, FREE
+from workers.kernel.impact import forced_state, load_on_stop, to_held
+from workers.kernel.jit import inline_always, kernel, kernel_within
+from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
+from workers.model.oscillator import HEAD, Oscillator
+from workers.results import BEYOND_STOP, InvalidError
 
 ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Rounding of y = g . x as a share of sum |g_i x_i|, and of y' likewise: 16 units in the last place."""
 
 
-@inline_always
-def enter_blocks(to_blocks, response, rest, row, tau, state, h):
-    """Write the block coordinates h (n, 2), forced response taken off, of a physical state (2n,).
+def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at physical section state (x..., v...).
 
-    Returns its y and y', and the rounding of either.
+    Its contact is the one that the state shows: on a stop with v = 0 held or about to leave, else free. InvalidError
+    beyond a stop.
     """
+    h = np.zeros((len(osc.gap_row), 2))
+    contact = start_at(osc, np.asarray(state, dtype=np.float64), h)
+    if contact == BEYOND:
+        raise InvalidError(BEYOND_STOP)
+    return motion_at(h, contact, vectors, record)
+
+
+@kernel_within
+def start_at(osc, state, h):
+    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
+    row, rest, tau = osc.gap_row, osc.rest, osc.tau
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         for k in range(2):
             full = 0.0
             for i in range(2 * n):
-                full += to_blocks[2 * j + k, i] * state[i]
-            h[j, k] = full - forced_state(response, tau, j, k) - rest[j, k]
+                full += osc.to_blocks[2 * j + k, i] * state[i]
+            h[j, k] = full - forced_state(osc.gap.forced, tau, j, k) - rest[j, k]
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
         v_sum += abs(row[j] * state[n + j])
-    return y, v, ROUNDING * y_sum, ROUNDING * v_sum
+    contact = placed(y, v, ROUNDING * y_sum, ROUNDING * v_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
+    return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
+
+
+@kernel_within
+def contact_at_rest(osc, side, h):
+    """The contact of a state that lies on this stop with v = 0: held where the load presses, else about to leave."""
+    u = np.zeros((h.shape[0] - 1, 2))
+    to_held(osc, h, osc.tau, side, u)
+    return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
 
 
 @inline_always
@@ -66,23 +89,30 @@ def put_on_stop(row, stop, state, first):
     state[first + k] = (stop - others) / row[k]
 
 
-@inline_always
-def leave_blocks(to_physical, response, rest, row, tau, upper, lower, h, contact, state):
-    """Write the physical state (2n,) of block coordinates h (n, 2); on the stop with v = 0 at a contact: ``placed`` so.
+@kernel
+def blocks_to_physical(osc, motion):
+    """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there: ``placed`` so.
 
     A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
     """
+    state = np.zeros(2 * motion.h.shape[0])
+    leave_blocks(osc, motion.h, motion.contact[0], state)
+    return state
+
+
+@inline_always
+def leave_blocks(osc, h, contact, state):
+    """Add to a state (2n,) of zeros what ``blocks_to_physical`` makes of block coordinates h (n, 2) at a contact."""
+    row, rest, upper, lower = osc.gap_row, osc.rest, osc.head[HEAD.upper], osc.head[HEAD.lower]
     n = h.shape[0]
     terms = np.zeros(n)
-    for i in range(2 * n):
-        state[i] = 0.0
     for j in range(n):
         for k in range(2):
-            full = h[j, k] + forced_state(response, tau, j, k) + rest[j, k]
+            full = h[j, k] + forced_state(osc.gap.forced, osc.tau, j, k) + rest[j, k]
             for i in range(2 * n):
-                state[i] += to_physical[i, 2 * j + k] * full
+                state[i] += osc.to_physical[i, 2 * j + k] * full
             for i in range(n):
-                terms[i] += abs(to_physical[i, 2 * j + k]) * (abs(full) + abs(h[j, k]))
+                terms[i] += abs(osc.to_physical[i, 2 * j + k]) * (abs(full) + abs(h[j, k]))
     y, size = 0.0, 0.0
     for i in range(n):
         y += row[i] * state[i]

@@ -1,12 +1,19 @@
-"""The tangent frame: Gram-Schmidt with the logarithms of what it takes out (Li & Tan 2011)."""
+"""The tangent frame: Gram-Schmidt with the logarithms of what it takes out (Li & Tan 2011), and when it is due."""
 
 import math
 
 import numpy as np
 
 from workers.kernel.elementary import cosc_sinc, exp, log, sin_cos
-from workers.kernel.jit import inlined, kernel
+from workers.kernel.flight import TINY
+from workers.kernel.flow import flow
+from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.motion import LOST, SPREAD
 from workers.model.oscillator import COLUMN
+
+MAX_SPREAD = 8.0
+"""|log| of how far flights and impacts may stretch or contract the frame before it is made orthonormal again: keeps 12
+digits of the most contracted direction. One flight with its impact may go further."""
 
 
 @inlined
@@ -139,3 +146,64 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
             if triangle.shape[0] > 0:
                 add_row(triangle, growth, k, later, f)
         growth[k] += gain
+
+
+@kernel
+def spread_rate(blocks):
+    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks.
+
+    The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time.
+    """
+    rate = 0.0
+    for j in range(len(blocks)):
+        shear = math.sqrt(blocks[j, COLUMN.metric]) if blocks[j, COLUMN.lam] == 0.0 else 0.0
+        rate = max(rate, blocks[j, COLUMN.fast] + shear)
+    return rate
+
+
+@inline_always
+def fly_far(osc, motion, s):
+    """Move the state and the frame on by s in free flight, however far that spreads the frame."""
+    blocks = osc.gap.blocks
+    rank = 2 * len(blocks) - int(motion.tally[LOST])
+    flow(blocks, s, motion.h)
+    graded_flow(blocks, s, motion.V, motion.growth, motion.triangle, rank)
+    reset_frame(osc, motion)
+
+
+@inline_always
+def reset_frame(osc, motion):
+    """Make the frame orthonormal and count its growth."""
+    reset_frame_of(osc.gap.metric, motion)
+
+
+@kernel
+def reset_frame_of(metric, motion):
+    """reset_frame for blocks of this metric (n,)."""
+    V, growth, tally = motion.V, motion.growth, motion.tally
+    if growth.shape[0] > 0:
+        orthonormalise(metric, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
+    tally[SPREAD] = 0.0
+
+
+@inlined
+def needs_reset(spread, more, limit):
+    """Whether the frame has to be made orthonormal before the next flight and impact spread it that much further."""
+    return spread > 0.0 and spread + more > limit
+
+
+@inlined
+def impact_spread(ratio, unit, loss):
+    """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
+
+    2 ln(1 + u) - ln R, u = |ratio| unit, where unit is the oscillator's time_unit; ln x < (x - 1) / sqrt(x) spares the
+    logarithms.
+    """
+    u = abs(ratio) * unit
+    return 2.0 * u / math.sqrt(1.0 + u) + loss
+
+
+@inlined
+def loss_spread(R):
+    """The part of impact_spread that the restitution makes: at least -ln R."""
+    return (1.0 - R) / math.sqrt(max(R, TINY))

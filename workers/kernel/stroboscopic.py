@@ -3,17 +3,22 @@
 Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
 """
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.coordinates import enter_blocks, leave_blocks, placed
 from workers.kernel.excursion import turning_points
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
-from workers.kernel.flow import flow, flow_with_tangent
-from workers.kernel.frame import graded_flow, orthonormalise
+from workers.kernel.flow import flow_with_tangent
+from workers.kernel.frame import (
+    MAX_SPREAD,
+    fly_far,
+    impact_spread,
+    loss_spread,
+    needs_reset,
+    reset_frame,
+    reset_frame_of,
+    spread_rate,
+)
 from workers.kernel.impact import (
     LEAVE,
     REBOUND,
@@ -22,22 +27,19 @@ from workers.kernel.impact import (
     is_rebound,
     kick,
     load_at_rest,
-    load_on_stop,
     outcome,
     rest_projection,
     saltation,
     shift,
     stay_on_stop,
     stop_position,
-    to_held,
 )
-from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part, kernel_within
+from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
     EVALUATIONS,
     FREE,
-    HELD,
     LOSS,
     LOST,
     LOWER,
@@ -54,12 +56,9 @@ from workers.kernel.motion import (
     STUCK,
     UPPER,
     WORK,
-    Motion,
-    motion_at,
 )
 from workers.kernel.signal import evaluate
-from workers.model.oscillator import COLUMN, HEAD, NUMBER, Oscillator
-from workers.results import BEYOND_STOP, InvalidError
+from workers.model.oscillator import HEAD, NUMBER
 
 OVERDRAFT = 1_000_000
 """Evaluations by which a period may exceed what is left, so that motions can end at a section."""
@@ -70,94 +69,6 @@ cube of it, which the mass would move by, is far below rounding."""
 
 NOWHERE = (0.0, 0.0, 0.0, 0.0)
 """In place of an arrival where a flight ends at no stop."""
-
-MAX_SPREAD = 8.0
-"""|log| of how far flights and impacts may stretch or contract the frame before it is made orthonormal again: keeps 12
-digits of the most contracted direction. One flight with its impact may go further."""
-
-
-def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
-    """A motion that starts at physical section state (x..., v...).
-
-    Its contact is the one that the state shows: on a stop with v = 0 held or about to leave, else free. InvalidError
-    beyond a stop.
-    """
-    h = np.zeros((len(osc.gap_row), 2))
-    contact = start_at(osc, np.asarray(state, dtype=np.float64), h)
-    if contact == BEYOND:
-        raise InvalidError(BEYOND_STOP)
-    return motion_at(h, contact, vectors, record)
-
-
-@kernel
-def start_at(osc, state, h):
-    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
-    y, v, y_error, v_error = enter_blocks(osc.to_blocks, osc.gap.forced, osc.rest, osc.gap_row, osc.tau, state, h)
-    contact = placed(y, v, y_error, v_error, osc.head[HEAD.upper], osc.head[HEAD.lower])
-    return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
-
-
-@kernel_within
-def contact_at_rest(osc, side, h):
-    """The contact of a state that lies on this stop with v = 0: held where the load presses, else about to leave."""
-    u = np.zeros((h.shape[0] - 1, 2))
-    to_held(osc, h, osc.tau, side, u)
-    return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
-
-
-@kernel
-def blocks_to_physical(osc, motion):
-    """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there, see ``placed``."""
-    state = np.empty(2 * motion.h.shape[0])
-    leave_blocks(
-        osc.to_physical, osc.gap.forced, osc.rest, osc.gap_row, osc.tau, osc.head[HEAD.upper], osc.head[HEAD.lower],
-        motion.h, motion.contact[0], state,
-    )  # fmt: skip
-    return state
-
-
-@kernel
-def spread_rate(blocks):
-    """How fast a flight spreads the frame, per time: the largest contraction rate of the blocks.
-
-    The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time.
-    """
-    rate = 0.0
-    for j in range(len(blocks)):
-        shear = math.sqrt(blocks[j, COLUMN.metric]) if blocks[j, COLUMN.lam] == 0.0 else 0.0
-        rate = max(rate, blocks[j, COLUMN.fast] + shear)
-    return rate
-
-
-@inline_always
-def fly_far(osc, motion, s):
-    """Move the state and the frame on by s in free flight, however far that spreads the frame."""
-    blocks = osc.gap.blocks
-    rank = 2 * len(blocks) - int(motion.tally[LOST])
-    flow(blocks, s, motion.h)
-    graded_flow(blocks, s, motion.V, motion.growth, motion.triangle, rank)
-    reset_frame(osc, motion)
-
-
-@inline_always
-def reset_frame(osc, motion):
-    """Make the frame orthonormal and count its growth."""
-    reset_frame_of(osc.gap.metric, motion)
-
-
-@kernel
-def reset_frame_of(metric, motion):
-    """reset_frame for blocks of this metric (n,)."""
-    V, growth, tally = motion.V, motion.growth, motion.tally
-    if growth.shape[0] > 0:
-        orthonormalise(metric, V, growth, motion.triangle, 2 * V.shape[1] - int(tally[LOST]))
-    tally[SPREAD] = 0.0
-
-
-@inlined
-def needs_reset(spread, more, limit):
-    """Whether the frame has to be made orthonormal before the next flight and impact spread it that much further."""
-    return spread > 0.0 and spread + more > limit
 
 
 @inline_always
@@ -184,23 +95,6 @@ def come_to_rest(blocks, cA2k, motion, v):
     tally[LOSS] += v * v
     kick(blocks, motion.h, -v)
     rest_projection(blocks, cA2k, motion.V)
-
-
-@inlined
-def impact_spread(ratio, unit, loss):
-    """How far an impact with ratio = a / v spreads the frame at most, as a logarithm.
-
-    2 ln(1 + u) - ln R, u = |ratio| unit, where unit is the oscillator's time_unit; ln x < (x - 1) / sqrt(x) spares the
-    logarithms.
-    """
-    u = abs(ratio) * unit
-    return 2.0 * u / math.sqrt(1.0 + u) + loss
-
-
-@inlined
-def loss_spread(R):
-    """The part of impact_spread that the restitution makes: at least -ln R."""
-    return (1.0 - R) / math.sqrt(max(R, TINY))
 
 
 @inline_always

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from workers.kernel.elementary import log
 from workers.kernel.flight import TINY
 from workers.kernel.fma import fma
-from workers.kernel.frame import graded_flow, orthonormalise
+from workers.kernel.frame import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import (
     AT_SECTION,
@@ -31,7 +31,6 @@ from workers.kernel.lanes.layout import (
     room_for_vectors,
 )
 from workers.kernel.lanes.search import list_lanes, padded
-from workers.kernel.stroboscopic import MAX_SPREAD, impact_spread, needs_reset
 from workers.model.oscillator import COLUMN
 
 Array = NDArray[np.float64]

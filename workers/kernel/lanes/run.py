@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.frame import log_length
+from workers.kernel.frame import log_length, loss_spread, spread_rate
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.frames import give_frame, measure_pass, move_frames, take_frame, workspace
 from workers.kernel.lanes.layout import (
@@ -48,7 +48,7 @@ from workers.kernel.motion import (
     oscillator_of,
 )
 from workers.kernel.signal import all_forced
-from workers.kernel.stroboscopic import advance, loss_spread, spread_rate
+from workers.kernel.stroboscopic import advance
 from workers.model.oscillator import NUMBER, OF_LANE, Oscillator
 
 Array = NDArray[np.float64]
