@@ -1,4 +1,4 @@
-"""Arithmetic expressions of named numbers: read by a parser of their own, evaluated on arrays by numpy alone.
+"""Arithmetic expressions of named numbers: checked token by token, read by Python's parser, evaluated by numpy alone.
 
     expression = term, then any of + term, - term
     term       = factor, then any of * factor, / factor
@@ -9,10 +9,13 @@ with the precedence that Python gives them: -x**2 is -(x**2), and 2**3**2 is 2**
 that nothing else can happen: what an expression from a stranger's file costs is bounded by its length.
 """
 
+import ast
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,13 +42,14 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
 RESERVED = (PI, *FUNCTIONS)
 """Names that no parameter may have."""
 
-_BINARY: dict[str, Callable[..., Any]] = {
-    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power,
-}  # fmt: skip
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power, "sign": np.negative,
+} | {name: act for name, (act, _, _) in FUNCTIONS.items()}  # fmt: skip
+_BINARY: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _TOKEN = re.compile(
-    r"[ \t\r\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_][A-Za-z_0-9]*)|(\*\*|[-+*/(),]))", re.ASCII
+    r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][A-Za-z_0-9]*|\*\*|[-+*/(),])|[ \t\r\n]+|(.)", re.ASCII | re.DOTALL
 )
-_NUMBER, _NAME, _CALL, _SIGN, _TIMES_ITSELF = range(5)
+_NUMBER, _NAME, _CALL, _WHOLE_POWER = range(4)
 
 
 class ExpressionError(ValueError):
@@ -55,7 +59,7 @@ class ExpressionError(ValueError):
 class Step(NamedTuple):
     """What is done next with a stack of arrays: push a number or a name's value, or replace the top ones by a result.
 
-    kind    _NUMBER, _NAME, _CALL of a function or an operator, _SIGN: the other sign, or _TIMES_ITSELF: a whole power
+    kind    _NUMBER, _NAME, _CALL of a function or an operator, or _WHOLE_POWER: a product
     what    the name, the function or the operator
     value   the number; how many arguments; the exponent
     """
@@ -83,8 +87,7 @@ class Expression:
     @property
     def constant(self) -> float | None:
         """Its value where it is one number, and no name or operation; else None."""
-        (first, *more) = self.steps
-        return first.value if first.kind == _NUMBER and not more else None
+        return _constant(self.steps)
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
         """Its values (N,) for the values (N,) of each name, ``omega`` among them.
@@ -99,19 +102,11 @@ class Expression:
                 stack.append(np.full(shape, value))
             elif kind == _NAME:
                 stack.append(values[what])
-            elif kind == _SIGN:
-                stack.append(np.negative(stack.pop()))
-            elif kind == _TIMES_ITSELF:
+            elif kind == _WHOLE_POWER:
                 stack.append(_whole_power(stack.pop(), int(value)))
-            elif what in _BINARY:
-                right, left = stack.pop(), stack.pop()
-                stack.append(_BINARY[what](left, right))
             else:
-                act, arguments = FUNCTIONS[what][0], [stack.pop() for _ in range(int(value))][::-1]
-                result = arguments[0] if len(arguments) > 1 else act(arguments[0])
-                for other in arguments[1:]:
-                    result = act(result, other)
-                stack.append(result)
+                act, arguments = _OPERATIONS[what], [stack.pop() for _ in range(int(value))][::-1]
+                stack.append(reduce(act, arguments) if len(arguments) > 1 else act(*arguments))
         return np.asarray(stack.pop(), dtype=np.float64)
 
 
@@ -125,12 +120,11 @@ def parse(text: str, known: Collection[str]) -> Expression:
     if len(text) > LONGEST:
         raise ExpressionError(f"found {len(text)} characters, must be at most {LONGEST}")
     tokens = _tokens(text)
-    reader = _Reader(tokens, known)
-    reader.expression()
-    if reader.place < len(tokens):
-        raise ExpressionError(f"found {tokens[reader.place]!r} after {tokens[reader.place - 1]!r}, must be an operator")
+    _check(tokens)
     written = [repr(float(token)) if _is_number(token) else token for token in tokens]
-    return Expression(" ".join(written), tuple(reader.steps))
+    # No keyword of Python begins with an underscore: a parameter may be called lambda.
+    python = " ".join(f"_{token}" if token.isidentifier() else token for token in written)
+    return Expression(" ".join(written), tuple(_steps(ast.parse(python, mode="eval").body, known)))
 
 
 def _whole_power(base: Array, exponent: int) -> Array:
@@ -145,124 +139,106 @@ def _whole_power(base: Array, exponent: int) -> Array:
     return 1.0 / result if exponent < 0 else result
 
 
-def _is_number(token: str) -> bool:
-    return token[0].isdigit() or token[0] == "."
-
-
 def _tokens(text: str) -> list[str]:
-    text = text.rstrip(" \t\r\n")
-    found, place = [], 0
-    while place < len(text):
-        match = _TOKEN.match(text, place)
-        if match is None:
-            sign = text[place:].lstrip(" \t\r\n")[0]
-            raise ExpressionError(f"found {sign!r}, must be numbers, names, + - * / **, parentheses and commas")
-        found.append(match.group(match.lastindex or 0))
-        place = match.end()
+    found = []
+    for token, other in _TOKEN.findall(text):
+        if other:
+            raise ExpressionError(f"found {other!r}, must be numbers, names, + - * / **, parentheses and commas")
+        if token:
+            found.append(token)
     return found
 
 
-class _Reader:
-    """Tokens to steps, by one method for each line of the grammar."""
+def _is_number(token: str) -> bool:
+    return token[:1].isdigit() or token[:1] == "."
 
-    def __init__(self, tokens: list[str], known: Collection[str]) -> None:
-        self.tokens, self.known = tokens, known
-        self.place = self.depth = 0
-        self.steps: list[Step] = []
 
-    def next_is(self, *tokens: str) -> str:
-        """The next token, passed over, if it is one of these; else an empty text."""
-        if self.place < len(self.tokens) and self.tokens[self.place] in tokens:
-            self.place += 1
-            return self.tokens[self.place - 1]
-        return ""
+def _check(tokens: list[str]) -> None:
+    """ExpressionError at the first token that cannot stand where it does, or that is nested too deeply.
 
-    def expression(self) -> None:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise ExpressionError(f"nested more than {DEEPEST} deep")
-        self.term()
-        while operator := self.next_is("+", "-"):
-            self.term()
-            self.steps.append(Step(_CALL, operator, 2))
-        self.depth -= 1
-
-    def term(self) -> None:
-        self.factor()
-        while operator := self.next_is("*", "/"):
-            self.factor()
-            self.steps.append(Step(_CALL, operator, 2))
-
-    def factor(self) -> None:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise ExpressionError(f"nested more than {DEEPEST} deep")
-        if sign := self.next_is("+", "-"):
-            begin = len(self.steps)
-            self.factor()
-            if sign == "-":
-                alone = len(self.steps) == begin + 1 and self.steps[begin].kind == _NUMBER
-                self.steps[begin:] = (
-                    [Step(_NUMBER, "", -self.steps[begin].value)]
-                    if alone
-                    else [*self.steps[begin:], Step(_SIGN, "", 1)]
-                )
-        else:
-            self.atom()
-            if self.next_is("**"):
-                self.power()
-        self.depth -= 1
-
-    def power(self) -> None:
-        begin = len(self.steps)
-        self.factor()
-        exponent = self.steps[begin]
-        whole = exponent.kind == _NUMBER and abs(exponent.value) <= LARGEST_POWER and exponent.value.is_integer()
-        if len(self.steps) == begin + 1 and whole:
-            self.steps[begin] = Step(_TIMES_ITSELF, "", exponent.value)
-        else:
-            self.steps.append(Step(_CALL, "**", 2))
-
-    def atom(self) -> None:
-        if self.place == len(self.tokens):
-            where = f"after {self.tokens[-1]!r}" if self.tokens else "at all"
-            raise ExpressionError(f"found nothing {where}, must be a number, a name or a parenthesis")
-        token = self.tokens[self.place]
-        self.place += 1
-        if token == "(":
-            self.expression()
-            self.close()
-        elif _is_number(token):
-            if not math.isfinite(float(token)):
+    What Python has beyond the grammar, such as (a, b), f(*a), f(a,) and (f)(a), is refused here.
+    """
+    groups = [""]  # of parentheses that are open: the function that they belong to, the whole first
+    depths = [2]  # of each: itself, its present operand, and the signs and powers that this one is in
+    for before, token in pairwise(["(", *tokens, ""]):
+        if before in ("(", ",", *_BINARY.values()):
+            if not token:
+                where = f"after {before!r}" if tokens else "at all"
+                raise ExpressionError(f"found nothing {where}, must be a number, a name or a parenthesis")
+            if token in (")", ",", "*", "/", "**"):
+                raise ExpressionError(f"found {token!r}, must be a number, a name or a parenthesis")
+            if _is_number(token) and not math.isfinite(float(token)):
                 raise ExpressionError("found a number beyond the range of double precision")
-            self.steps.append(Step(_NUMBER, "", float(token)))
-        elif not (token[0].isalpha() or token[0] == "_"):
-            raise ExpressionError(f"found {token!r}, must be a number, a name or a parenthesis")
-        elif self.next_is("("):
-            self.call(token)
-        elif token == PI:
-            self.steps.append(Step(_NUMBER, "", math.pi))
-        elif token in self.known:
-            self.steps.append(Step(_NAME, token, 0))
+            depths[-1] += token in ("+", "-")
+        elif token in ("+", "-", "*", "/") or (token == "," and groups[-1]):
+            depths[-1] = 2
+        elif token == "**":
+            depths[-1] += 1
+        elif token == ")" and len(groups) > 1:
+            groups.pop(), depths.pop()
+        elif not token and len(groups) > 1:
+            raise ExpressionError("found the end, must be a closing parenthesis")
+        elif token and not (token == "(" and before.isidentifier()):
+            raise ExpressionError(f"found {token!r} after {before!r}, must be an operator")
+        if token == "(":
+            groups.append(before if before.isidentifier() else "")
+            depths.append(2)
+        if sum(depths) > DEEPEST:
+            raise ExpressionError(f"nested more than {DEEPEST} deep")
+
+
+def _steps(node: ast.expr, known: Collection[str]) -> list[Step]:
+    """The steps of a tree; down the left sides of operators without recursion, as a sum of 250 terms leans that way."""
+    operators: list[ast.BinOp] = []
+    while isinstance(node, ast.BinOp):
+        operators.append(node)
+        node = node.left
+    found = _operand(node, known)
+    for each in reversed(operators):
+        right = _steps(each.right, known)
+        power = _constant(right) if isinstance(each.op, ast.Pow) else None
+        if power is not None and abs(power) <= LARGEST_POWER and power.is_integer():
+            found.append(Step(_WHOLE_POWER, "", power))
         else:
-            raise ExpressionError(unknown_name("name", token, [*self.known, PI]))
+            found += [*right, Step(_CALL, _BINARY[type(each.op)], 2)]
+    return found
 
-    def call(self, name: str) -> None:
-        if name not in FUNCTIONS:
-            raise ExpressionError(unknown_name("function", name, FUNCTIONS))
-        count = 1
-        self.expression()
-        while self.next_is(","):
-            self.expression()
-            count += 1
-        self.close()
-        _, least, most = FUNCTIONS[name]
-        if not least <= count <= most:
-            wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
-            raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
-        self.steps.append(Step(_CALL, name, count))
 
-    def close(self) -> None:
-        if not self.next_is(")"):
-            found = repr(self.tokens[self.place]) if self.place < len(self.tokens) else "the end"
-            raise ExpressionError(f"found {found}, must be a closing parenthesis")
+def _constant(steps: Sequence[Step]) -> float | None:
+    return steps[0].value if len(steps) == 1 and steps[0].kind == _NUMBER else None
+
+
+def _operand(node: ast.expr, known: Collection[str]) -> list[Step]:
+    match node:
+        case ast.Constant(value=float(value)):
+            return [Step(_NUMBER, "", value)]
+        case ast.Name(id=name):
+            return [_named(name[1:], known)]
+        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+            return _steps(operand, known)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            steps = _steps(operand, known)
+            number = _constant(steps)
+            return [*steps, Step(_CALL, "sign", 1)] if number is None else [Step(_NUMBER, "", -number)]
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+            call = _call(name[1:], len(arguments))
+            return [*(step for argument in arguments for step in _steps(argument, known)), call]
+    raise ExpressionError(f"found {type(node).__name__}, must be arithmetic")
+
+
+def _named(name: str, known: Collection[str]) -> Step:
+    if name == PI:
+        return Step(_NUMBER, "", math.pi)
+    if name not in known:
+        raise ExpressionError(unknown_name("name", name, [*known, PI]))
+    return Step(_NAME, name, 0)
+
+
+def _call(name: str, count: int) -> Step:
+    if name not in FUNCTIONS:
+        raise ExpressionError(unknown_name("function", name, FUNCTIONS))
+    _, least, most = FUNCTIONS[name]
+    if not least <= count <= most:
+        wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
+        raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
+    return Step(_CALL, name, count)
