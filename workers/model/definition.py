@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.expression import Expression, constant
+from workers.model.expression import Expression
 from workers.model.free import ULPS, finite
 from workers.model.oscillator import Machines
 from workers.model.parameter import OMEGA, TAU
@@ -17,6 +17,7 @@ from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RAN
 Array = NDArray[np.float64]
 Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
+NO_STOP = {"upper": math.inf, "lower": -math.inf}
 MATRICES = frozenset(("mass", "damping", "stiffness"))
 _KEYS = (
     "coordinates", "velocities", "mass", "damping", "stiffness", "harmonics", "load", "gap", "restitution", "upper",
@@ -81,17 +82,19 @@ class Definition:
 
     def _entries(self) -> dict[str, Any]:
         """What each field of machines is made of, but for the force: an expression, a row or a matrix of them."""
+        stops = {"upper": self.upper, "lower": self.lower}
         return {
             "mass": self.mass, "damping": self.damping, "stiffness": self.stiffness, "gap_row": self.gap,
-            "load": self.load, "upper": self.upper or constant(math.inf), "lower": self.lower or constant(-math.inf),
-            "R": self.restitution,
-        }  # fmt: skip
+            "load": self.load, "R": self.restitution,
+        } | {name: stop for name, stop in stops.items() if stop is not None}  # fmt: skip
 
     def _fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
         named = dict(values)
         for name, expression in self.let:
             named[name] = expression(named)
-        found = {name: _evaluated(each, named) for name, each in self._entries().items() if name in wanted}
+        count = named[OMEGA].size
+        found = {name: np.full(count, end) for name, end in NO_STOP.items() if name in wanted}
+        found |= {name: _evaluated(each, named) for name, each in self._entries().items() if name in wanted}
         found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
         found |= {name: named[name] for name in (OMEGA, TAU) if name in wanted}
         if "force_sin" in wanted or "force_cos" in wanted:

@@ -12,11 +12,11 @@ that nothing else can happen: what an expression from a stranger's file costs is
 import ast
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,52 +42,34 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
 RESERVED = (PI, *FUNCTIONS)
 """Names that no parameter may have."""
 
-_OPERATIONS: dict[str, Callable[..., Any]] = {
-    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power, "sign": np.negative,
-} | {name: act for name, (act, _, _) in FUNCTIONS.items()}  # fmt: skip
-_BINARY: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+_BINARY: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
+}  # fmt: skip
+_ARITHMETIC = (*_BINARY, ast.BinOp, ast.UnaryOp, ast.UAdd, ast.USub, ast.Call, ast.Name, ast.Load, ast.Constant)
 _TOKEN = re.compile(
     r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][A-Za-z_0-9]*|\*\*|[-+*/(),])|[ \t\r\n]+|(.)", re.ASCII | re.DOTALL
 )
-_NUMBER, _NAME, _CALL, _WHOLE_POWER = range(4)
 
 
 class ExpressionError(ValueError):
     """What is wrong with an expression, in one line."""
 
 
-class Step(NamedTuple):
-    """What is done next with a stack of arrays: push a number or a name's value, or replace the top ones by a result.
-
-    kind    _NUMBER, _NAME, _CALL of a function or an operator, or _WHOLE_POWER: a product
-    what    the name, the function or the operator
-    value   the number; how many arguments; the exponent
-    """
-
-    kind: int
-    what: str
-    value: float
-
-
 @dataclass(frozen=True)
 class Expression:
-    """An expression as its text in a uniform spelling and as the steps of its evaluation, operands first.
-
-    It holds no code and no objects but text and numbers: it can be compared, hashed, pickled.
-    """
+    """An expression, as its text in a uniform spelling: it can be compared, hashed, pickled."""
 
     text: str
-    steps: tuple[Step, ...]
 
     @property
     def names(self) -> set[str]:
         """The names whose values it takes."""
-        return {step.what for step in self.steps if step.kind == _NAME}
+        return {node.id[1:] for node in ast.walk(_tree(self.text)) if isinstance(node, ast.Name)}.difference(RESERVED)
 
     @property
     def constant(self) -> float | None:
         """Its value where it is one number, and no name or operation; else None."""
-        return _constant(self.steps)
+        return _constant(_tree(self.text))
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
         """Its values (N,) for the values (N,) of each name, ``omega`` among them.
@@ -95,24 +77,12 @@ class Expression:
         Infinite or NaN where double precision has no other answer, as numpy does: division by zero, a root of a
         negative number. What one element gives does not depend on the others.
         """
-        shape = values[OMEGA].shape
-        stack: list[Any] = []
-        for kind, what, value in self.steps:
-            if kind == _NUMBER:
-                stack.append(np.full(shape, value))
-            elif kind == _NAME:
-                stack.append(values[what])
-            elif kind == _WHOLE_POWER:
-                stack.append(_whole_power(stack.pop(), int(value)))
-            else:
-                act, arguments = _OPERATIONS[what], [stack.pop() for _ in range(int(value))][::-1]
-                stack.append(reduce(act, arguments) if len(arguments) > 1 else act(*arguments))
-        return np.asarray(stack.pop(), dtype=np.float64)
+        return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 
 
 def constant(value: float) -> Expression:
-    """The expression that is a number."""
-    return Expression(repr(value), (Step(_NUMBER, "", value),))
+    """The expression that is a finite number."""
+    return Expression(repr(value))
 
 
 def parse(text: str, known: Collection[str]) -> Expression:
@@ -120,11 +90,47 @@ def parse(text: str, known: Collection[str]) -> Expression:
     if len(text) > LONGEST:
         raise ExpressionError(f"found {len(text)} characters, must be at most {LONGEST}")
     tokens = _tokens(text)
-    _check(tokens)
-    written = [repr(float(token)) if _is_number(token) else token for token in tokens]
-    # No keyword of Python begins with an underscore: a parameter may be called lambda.
-    python = " ".join(f"_{token}" if token.isidentifier() else token for token in written)
-    return Expression(" ".join(written), tuple(_steps(ast.parse(python, mode="eval").body, known)))
+    _check_order(tokens)
+    found = Expression(" ".join(repr(float(token)) if _is_number(token) else token for token in tokens))
+    _check_names(_tree(found.text), known)
+    return found
+
+
+@lru_cache(maxsize=4096)
+def _tree(text: str) -> ast.expr:
+    """Python's tree of a uniform spelling. No keyword begins with an underscore: a parameter may be called lambda."""
+    return ast.parse(re.sub(r"\b(?=[A-Za-z_])", "_", text), mode="eval").body
+
+
+def _constant(node: ast.expr) -> float | None:
+    match node:
+        case ast.Constant(value=float(value)):
+            return value
+        case ast.Name(id="_pi"):
+            return math.pi
+        case ast.UnaryOp(op=sign, operand=operand):
+            number = _constant(operand)
+            return -number if number is not None and isinstance(sign, ast.USub) else number
+    return None
+
+
+def _value(node: ast.expr, values: Mapping[str, Array]) -> Any:
+    if (number := _constant(node)) is not None:
+        return np.full(values[OMEGA].shape, number)
+    match node:
+        case ast.Name(id=name):
+            return values[name[1:]]
+        case ast.UnaryOp(op=sign, operand=operand):
+            return np.negative(_value(operand, values)) if isinstance(sign, ast.USub) else _value(operand, values)
+        case ast.BinOp(left=left, op=operator, right=right):
+            power = _constant(right) if isinstance(operator, ast.Pow) else None
+            if power is not None and abs(power) <= LARGEST_POWER and power.is_integer():
+                return _whole_power(_value(left, values), int(power))
+            return _BINARY[type(operator)](_value(left, values), _value(right, values))
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            act, found = FUNCTIONS[name[1:]][0], [_value(each, values) for each in arguments]
+            return reduce(act, found) if len(found) > 1 else act(*found)
+    raise AssertionError(node)
 
 
 def _whole_power(base: Array, exponent: int) -> Array:
@@ -153,7 +159,7 @@ def _is_number(token: str) -> bool:
     return token[:1].isdigit() or token[:1] == "."
 
 
-def _check(tokens: list[str]) -> None:
+def _check_order(tokens: list[str]) -> None:
     """ExpressionError at the first token that cannot stand where it does, or that is nested too deeply.
 
     What Python has beyond the grammar, such as (a, b), f(*a), f(a,) and (f)(a), is refused here.
@@ -161,7 +167,7 @@ def _check(tokens: list[str]) -> None:
     groups = [""]  # of parentheses that are open: the function that they belong to, the whole first
     depths = [2]  # of each: itself, its present operand, and the signs and powers that this one is in
     for before, token in pairwise(["(", *tokens, ""]):
-        if before in ("(", ",", *_BINARY.values()):
+        if before in ("(", ",", "+", "-", "*", "/", "**"):
             if not token:
                 where = f"after {before!r}" if tokens else "at all"
                 raise ExpressionError(f"found nothing {where}, must be a number, a name or a parenthesis")
@@ -187,58 +193,25 @@ def _check(tokens: list[str]) -> None:
             raise ExpressionError(f"nested more than {DEEPEST} deep")
 
 
-def _steps(node: ast.expr, known: Collection[str]) -> list[Step]:
-    """The steps of a tree; down the left sides of operators without recursion, as a sum of 250 terms leans that way."""
-    operators: list[ast.BinOp] = []
-    while isinstance(node, ast.BinOp):
-        operators.append(node)
-        node = node.left
-    found = _operand(node, known)
-    for each in reversed(operators):
-        right = _steps(each.right, known)
-        power = _constant(right) if isinstance(each.op, ast.Pow) else None
-        if power is not None and abs(power) <= LARGEST_POWER and power.is_integer():
-            found.append(Step(_WHOLE_POWER, "", power))
-        else:
-            found += [*right, Step(_CALL, _BINARY[type(each.op)], 2)]
-    return found
+def _check_names(tree: ast.expr, known: Collection[str]) -> None:
+    """ExpressionError at what is no arithmetic, a name that is not known, or a function of too many arguments."""
+    nodes = list(ast.walk(tree))
+    for node in nodes:
+        if not isinstance(node, _ARITHMETIC):
+            raise ExpressionError(f"found {type(node).__name__}, must be arithmetic")
+    arguments = {node.func: len(node.args) for node in nodes if isinstance(node, ast.Call)}
+    names = [node for node in nodes if isinstance(node, ast.Name)]
+    for node in sorted(names, key=lambda node: node.col_offset):
+        if node in arguments:
+            _check_call(node.id[1:], arguments[node])
+        elif node.id[1:] not in (PI, *known):
+            raise ExpressionError(unknown_name("name", node.id[1:], [*known, PI]))
 
 
-def _constant(steps: Sequence[Step]) -> float | None:
-    return steps[0].value if len(steps) == 1 and steps[0].kind == _NUMBER else None
-
-
-def _operand(node: ast.expr, known: Collection[str]) -> list[Step]:
-    match node:
-        case ast.Constant(value=float(value)):
-            return [Step(_NUMBER, "", value)]
-        case ast.Name(id=name):
-            return [_named(name[1:], known)]
-        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-            return _steps(operand, known)
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            steps = _steps(operand, known)
-            number = _constant(steps)
-            return [*steps, Step(_CALL, "sign", 1)] if number is None else [Step(_NUMBER, "", -number)]
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-            call = _call(name[1:], len(arguments))
-            return [*(step for argument in arguments for step in _steps(argument, known)), call]
-    raise ExpressionError(f"found {type(node).__name__}, must be arithmetic")
-
-
-def _named(name: str, known: Collection[str]) -> Step:
-    if name == PI:
-        return Step(_NUMBER, "", math.pi)
-    if name not in known:
-        raise ExpressionError(unknown_name("name", name, [*known, PI]))
-    return Step(_NAME, name, 0)
-
-
-def _call(name: str, count: int) -> Step:
+def _check_call(name: str, count: int) -> None:
     if name not in FUNCTIONS:
         raise ExpressionError(unknown_name("function", name, FUNCTIONS))
     _, least, most = FUNCTIONS[name]
     if not least <= count <= most:
         wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
         raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
-    return Step(_CALL, name, count)

@@ -7,7 +7,7 @@ from numbers import Real
 from reprlib import Repr
 from typing import Any
 
-from workers.model.definition import Definition, Harmonic, Matrix, Row
+from workers.model.definition import NO_STOP, Definition, Harmonic, Matrix, Row
 from workers.model.expression import RESERVED, Expression, ExpressionError, constant, parse
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
@@ -221,12 +221,11 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
 
 
 def _read_stop(table: Mapping[str, Any], key: str, known: Collection[str]) -> Expression | None:
-    nowhere = math.inf if key == "upper" else -math.inf
     if "upper" not in table and "lower" not in table:
         raise DefinitionError(
             "system: upper and lower missing; give one stop or both as positions of the gap coordinate"
         )
-    if key not in table or table[key] == nowhere:
+    if key not in table or table[key] == NO_STOP[key]:
         return None
     return read_entry(f"system.{key}", table[key], known)
 
