@@ -196,15 +196,15 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
     given = table.get("harmonics", [])
     if not isinstance(given, list):
         raise _found("system.harmonics", given, "must be tables [[system.harmonics]]")
-    first = [{"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}]
-    if "force" not in table and "phase" in table:
+    parts = {f"system.harmonics[{i}]": one for i, one in enumerate(given)}
+    if "force" in table:
+        parts = {"system": {"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}} | parts
+    elif "phase" in table:
         raise DefinitionError("system.phase: there is no force that it could be of; give force too")
-    if "force" not in table and not given:
+    elif not given:
         raise DefinitionError(f"system: force missing; give a list of {n}")
     found: list[Harmonic] = []
-    for where, one in [("system", one) for one in first if "force" in one] + [
-        (f"system.harmonics[{i}]", one) for i, one in enumerate(given)
-    ]:
+    for where, one in parts.items():
         part = read_table(where, one)
         check_keys(where, part, ("order", "force", "phase"))
         order = part.get("order")
@@ -214,9 +214,8 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
             raise DefinitionError(f"{where}.order: there is a force of order {order} already; add the two")
         if "force" not in part:
             raise DefinitionError(f"{where}: force missing; give a list of {n}")
-        found.append(
-            Harmonic(order, row(f"{where}.force", part["force"]), row(f"{where}.phase", part.get("phase", [0.0] * n)))
-        )
+        force = row(f"{where}.force", part["force"])
+        found.append(Harmonic(order, force, row(f"{where}.phase", part.get("phase", [0.0] * n))))
     return tuple(sorted(found))
 
 
@@ -302,14 +301,13 @@ def _check_name(where: str, name: object) -> None:
         raise _taken(where, name)
 
 
-def refuse_taken(coordinates: Iterable[str], velocities: Iterable[str], parameters: Iterable[str]) -> None:
+def refuse_taken(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """DefinitionError at the first name that is one of an atlas's own."""
-    for key, names in (("coordinates", coordinates), ("velocities", velocities)):
-        for i, name in enumerate(names):
-            if is_taken(name):
-                raise _taken(f"system.{key}[{i}]", name)
-    for name in filter(is_taken, parameters):
-        raise _taken(f"system.parameters.{name}", name)
+    names = [(f"system.coordinates[{i}]", name) for i, name in enumerate(definition.coordinates)]
+    names += [(f"system.velocities[{i}]", name) for i, name in enumerate(definition.velocities)]
+    for where, name in [*names, *((f"system.parameters.{p.name}", p.name) for p in parameters)]:
+        if is_taken(name):
+            raise _taken(where, name)
 
 
 def _taken(where: str, name: str) -> DefinitionError:
