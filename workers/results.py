@@ -175,8 +175,8 @@ SETTLED = _count("settled", "forcing periods until the motion is on the attracto
 def result_variables(settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
     """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
 
-    With ``attractors`` those of all attractors of each cell: every result but the cost has the dimension ``attractor``.
-    With ``basins`` those of initial states that are told by the attractors that they reach.
+    With ``attractors`` each cell has all its attractors: every result but the cost has the dimension ``attractor``.
+    With ``basins`` each initial state has the label of the attractor that it reaches.
     """
     chosen = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
@@ -201,7 +201,7 @@ def of_one(variable: Variable) -> Variable:
 
 
 def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
-    """Arrays over cells of ``dims`` dimensions, those of all attractors as of the first: views, not copies."""
+    """Arrays over cells of ``dims`` dimensions, each with its first attractor alone: views, not copies."""
     many = {variable.name for variable in variables if ATTRACTOR in variable.extra}
     first = (slice(None),) * dims + (0,)
     return {name: values[first] if name in many else values for name, values in arrays.items()}

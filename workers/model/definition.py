@@ -125,7 +125,7 @@ class Definition:
 
 
 def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArray[np.int8]:
-    """The reason why each of many machines is none, or NO_REASON, as far as the numbers of some fields alone tell.
+    """The reason against each of N machines, or NO_REASON, as far as the numbers of some fields alone tell.
 
     Matrices have to be symmetric to rounding, the lower stop below the upper one, and 0 <= R <= 1.
     """

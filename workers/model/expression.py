@@ -194,7 +194,7 @@ def _check_order(tokens: list[str]) -> None:
 
 
 def _check_names(tree: ast.expr, known: Collection[str]) -> None:
-    """ExpressionError at what is no arithmetic, a name that is not known, or a function of too many arguments."""
+    """ExpressionError at a part that is not arithmetic, an unknown name, or a wrong number of arguments."""
     nodes = list(ast.walk(tree))
     for node in nodes:
         if not isinstance(node, _ARITHMETIC):

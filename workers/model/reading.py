@@ -51,30 +51,27 @@ def read_text(where: str, value: object, default: str | None = None) -> str:
 
 
 def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tuple[str, ...]) -> tuple[Parameter, ...]:
-    """All parameters in order: omega, those of the table, tau, then the initial values of coordinates and velocities.
+    """All parameters in order: omega, the table's, tau, then the initial values of coordinates and velocities.
 
     Omega, tau and the initial values exist by themselves: the table may change their default, range and words.
     """
     given = read_table("system.parameters", table)
     if len(given) > MANY:
         raise DefinitionError(f"system.parameters: found {len(given)}, must be at most {MANY}")
-    built_in = {
-        OMEGA: Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
-        TAU: Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
-    }
-    for name in coordinates:
-        built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0)
+    first = Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True)
+    last = [Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0)]
+    last += [Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates]
     for name, of in zip(velocities, coordinates, strict=True):
-        built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
+        last.append(Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0))
     for name in (*coordinates, *velocities):
         for key in ("low", "high"):
             if isinstance(given.get(name), Mapping) and key in given[name]:
-                raise DefinitionError(
-                    f"system.parameters.{name}.{key}: an initial value has no range; the stops alone bound it"
-                )
-    own = {name: _read_parameter(name, one, built_in.get(name)) for name, one in given.items()}
-    order = [OMEGA, *(name for name in own if name not in built_in), TAU, *coordinates, *velocities]
-    return tuple(own.get(name) or built_in[name] for name in order)
+                where = f"system.parameters.{name}.{key}"
+                raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
+    built_in = {parameter.name: parameter for parameter in (first, *last)}
+    found = built_in | {name: _read_parameter(name, one, built_in.get(name)) for name, one in given.items()}
+    own = [name for name in given if name not in built_in]
+    return tuple(found[name] for name in (OMEGA, *own, *(parameter.name for parameter in last)))
 
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
@@ -122,8 +119,8 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
         if name in (OMEGA, TAU):
             raise DefinitionError(f"system.coordinates: {name} is a parameter of the force; choose another name")
         if names.count(name) > 1:
-            every = ", ".join(names)
-            raise DefinitionError(f"system.coordinates: {name} is there twice in {every}; give velocities = [...] too")
+            twice = f"{name} is there twice in {', '.join(names)}"
+            raise DefinitionError(f"system.coordinates: {twice}; give velocities = [...] too")
     return coordinates, velocities
 
 

@@ -100,7 +100,7 @@ class System:
         return one_of(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
-        """The oscillators of many values (N,) of each parameter, and the reason of each why there is none."""
+        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
         oscillators, reasons = self._built(values)
         for parameter in self.parameters:
             reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE

@@ -17,7 +17,7 @@ class TomlError(ValueError):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; TomlError where it cannot be read or is none."""
+    """The tables of a TOML file; TomlError where it cannot be read or is not TOML."""
     try:
         return parse_toml(_text_of(path))
     except OSError as error:
@@ -32,12 +32,12 @@ def parse_toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise TomlError("nested too deeply; there is no more to write than tables in tables") from None
-    except ValueError as error:  # besides its own, those of numbers with too many digits
+    except ValueError as error:  # from tomllib, and from numbers with too many digits
         raise TomlError(f"not a TOML file: {error}") from None
 
 
 def _text_of(path: Path) -> str:
-    """The text of a file; anything but a regular file of bounded size could keep its reader for ever."""
+    """The text of a regular file of bounded size: to read anything else could take for ever."""
     if path.is_dir():
         raise TomlError("cannot be read: is a folder")
     if path.exists() and not path.is_file():
