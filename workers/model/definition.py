@@ -132,8 +132,7 @@ def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArra
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
     for name in MATRICES & set(of):
         matrix = getattr(machines, name)
-        if np.any(skew := matrix != matrix.swapaxes(1, 2)):
-            reasons[skew.any(axis=(1, 2))] = NO_OSCILLATOR
+        reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
     if not {"lower", "upper", "R"}.isdisjoint(of):
         ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
         reasons[~ranges] = OUT_OF_RANGE

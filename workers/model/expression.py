@@ -146,13 +146,11 @@ def _whole_power(base: Array, exponent: int) -> Array:
 
 
 def _tokens(text: str) -> list[str]:
-    found = []
-    for token, other in _TOKEN.findall(text):
+    found = _TOKEN.findall(text)
+    for _, other in found:
         if other:
             raise ExpressionError(f"found {other!r}, must be numbers, names, + - * / **, parentheses and commas")
-        if token:
-            found.append(token)
-    return found
+    return [token for token, _ in found if token]
 
 
 def _is_number(token: str) -> bool:

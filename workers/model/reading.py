@@ -34,13 +34,6 @@ class DefinitionError(ValueError):
     """What is wrong with the definition of a system, in one line: the entry, what was found, what would be right."""
 
 
-def check_keys(where: str, found: Iterable[object], known: Collection[str]) -> None:
-    """DefinitionError at the first key that is not known."""
-    for key in found:
-        if key not in known:
-            raise DefinitionError(unknown_name(f"key in {where}", str(key), known))
-
-
 def read_text(where: str, value: object, default: str | None = None) -> str:
     """A text; DefinitionError for anything else."""
     if value is None and default is not None:
@@ -76,8 +69,7 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
-    table = read_table(where, given)
-    check_keys(where, table, PARAMETER_KEYS)
+    table = read_table(where, given, PARAMETER_KEYS)
     _check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
@@ -143,9 +135,7 @@ def read_definition(
         return tuple(row(f"{where}[{i}]", each) for i, each in enumerate(read_list(where, given, n, "rows")))
 
     if isinstance(table.get("gap"), list) and any(isinstance(each, list) for each in table["gap"]):
-        raise DefinitionError(
-            f"system.gap: found {_short.repr(table['gap'])}, several gaps at once are not supported; give one row"
-        )
+        raise _found("system.gap", table["gap"], "several gaps at once are not supported; give one row")
     required(table, "mass")
     return Definition(
         coordinates=coordinates,
@@ -177,14 +167,11 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
     while waiting:
         free = next((name for name, each in waiting.items() if not each.names & waiting.keys()), None)
         if free is None:
-            first = next(iter(waiting))
-            chain = [first]
+            chain = [next(iter(waiting))]
             while chain.count(chain[-1]) < 2:
                 chain.append(min(waiting[chain[-1]].names & waiting.keys()))
-            circle = chain[chain.index(chain[-1]) :]
-            raise DefinitionError(
-                f"system.let: {' uses '.join(circle)}, a circle; define one of them without the others"
-            )
+            circle = " uses ".join(chain[chain.index(chain[-1]) :])
+            raise DefinitionError(f"system.let: {circle}, a circle; define one of them without the others")
         ready.append((free, waiting.pop(free)))
     return tuple(ready)
 
@@ -202,8 +189,7 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
         raise DefinitionError(f"system: force missing; give a list of {n}")
     found: list[Harmonic] = []
     for where, one in parts.items():
-        part = read_table(where, one)
-        check_keys(where, part, ("order", "force", "phase"))
+        part = read_table(where, one, ("order", "force", "phase"))
         order = part.get("order")
         if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= HARMONICS:
             raise _found(f"{where}.order", order, f"must be a whole number, 1 to {HARMONICS}")
@@ -218,9 +204,8 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
 
 def _read_stop(table: Mapping[str, Any], key: str, known: Collection[str]) -> Expression | None:
     if "upper" not in table and "lower" not in table:
-        raise DefinitionError(
-            "system: upper and lower missing; give one stop or both as positions of the gap coordinate"
-        )
+        where = "system: upper and lower missing"
+        raise DefinitionError(f"{where}; give one stop or both as positions of the gap coordinate")
     if key not in table or table[key] == NO_STOP[key]:
         return None
     return read_entry(f"system.{key}", table[key], known)
@@ -249,10 +234,13 @@ def read_number(where: str, given: object, right: str = "must be a number", infi
     return number
 
 
-def read_table(where: str, given: object) -> Mapping[str, Any]:
-    """The value, a table; DefinitionError for anything else."""
+def read_table(where: str, given: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
+    """The value, a table that has these keys at most, or any; DefinitionError for anything else."""
     if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
         raise _found(where, given, "must be a table")
+    for key in given:
+        if keys and key not in keys:
+            raise DefinitionError(unknown_name(f"key in {where}", key, keys))
     return given
 
 

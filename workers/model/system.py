@@ -17,7 +17,6 @@ from workers.model.oscillator import Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import (
     DefinitionError,
-    check_keys,
     read_coordinates,
     read_definition,
     read_list,
@@ -203,8 +202,7 @@ def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _read(given: Mapping[str, Any], packaged: bool) -> System:
-    table = read_table("system", given)
-    check_keys("system", table, KEYS)
+    table = read_table("system", given, KEYS)
     name = read_text("system.name", table.get("name"))
     if not name or len(name) > 40 or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
         raise DefinitionError(f"system.name: found {name[:60]!r}, must be letters, digits and hyphens, 40 at most")
