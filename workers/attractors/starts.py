@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Array, Oscillator
 from workers.settings import check_whole
-
-Array = NDArray[np.float64]
 
 MOST_STARTS, MOST_KEPT = 10_000, 64
 REACH = 2.0

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from workers.model.expression import Expression
 from workers.model.free import ULPS, finite
-from workers.model.oscillator import Machines
+from workers.model.oscillator import Array, Machines
 from workers.model.parameter import OMEGA, TAU
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
-Array = NDArray[np.float64]
 Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
 NO_STOP = {"upper": math.inf, "lower": -math.inf}

@@ -57,7 +57,7 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class Expression:
-    """An expression, as its text in a uniform spelling: it can be compared, hashed, pickled."""
+    """An expression, as its text in a uniform spelling, of a number its repr: it can be compared, hashed, pickled."""
 
     text: str
 
@@ -78,11 +78,6 @@ class Expression:
         negative number. What one element gives does not depend on the others.
         """
         return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
-
-
-def constant(value: float) -> Expression:
-    """The expression that is a finite number."""
-    return Expression(repr(value))
 
 
 def parse(text: str, known: Collection[str]) -> Expression:

@@ -8,7 +8,7 @@ from reprlib import Repr
 from typing import Any
 
 from workers.model.definition import NO_STOP, Definition, Harmonic, Matrix, Row
-from workers.model.expression import RESERVED, Expression, ExpressionError, constant, parse
+from workers.model.expression import RESERVED, Expression, ExpressionError, parse
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 
@@ -218,7 +218,7 @@ def read_entry(where: str, given: object, known: Collection[str]) -> Expression:
             return parse(given, known)
         except ExpressionError as error:
             raise DefinitionError(f"{where}: {error}") from None
-    return constant(read_number(where, given, "must be a number or an expression in quotes"))
+    return Expression(repr(read_number(where, given, "must be a number or an expression in quotes")))
 
 
 def read_number(where: str, given: object, right: str = "must be a number", infinite: bool = False) -> float:

@@ -3,13 +3,11 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.model.definition import Definition
+from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
 from workers.model.reading import DefinitionError
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-12
 """Relative size of an eigenvalue that counts as zero."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from workers.model.build import build
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition, faults
-from workers.model.oscillator import Oscillator, one_of
+from workers.model.oscillator import Array, Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import (
     DefinitionError,
@@ -29,8 +29,6 @@ from workers.model.reading import (
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError
-
-Array = NDArray[np.float64]
 
 DEFAULT = "two-mass"
 SYSTEMS = resources.files("workers.model") / "systems"
