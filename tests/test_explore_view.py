@@ -289,6 +289,20 @@ def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None
     assert Spec.from_mapping(parse_toml(spec_toml(record, made.parameters, sides, made.settings))).digest == made.digest
 
 
+def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
+    from workers.model.toml_text import parse_toml
+
+    own = {
+        "packaged": False,
+        "name": "mine",
+        "title": 'a "ball" \\ \x7f \U0001f3b1',
+        "equation": 'y\'\' = -g\n\t""" y >= 0',
+    }
+    record = replace(atlas.Spec("bouncing-ball", {"omega": [1.0, 2.0]}).record, **own)
+    sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
+    assert parse_toml(spec_toml(record, {}, sides, atlas.Settings()))["system"] == record.table()
+
+
 def test_a_plane_is_told_by_its_parameters_alone() -> None:
     assert Plane.of({"R": 0.8, "tau": 1.0}) == Plane((("R", 0.8), ("tau", 1.0)))
 

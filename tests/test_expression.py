@@ -118,6 +118,15 @@ HOSTILE = [
     ("min(a)", "found min of 1, must be of 2 to 8 arguments"),
     ("mu_kk", "unknown name 'mu_kk'; did you mean 'mu_k'?"),
     ("sqr(a)", "unknown function 'sqr'; did you mean 'sqrt'?"),
+    ("(a, b)", "found ',' after 'a'"),
+    ("()", "found ')'"),
+    ("sin(a,)", "found ')'"),
+    ("sin(*a)", "found '*'"),
+    ("max(**a)", "found '**'"),
+    ("(sin)(a)", "found '(' after ')'"),
+    ("2(3)", "found '(' after '2'"),
+    ("a if", "found 'if' after 'a'"),
+    ("a # b", "found '#'"),
     ("omega\x00", "found '\\x00'"),
     ("аlpha", "found 'а'"),
     ("a−b", "found '−'"),
@@ -151,6 +160,23 @@ def test_a_uniform_spelling_is_the_same_expression(text: str) -> None:
         return
     assert parse(found.text, NAMES) == found
     assert pickle.loads(pickle.dumps(found)) == found
+
+
+@pytest.mark.parametrize("name", ["lambda", "if", "None", "True", "not", "_", "__debug__", "e1"])
+def test_a_keyword_of_python_is_a_name_as_any_other(name: str) -> None:
+    expression = parse(f"2 * {name} + {name}**2", (name,))
+    assert expression.names == {name}
+    assert expression({name: np.full(2, 3.0), "omega": np.ones(2)}).tolist() == [15.0, 15.0]
+
+
+@pytest.mark.parametrize(
+    "text", ["(" * 19 + "a" + ")" * 19, "-" * 38 + "a", "a" + "**2" * 38, "sin(" * 19 + "a" + ")" * 19]
+)
+def test_the_deepest_expressions_are_read_and_deeper_ones_are_not(text: str) -> None:
+    """A parenthesis counts twice, for itself and for what is in it; a sign and a power count once."""
+    assert parse(text, NAMES).names == {"a"}
+    with pytest.raises(ExpressionError, match="nested more than 40 deep"):
+        parse(f"-({text})", NAMES)
 
 
 def test_spelling_aside_expressions_are_equal() -> None:

@@ -49,52 +49,29 @@ class Reason:
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
 ) = range(20)  # fmt: skip
 
-REASONS = (
-    Reason(NO_REASON, "none", PENDING, ""),
-    Reason(GAVE_UP, "gave_up", FAILED, "the time of the next impact could not be found"),
-    Reason(NOT_FINITE, "not_finite", FAILED, "the state is no longer finite"),
-    Reason(ARITHMETIC, "arithmetic", FAILED, "a calculation met an overflow, a zero divisor or a singular matrix"),
-    Reason(PROCESS_ENDED, "process_ended", FAILED, "the process that solved its tile died"),
-    Reason(
-        COSTLY_PERIOD,
-        "costly_period",
-        UNDETERMINED,
-        "one forcing period takes more than a million evaluations of the motion",
-    ),
-    Reason(WORK_SPENT, "work_spent", UNDETERMINED, "its budget of evaluations of the motion is spent"),
-    Reason(BEYOND_STOP, "beyond_stop", INVALID, "the initial state lies beyond a stop"),
-    Reason(OUT_OF_RANGE, "out_of_range", INVALID, "a parameter lies outside its valid range"),
-    Reason(NO_OSCILLATOR, "no_oscillator", INVALID, "the parameters make no oscillator"),
-    Reason(RESONANCE, "resonance", INVALID, "undamped resonance: no periodic forced response exists"),
-    Reason(LONG_PERIOD, "long_period", INVALID, "a forcing period spans too many radians of a free oscillation"),
-    Reason(
-        RIGID_MODE, "rigid_mode", INVALID, "masses can drift freely without changing the gap, or in more than one way"
-    ),
-    Reason(
-        COUPLED_DAMPING, "coupled_damping", INVALID, "damping couples two modes that double precision cannot tell apart"
-    ),
-    Reason(OUT_OF_DOUBLES, "out_of_doubles", INVALID, "the parameters lead beyond the range of double precision"),
-    Reason(
-        ENERGY_OUT_OF_DOUBLES,
-        "energy_out_of_doubles",
-        INVALID,
-        "the energy of the motion is beyond the range of double precision",
-    ),
-    Reason(
-        NOT_RELAXED,
-        "not_relaxed",
-        CHAOTIC,
-        "the budget ended early: the exponent may still depend on the initial state",
-    ),
-    Reason(
-        NOT_STATIONARY,
-        "not_stationary",
-        CHAOTIC,
-        "the last two averages of the exponent still differed when the budget ended; the error bar covers both",
-    ),
-    Reason(UNSTABLE, "unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
-    Reason(RESTED, "rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
-)
+REASONS = tuple(Reason(code, *row) for code, row in enumerate((
+    ("none", PENDING, ""),
+    ("gave_up", FAILED, "the time of the next impact could not be found"),
+    ("not_finite", FAILED, "the state is no longer finite"),
+    ("arithmetic", FAILED, "a calculation met an overflow, a zero divisor or a singular matrix"),
+    ("process_ended", FAILED, "the process that solved its tile died"),
+    ("costly_period", UNDETERMINED, "one forcing period takes more than a million evaluations of the motion"),
+    ("work_spent", UNDETERMINED, "its budget of evaluations of the motion is spent"),
+    ("beyond_stop", INVALID, "the initial state lies beyond a stop"),
+    ("out_of_range", INVALID, "a parameter lies outside its valid range"),
+    ("no_oscillator", INVALID, "the parameters make no oscillator"),
+    ("resonance", INVALID, "undamped resonance: no periodic forced response exists"),
+    ("long_period", INVALID, "a forcing period spans too many radians of a free oscillation"),
+    ("rigid_mode", INVALID, "masses can drift freely without changing the gap, or in more than one way"),
+    ("coupled_damping", INVALID, "damping couples two modes that double precision cannot tell apart"),
+    ("out_of_doubles", INVALID, "the parameters lead beyond the range of double precision"),
+    ("energy_out_of_doubles", INVALID, "the energy of the motion is beyond the range of double precision"),
+    ("not_relaxed", CHAOTIC, "the budget ended early: the exponent may still depend on the initial state"),
+    ("not_stationary", CHAOTIC,
+     "the last two averages of the exponent still differed when the budget ended; the error bar covers both"),
+    ("unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
+    ("rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
+)))  # fmt: skip
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 
 
@@ -124,101 +101,84 @@ class Variable:
     sparse: bool = False
 
 
-_NAN = float("nan")
 _PER_PERIOD = "1/period"
+ATTRACTOR = "attractor"
+"""The dimension along the attractors of a cell, the one with the largest share first."""
 
-LARGEST = Variable("largest", "float64", _NAN, "largest Lyapunov exponent per forcing period", _PER_PERIOD)
-ERROR = Variable("error", "float64", _NAN, "error of the largest Lyapunov exponent", _PER_PERIOD)
-SPECTRUM = Variable(
-    "spectrum", "float64", _NAN, "Lyapunov exponents per forcing period, largest first", _PER_PERIOD, ("exponent",)
-)
-AVERAGE = Variable(
-    "average", "float64", _NAN, "mean growth of tangent vectors per forcing period over the schedule", _PER_PERIOD
-)
+
+def _number(name: str, long_name: str, units: str = "1", *extra: str) -> Variable:
+    return Variable(name, "float64", float("nan"), long_name, units, extra)
+
+
+def _count(name: str, long_name: str, *extra: str, fill: int = 0) -> Variable:
+    return Variable(name, "int32", fill, long_name, "1", extra)
+
+
+def _flag(name: str, long_name: str, *extra: str) -> Variable:
+    return Variable(name, "bool", False, long_name, "1", extra)
+
+
+LARGEST = _number("largest", "largest Lyapunov exponent per forcing period", _PER_PERIOD)
+ERROR = _number("error", "error of the largest Lyapunov exponent", _PER_PERIOD)
+SPECTRUM = _number("spectrum", "Lyapunov exponents per forcing period, largest first", _PER_PERIOD, "exponent")
+AVERAGE = _number("average", "mean growth of tangent vectors per forcing period over the schedule", _PER_PERIOD)
 _ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
-KAPLAN_YORKE = Variable(
-    "kaplan_yorke", "float64", _NAN, "Kaplan-Yorke dimension of the attractor of the stroboscopic map", "1"
-)
-SUM_LAW_DEFECT = Variable("sum_law_defect", "float64", _NAN, "sum of the exponents minus its exact value", _PER_PERIOD)
-SECTION = Variable("section", "float64", _NAN, "last section states", "1", ("sample", "state"))
-
+KAPLAN_YORKE = _number("kaplan_yorke", "Kaplan-Yorke dimension of the attractor of the stroboscopic map")
+SUM_LAW_DEFECT = _number("sum_law_defect", "sum of the exponents minus its exact value", _PER_PERIOD)
+SECTION = _number("section", "last section states", "1", "sample", "state")
 _ALWAYS = (
-    Variable("period", "int32", 0, "forcing periods per orbit; 0 unless periodic or without impact", "1"),
-    Variable("impacts_upper", "int32", 0, "impacts at the upper stop per orbit period; -1 where it sticks", "1"),
-    Variable("impacts_lower", "int32", 0, "impacts at the lower stop per orbit period; -1 where it sticks", "1"),
-    Variable("impacts_per_period", "float64", _NAN, "mean number of impacts per forcing period", _PER_PERIOD),
-    Variable("symmetric", "bool", False, "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known", "1"),
-    Variable("sticks", "bool", False, "the mass rests on a stop for part of the time; false unless known", "1"),
-    Variable("stuck_fraction", "float64", _NAN, "share of the time at rest on a stop", "1"),
-    Variable("min_impact_speed", "float64", _NAN, "slowest impact seen on the attractor; 0 where it sticks", "1"),
-    Variable("mean_impact_speed", "float64", _NAN, "mean speed before an impact; NaN where it sticks", "1"),
-    Variable("max_impact_speed", "float64", _NAN, "fastest impact seen on the attractor", "1"),
-    Variable("impact_energy", "float64", _NAN, "energy lost at impacts per forcing period", _PER_PERIOD),
-    Variable(
-        "peak_to_peak",
-        "float64",
-        _NAN,
-        "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit",
-        "1",
+    _count("period", "forcing periods per orbit; 0 unless periodic or without impact"),
+    _count("impacts_upper", "impacts at the upper stop per orbit period; -1 where it sticks"),
+    _count("impacts_lower", "impacts at the lower stop per orbit period; -1 where it sticks"),
+    _number("impacts_per_period", "mean number of impacts per forcing period", _PER_PERIOD),
+    _flag("symmetric", "orbit is symmetric under (x, t) -> (-x, t + T/2); false unless known"),
+    _flag("sticks", "the mass rests on a stop for part of the time; false unless known"),
+    _number("stuck_fraction", "share of the time at rest on a stop"),
+    _number("min_impact_speed", "slowest impact seen on the attractor; 0 where it sticks"),
+    _number("mean_impact_speed", "mean speed before an impact; NaN where it sticks"),
+    _number("max_impact_speed", "fastest impact seen on the attractor"),
+    _number("impact_energy", "energy lost at impacts per forcing period", _PER_PERIOD),
+    _number(
+        "peak_to_peak", "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit"
     ),
-    Variable("periods_used", "int32", 0, "forcing periods simulated", "1"),
-    Variable("survived", "int32", 0, "forcing periods seen chaotic, or aperiodic, after the transient", "1"),
-    Variable("state", "float64", _NAN, "physical section state on the attractor", "1", ("state",)),
+    _count("periods_used", "forcing periods simulated"),
+    _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient"),
+    _number("state", "physical section state on the attractor", "1", "state"),
 )
 REASON = Variable(
     "reason", "int8", NO_REASON, "why the cell is invalid, failed, given up or uncertain", "1", sparse=True
 )
 REGIME = Variable("regime", "int8", PENDING, "regime of motion", "1")
-
-
-ATTRACTOR = "attractor"
-"""The dimension along the attractors of a cell, the one with the largest share first."""
-
-
-def _of_each(name: str, dtype: str, fill: float | int | bool, long_name: str) -> Variable:
-    return Variable(name, dtype, fill, long_name, "1", (ATTRACTOR,))
-
-
 _COEXISTENCE = (
-    Variable("attractors", "int32", 0, "attractors found", "1"),
-    Variable("starts", "int32", 0, "initial states solved, those beyond a stop left out", "1"),
-    Variable("own", "int32", -1, "attractor that the spec's own initial state reaches; -1 if none is kept", "1"),
-    Variable("undecided", "int32", 0, "initial states whose attractor is not known", "1"),
-    Variable("left", "int32", 0, "initial states on attractors that are not kept", "1"),
-    Variable("unseen_share", "float64", _NAN, "share of an attractor that 5 % of such cells miss", "1"),
-    _of_each("share", "float64", _NAN, "share of the initial states that reach the attractor"),
-    _of_each("share_error", "float64", _NAN, "standard error of the share, of Wilson's interval"),
-    _of_each("share_low", "float64", _NAN, "lower end of the 95 % Wilson interval of the share"),
-    _of_each("share_high", "float64", _NAN, "upper end of the 95 % Wilson interval of the share"),
-    _of_each("mirror", "int32", -1, "attractor that is its mirror image; itself where it is symmetric; -1 if none"),
-    _of_each("exact", "bool", False, "initial states are told to reach it exactly, not by statistics"),
-    _of_each("lumped", "int32", 0, "initial states put to it by statistics"),
-    _of_each("lumped_distance", "float64", _NAN, "largest distance of those from it, in standard errors"),
+    _count("attractors", "attractors found"),
+    _count("starts", "initial states solved, those beyond a stop left out"),
+    _count("own", "attractor that the spec's own initial state reaches; -1 if none is kept", fill=-1),
+    _count("undecided", "initial states whose attractor is not known"),
+    _count("left", "initial states on attractors that are not kept"),
+    _number("unseen_share", "share of an attractor that 5 % of such cells miss"),
+    _number("share", "share of the initial states that reach the attractor", "1", ATTRACTOR),
+    _number("share_error", "standard error of the share, of Wilson's interval", "1", ATTRACTOR),
+    _number("share_low", "lower end of the 95 % Wilson interval of the share", "1", ATTRACTOR),
+    _number("share_high", "upper end of the 95 % Wilson interval of the share", "1", ATTRACTOR),
+    _count(
+        "mirror", "attractor that is its mirror image; itself where it is symmetric; -1 if none", ATTRACTOR, fill=-1
+    ),
+    _flag("exact", "initial states are told to reach it exactly, not by statistics", ATTRACTOR),
+    _count("lumped", "initial states put to it by statistics", ATTRACTOR),
+    _number("lumped_distance", "largest distance of those from it, in standard errors", "1", ATTRACTOR),
 )
-
-
 UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
-LABEL = Variable("label", "int32", UNKNOWN_LABEL, "attractor that the initial state reaches; -1 if not known", "1")
-SETTLED = Variable("settled", "int32", 0, "forcing periods until the motion is on the attractor", "1")
+LABEL = _count("label", "attractor that the initial state reaches; -1 if not known", fill=UNKNOWN_LABEL)
+SETTLED = _count("settled", "forcing periods until the motion is on the attractor")
 
 
 def result_variables(settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
     """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
 
-    With ``attractors`` those of all attractors of each cell: every result but the cost has the dimension ``attractor``.
-    With ``basins`` those of initial states that are told by the attractors that they reach.
+    With ``attractors`` each cell has all its attractors: every result but the cost has the dimension ``attractor``.
+    With ``basins`` each initial state has the label of the attractor that it reaches.
     """
-    found = _of_one(settings)
-    if basins:
-        return (LABEL, SETTLED, *found)
-    if not attractors:
-        return found
-    many = [v if v.name == "periods_used" else replace(v, extra=(ATTRACTOR, *v.extra)) for v in found]
-    return (*_COEXISTENCE, *many)
-
-
-def _of_one(settings: Settings) -> tuple[Variable, ...]:
-    chosen: list[Variable] = []
+    chosen = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
         chosen += [LARGEST, ERROR]
         if settings.method == "fixed":
@@ -228,7 +188,11 @@ def _of_one(settings: Settings) -> tuple[Variable, ...]:
     chosen += _ALWAYS
     if settings.section_samples:
         chosen.append(SECTION)
-    return (*chosen, REASON, REGIME)
+    chosen += [REASON, REGIME]
+    if basins or not attractors:
+        return tuple(chosen)
+    of_each = [v if v.name == "periods_used" else replace(v, extra=(ATTRACTOR, *v.extra)) for v in chosen]
+    return (*_COEXISTENCE, *of_each)
 
 
 def of_one(variable: Variable) -> Variable:
@@ -237,7 +201,7 @@ def of_one(variable: Variable) -> Variable:
 
 
 def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
-    """Arrays over cells of so many dimensions, those of all attractors as of the first: views, not copies."""
+    """Arrays over cells of ``dims`` dimensions, each with its first attractor alone: views, not copies."""
     many = {variable.name for variable in variables if ATTRACTOR in variable.extra}
     first = (slice(None),) * dims + (0,)
     return {name: values[first] if name in many else values for name, values in arrays.items()}

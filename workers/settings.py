@@ -8,7 +8,7 @@ METHODS = ("adaptive", "fixed")
 MOST_PERIODS = 500_000_000
 """Of each kind: all that a cell may cost has to fit the 32 bits of ``periods_used``."""
 LONGEST_ORBIT = 10_000
-"""While a cell is solved it keeps as many section states."""
+"""Forcing periods: a cell keeps a section state of each while it is solved."""
 MOST_SAMPLES = 100_000
 """Section states of a cell: 3 MB."""
 
@@ -70,6 +70,6 @@ def _one_of(name: str, value: object, known: tuple[str, ...]) -> None:
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Raise ValueError, in one line, for what is no whole number from low to high."""
+    """ValueError, in one line, unless the value is a whole number from low to high."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{name}: found {value!r}, must be a whole number, {low} to {high}")

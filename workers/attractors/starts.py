@@ -3,15 +3,14 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Array, Oscillator
 from workers.settings import check_whole
-
-Array = NDArray[np.float64]
 
 MOST_STARTS, MOST_KEPT = 10_000, 64
 REACH = 2.0
@@ -55,12 +54,9 @@ class Starts:
 
     def waves(self) -> list[range]:
         """The initial states by their numbers, in the parts that are solved one after the other."""
-        found, first = [range(0, 1)], 1
-        while first < self.count:
-            last = min(2 * first, self.count) if first < self.enough else self.count
-            found.append(range(first, min(last, self.enough) if first < self.enough else last))
-            first = found[-1].stop
-        return found
+        doublings = (2**k for k in range(self.enough.bit_length()))
+        ends = {0, *(end for end in doublings if end < self.enough), self.enough, self.count}
+        return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
 def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ...], own: Array) -> Array:
@@ -115,7 +111,7 @@ def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tu
 
 @lru_cache(maxsize=8)
 def _points(size: int, count: int, seed: int) -> Array:
-    """So many points of the unit cube (count, size)."""
+    """Points of the unit cube (count, size)."""
     from scipy.stats import qmc  # it takes a while to load
 
     points: Array = qmc.Halton(size, scramble=True, rng=seed).random(count)
@@ -141,5 +137,5 @@ def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMA
 
 
 def unseen_share(count: NDArray[Any] | int) -> Array:
-    """The share of an attractor that so many starts all miss with probability CONFIDENCE: 1 - 0.05^(1/n)."""
+    """The share of an attractor that n = ``count`` starts all miss with probability CONFIDENCE: 1 - 0.05^(1/n)."""
     return np.asarray(1.0 - CONFIDENCE ** (1.0 / np.asarray(count, dtype=np.float64)))

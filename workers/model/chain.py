@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 CHAINS = {f"chain-{n}": n for n in range(3, 9)}
 """How many masses each has, by its name."""
 
@@ -12,12 +14,9 @@ def chain(common: Mapping[str, Any], n: int) -> dict[str, Any]:
 
     M = I, K = [[2, -1], [-1, 2, -1], ..., [-1, 1]], C = 2 zeta K; the force on the first mass, the stop at the last.
     """
-    stiffness = [[0.0] * n for _ in range(n)]
-    for i in range(n):
-        stiffness[i][i] = 2.0 if i < n - 1 else 1.0
-        if i:
-            stiffness[i][i - 1] = stiffness[i - 1][i] = -1.0
-    unit = [[float(i == k) for k in range(n)] for i in range(n)]
+    stiffness = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    stiffness[-1, -1] = 1.0
+    unit = np.eye(n).tolist()
     parameters = dict(common["parameters"])
     for i in range(n):
         parameters[f"x{i + 1}"] = {"meaning": f"initial displacement of mass {i + 1}"}
@@ -28,8 +27,8 @@ def chain(common: Mapping[str, Any], n: int) -> dict[str, Any]:
         "title": f"{n} {common['title']}",
         "coordinates": [f"x{i + 1}" for i in range(n)],
         "mass": unit,
-        "damping": [[f"{2.0 * entry} * zeta" if entry else 0.0 for entry in row] for row in stiffness],
-        "stiffness": stiffness,
+        "damping": [[f"{2.0 * entry} * zeta" if entry else 0.0 for entry in row] for row in stiffness.tolist()],
+        "stiffness": stiffness.tolist(),
         "force": ["F", *([0.0] * (n - 1))],
         "gap": unit[-1],
         "parameters": parameters,

@@ -1,8 +1,8 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,13 +10,19 @@ from numpy.typing import NDArray
 
 from workers.model.expression import Expression
 from workers.model.free import ULPS, finite
-from workers.model.oscillator import Machines
+from workers.model.oscillator import Array, Machines
 from workers.model.parameter import OMEGA, TAU
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
-Array = NDArray[np.float64]
 Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
+NO_STOP = {"upper": math.inf, "lower": -math.inf}
+MATRICES = frozenset(("mass", "damping", "stiffness"))
+_KEYS = (
+    "coordinates", "velocities", "mass", "damping", "stiffness", "harmonics", "load", "gap", "restitution", "upper",
+    "lower", "let",
+)  # fmt: skip
+"""The order of a table's entries, which digests of curves depend on."""
 
 
 class Harmonic(NamedTuple):
@@ -69,40 +75,27 @@ class Definition:
         for name, expression in self.let:
             if expression.names & known:
                 known.add(name)
-        force = [entry for each in self.harmonics for entry in (*each.force, *each.phase)]
-        matrices = {"mass": self.mass, "damping": self.damping, "stiffness": self.stiffness}
-        entries: dict[str, Iterable[Expression | None]] = {
-            "gap_row": self.gap, "force_sin": force, "force_cos": force, "load": self.load,
-            "upper": [self.upper], "lower": [self.lower], "R": [self.restitution],
-        } | {name: chain(*matrix) for name, matrix in matrices.items()}  # fmt: skip
-        found = {name for name, of in entries.items() if any(entry and entry.names & known for entry in of)}
-        return found | ({OMEGA, TAU} & known)
+        force = tuple((each.force, each.phase) for each in self.harmonics)
+        entries = self._entries() | {"force_sin": force, "force_cos": force}
+        return {name for name, each in entries.items() if _names(each) & known} | ({OMEGA, TAU} & known)
+
+    def _entries(self) -> dict[str, Any]:
+        """What each field of machines is made of, but for the force: an expression, a row or a matrix of them."""
+        stops = {"upper": self.upper, "lower": self.lower}
+        return {
+            "mass": self.mass, "damping": self.damping, "stiffness": self.stiffness, "gap_row": self.gap,
+            "load": self.load, "R": self.restitution,
+        } | {name: stop for name, stop in stops.items() if stop is not None}  # fmt: skip
 
     def _fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
         named = dict(values)
         for name, expression in self.let:
             named[name] = expression(named)
         count = named[OMEGA].size
-
-        def row(entries: Row) -> Array:
-            return np.stack([entry(named) for entry in entries], axis=-1)
-
-        def matrix(rows: Matrix) -> Array:
-            return symmetrised(np.stack([row(entries) for entries in rows], axis=-2))
-
-        made: dict[str, Callable[[], Array]] = {
-            "mass": lambda: matrix(self.mass),
-            "damping": lambda: matrix(self.damping),
-            "stiffness": lambda: matrix(self.stiffness),
-            "gap_row": lambda: row(self.gap),
-            "load": lambda: row(self.load),
-            "omega": lambda: named[OMEGA],
-            "tau": lambda: named[TAU],
-            "upper": lambda: np.full(count, np.inf) if self.upper is None else self.upper(named),
-            "lower": lambda: np.full(count, -np.inf) if self.lower is None else self.lower(named),
-            "R": lambda: self.restitution(named),
-        }
-        found = {name: make() for name, make in made.items() if name in wanted}
+        found = {name: np.full(count, end) for name, end in NO_STOP.items() if name in wanted}
+        found |= {name: _evaluated(each, named) for name, each in self._entries().items() if name in wanted}
+        found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
+        found |= {name: named[name] for name in (OMEGA, TAU) if name in wanted}
         if "force_sin" in wanted or "force_cos" in wanted:
             found["force_sin"], found["force_cos"] = self._force(named)
         return found
@@ -124,35 +117,21 @@ class Definition:
 
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
-        found: dict[str, Any] = {
-            "coordinates": list(self.coordinates),
-            "velocities": list(self.velocities),
-            "mass": [_written(row) for row in self.mass],
-            "damping": [_written(row) for row in self.damping],
-            "stiffness": [_written(row) for row in self.stiffness],
-            "harmonics": [
-                {"order": each.order, "force": _written(each.force), "phase": _written(each.phase)}
-                for each in self.harmonics
-            ],
-            "load": _written(self.load),
-            "gap": _written(self.gap),
-            "restitution": _entry(self.restitution),
-        }
-        stops = {"upper": self.upper, "lower": self.lower}
-        found |= {name: _entry(stop) for name, stop in stops.items() if stop is not None}
-        return found | ({"let": {name: _entry(each) for name, each in self.let}} if self.let else {})
+        found = {key: _written(getattr(self, key)) for key in _KEYS}
+        found["harmonics"] = [{key: _written(of) for key, of in each._asdict().items()} for each in self.harmonics]
+        found["let"] = {name: _written(each) for name, each in self.let}
+        return {key: entry for key, entry in found.items() if entry not in (None, {})}
 
 
 def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArray[np.int8]:
-    """The reason why each of many machines is none, or NO_REASON, as far as the numbers of some fields alone tell.
+    """The reason against each of N machines, or NO_REASON, as far as the numbers of some fields alone tell.
 
     Matrices have to be symmetric to rounding, the lower stop below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    for name in {"mass", "damping", "stiffness"}.intersection(of):
+    for name in MATRICES & set(of):
         matrix = getattr(machines, name)
-        if np.any(skew := matrix != matrix.swapaxes(1, 2)):
-            reasons[skew.any(axis=(1, 2))] = NO_OSCILLATOR
+        reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
     if not {"lower", "upper", "R"}.isdisjoint(of):
         ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
         reasons[~ranges] = OUT_OF_RANGE
@@ -177,10 +156,20 @@ def symmetrised(matrices: Array) -> Array:
     return np.where(near & (matrices != other), 0.5 * matrices + 0.5 * other, matrices)
 
 
-def _entry(expression: Expression) -> float | str:
-    number = expression.constant
-    return expression.text if number is None else number
+def _names(entries: Any) -> set[str]:
+    return entries.names if isinstance(entries, Expression) else set().union(*map(_names, entries))
 
 
-def _written(row: Row) -> list[float | str]:
-    return [_entry(entry) for entry in row]
+def _evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
+    """An expression (N,), a row (N, n) or a matrix (N, n, n) of them."""
+    if isinstance(entries, Expression):
+        return entries(named)
+    return np.stack([_evaluated(entry, named) for entry in entries], axis=1)
+
+
+def _written(entries: Any) -> Any:
+    if isinstance(entries, tuple):
+        return [_written(entry) for entry in entries]
+    if not isinstance(entries, Expression):
+        return entries
+    return entries.text if entries.constant is None else entries.constant

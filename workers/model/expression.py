@@ -1,4 +1,4 @@
-"""Arithmetic expressions of named numbers: read by a parser of their own, evaluated on arrays by numpy alone.
+"""Arithmetic expressions of named numbers: checked token by token, read by Python's parser, evaluated by numpy alone.
 
     expression = term, then any of + term, - term
     term       = factor, then any of * factor, / factor
@@ -9,11 +9,14 @@ with the precedence that Python gives them: -x**2 is -(x**2), and 2**3**2 is 2**
 that nothing else can happen: what an expression from a stranger's file costs is bounded by its length.
 """
 
+import ast
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import lru_cache, reduce
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,52 +42,34 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
 RESERVED = (PI, *FUNCTIONS)
 """Names that no parameter may have."""
 
-_BINARY: dict[str, Callable[..., Any]] = {
-    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power,
+_BINARY: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
 }  # fmt: skip
+_ARITHMETIC = (*_BINARY, ast.BinOp, ast.UnaryOp, ast.UAdd, ast.USub, ast.Call, ast.Name, ast.Load, ast.Constant)
 _TOKEN = re.compile(
-    r"[ \t\r\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_][A-Za-z_0-9]*)|(\*\*|[-+*/(),]))", re.ASCII
+    r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][A-Za-z_0-9]*|\*\*|[-+*/(),])|[ \t\r\n]+|(.)", re.ASCII | re.DOTALL
 )
-_NUMBER, _NAME, _CALL, _SIGN, _TIMES_ITSELF = range(5)
 
 
 class ExpressionError(ValueError):
     """What is wrong with an expression, in one line."""
 
 
-class Step(NamedTuple):
-    """What is done next with a stack of arrays: push a number or a name's value, or replace the top ones by a result.
-
-    kind    _NUMBER, _NAME, _CALL of a function or an operator, _SIGN: the other sign, or _TIMES_ITSELF: a whole power
-    what    the name, the function or the operator
-    value   the number; how many arguments; the exponent
-    """
-
-    kind: int
-    what: str
-    value: float
-
-
 @dataclass(frozen=True)
 class Expression:
-    """An expression as its text in a uniform spelling and as the steps of its evaluation, operands first.
-
-    It holds no code and no objects but text and numbers: it can be compared, hashed, pickled.
-    """
+    """An expression, as its text in a uniform spelling, of a number its repr: it can be compared, hashed, pickled."""
 
     text: str
-    steps: tuple[Step, ...]
 
     @property
     def names(self) -> set[str]:
         """The names whose values it takes."""
-        return {step.what for step in self.steps if step.kind == _NAME}
+        return {node.id[1:] for node in ast.walk(_tree(self.text)) if isinstance(node, ast.Name)}.difference(RESERVED)
 
     @property
     def constant(self) -> float | None:
         """Its value where it is one number, and no name or operation; else None."""
-        (first, *more) = self.steps
-        return first.value if first.kind == _NUMBER and not more else None
+        return _constant(_tree(self.text))
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
         """Its values (N,) for the values (N,) of each name, ``omega`` among them.
@@ -92,32 +77,7 @@ class Expression:
         Infinite or NaN where double precision has no other answer, as numpy does: division by zero, a root of a
         negative number. What one element gives does not depend on the others.
         """
-        shape = values[OMEGA].shape
-        stack: list[Any] = []
-        for kind, what, value in self.steps:
-            if kind == _NUMBER:
-                stack.append(np.full(shape, value))
-            elif kind == _NAME:
-                stack.append(values[what])
-            elif kind == _SIGN:
-                stack.append(np.negative(stack.pop()))
-            elif kind == _TIMES_ITSELF:
-                stack.append(_whole_power(stack.pop(), int(value)))
-            elif what in _BINARY:
-                right, left = stack.pop(), stack.pop()
-                stack.append(_BINARY[what](left, right))
-            else:
-                act, arguments = FUNCTIONS[what][0], [stack.pop() for _ in range(int(value))][::-1]
-                result = arguments[0] if len(arguments) > 1 else act(arguments[0])
-                for other in arguments[1:]:
-                    result = act(result, other)
-                stack.append(result)
-        return np.asarray(stack.pop(), dtype=np.float64)
-
-
-def constant(value: float) -> Expression:
-    """The expression that is a number."""
-    return Expression(repr(value), (Step(_NUMBER, "", value),))
+        return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 
 
 def parse(text: str, known: Collection[str]) -> Expression:
@@ -125,12 +85,47 @@ def parse(text: str, known: Collection[str]) -> Expression:
     if len(text) > LONGEST:
         raise ExpressionError(f"found {len(text)} characters, must be at most {LONGEST}")
     tokens = _tokens(text)
-    reader = _Reader(tokens, known)
-    reader.expression()
-    if reader.place < len(tokens):
-        raise ExpressionError(f"found {tokens[reader.place]!r} after {tokens[reader.place - 1]!r}, must be an operator")
-    written = [repr(float(token)) if _is_number(token) else token for token in tokens]
-    return Expression(" ".join(written), tuple(reader.steps))
+    _check_order(tokens)
+    found = Expression(" ".join(repr(float(token)) if _is_number(token) else token for token in tokens))
+    _check_names(_tree(found.text), known)
+    return found
+
+
+@lru_cache(maxsize=4096)
+def _tree(text: str) -> ast.expr:
+    """Python's tree of a uniform spelling. No keyword begins with an underscore: a parameter may be called lambda."""
+    return ast.parse(re.sub(r"\b(?=[A-Za-z_])", "_", text), mode="eval").body
+
+
+def _constant(node: ast.expr) -> float | None:
+    match node:
+        case ast.Constant(value=float(value)):
+            return value
+        case ast.Name(id="_pi"):
+            return math.pi
+        case ast.UnaryOp(op=sign, operand=operand):
+            number = _constant(operand)
+            return -number if number is not None and isinstance(sign, ast.USub) else number
+    return None
+
+
+def _value(node: ast.expr, values: Mapping[str, Array]) -> Any:
+    if (number := _constant(node)) is not None:
+        return np.full(values[OMEGA].shape, number)
+    match node:
+        case ast.Name(id=name):
+            return values[name[1:]]
+        case ast.UnaryOp(op=sign, operand=operand):
+            return np.negative(_value(operand, values)) if isinstance(sign, ast.USub) else _value(operand, values)
+        case ast.BinOp(left=left, op=operator, right=right):
+            power = _constant(right) if isinstance(operator, ast.Pow) else None
+            if power is not None and abs(power) <= LARGEST_POWER and power.is_integer():
+                return _whole_power(_value(left, values), int(power))
+            return _BINARY[type(operator)](_value(left, values), _value(right, values))
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            act, found = FUNCTIONS[name[1:]][0], [_value(each, values) for each in arguments]
+            return reduce(act, found) if len(found) > 1 else act(*found)
+    raise AssertionError(node)
 
 
 def _whole_power(base: Array, exponent: int) -> Array:
@@ -145,124 +140,71 @@ def _whole_power(base: Array, exponent: int) -> Array:
     return 1.0 / result if exponent < 0 else result
 
 
-def _is_number(token: str) -> bool:
-    return token[0].isdigit() or token[0] == "."
-
-
 def _tokens(text: str) -> list[str]:
-    text = text.rstrip(" \t\r\n")
-    found, place = [], 0
-    while place < len(text):
-        match = _TOKEN.match(text, place)
-        if match is None:
-            sign = text[place:].lstrip(" \t\r\n")[0]
-            raise ExpressionError(f"found {sign!r}, must be numbers, names, + - * / **, parentheses and commas")
-        found.append(match.group(match.lastindex or 0))
-        place = match.end()
-    return found
+    found = _TOKEN.findall(text)
+    for _, other in found:
+        if other:
+            raise ExpressionError(f"found {other!r}, must be numbers, names, + - * / **, parentheses and commas")
+    return [token for token, _ in found if token]
 
 
-class _Reader:
-    """Tokens to steps, by one method for each line of the grammar."""
+def _is_number(token: str) -> bool:
+    return token[:1].isdigit() or token[:1] == "."
 
-    def __init__(self, tokens: list[str], known: Collection[str]) -> None:
-        self.tokens, self.known = tokens, known
-        self.place = self.depth = 0
-        self.steps: list[Step] = []
 
-    def next_is(self, *tokens: str) -> str:
-        """The next token, passed over, if it is one of these; else an empty text."""
-        if self.place < len(self.tokens) and self.tokens[self.place] in tokens:
-            self.place += 1
-            return self.tokens[self.place - 1]
-        return ""
+def _check_order(tokens: list[str]) -> None:
+    """ExpressionError at the first token that cannot stand where it does, or that is nested too deeply.
 
-    def expression(self) -> None:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise ExpressionError(f"nested more than {DEEPEST} deep")
-        self.term()
-        while operator := self.next_is("+", "-"):
-            self.term()
-            self.steps.append(Step(_CALL, operator, 2))
-        self.depth -= 1
-
-    def term(self) -> None:
-        self.factor()
-        while operator := self.next_is("*", "/"):
-            self.factor()
-            self.steps.append(Step(_CALL, operator, 2))
-
-    def factor(self) -> None:
-        self.depth += 1
-        if self.depth > DEEPEST:
-            raise ExpressionError(f"nested more than {DEEPEST} deep")
-        if sign := self.next_is("+", "-"):
-            begin = len(self.steps)
-            self.factor()
-            if sign == "-":
-                alone = len(self.steps) == begin + 1 and self.steps[begin].kind == _NUMBER
-                self.steps[begin:] = (
-                    [Step(_NUMBER, "", -self.steps[begin].value)]
-                    if alone
-                    else [*self.steps[begin:], Step(_SIGN, "", 1)]
-                )
-        else:
-            self.atom()
-            if self.next_is("**"):
-                self.power()
-        self.depth -= 1
-
-    def power(self) -> None:
-        begin = len(self.steps)
-        self.factor()
-        exponent = self.steps[begin]
-        whole = exponent.kind == _NUMBER and abs(exponent.value) <= LARGEST_POWER and exponent.value.is_integer()
-        if len(self.steps) == begin + 1 and whole:
-            self.steps[begin] = Step(_TIMES_ITSELF, "", exponent.value)
-        else:
-            self.steps.append(Step(_CALL, "**", 2))
-
-    def atom(self) -> None:
-        if self.place == len(self.tokens):
-            where = f"after {self.tokens[-1]!r}" if self.tokens else "at all"
-            raise ExpressionError(f"found nothing {where}, must be a number, a name or a parenthesis")
-        token = self.tokens[self.place]
-        self.place += 1
-        if token == "(":
-            self.expression()
-            self.close()
-        elif _is_number(token):
-            if not math.isfinite(float(token)):
+    What Python has beyond the grammar, such as (a, b), f(*a), f(a,) and (f)(a), is refused here.
+    """
+    groups = [""]  # of parentheses that are open: the function that they belong to, the whole first
+    depths = [2]  # of each: itself, its present operand, and the signs and powers that this one is in
+    for before, token in pairwise(["(", *tokens, ""]):
+        if before in ("(", ",", "+", "-", "*", "/", "**"):
+            if not token:
+                where = f"after {before!r}" if tokens else "at all"
+                raise ExpressionError(f"found nothing {where}, must be a number, a name or a parenthesis")
+            if token in (")", ",", "*", "/", "**"):
+                raise ExpressionError(f"found {token!r}, must be a number, a name or a parenthesis")
+            if _is_number(token) and not math.isfinite(float(token)):
                 raise ExpressionError("found a number beyond the range of double precision")
-            self.steps.append(Step(_NUMBER, "", float(token)))
-        elif not (token[0].isalpha() or token[0] == "_"):
-            raise ExpressionError(f"found {token!r}, must be a number, a name or a parenthesis")
-        elif self.next_is("("):
-            self.call(token)
-        elif token == PI:
-            self.steps.append(Step(_NUMBER, "", math.pi))
-        elif token in self.known:
-            self.steps.append(Step(_NAME, token, 0))
-        else:
-            raise ExpressionError(unknown_name("name", token, [*self.known, PI]))
+            depths[-1] += token in ("+", "-")
+        elif token in ("+", "-", "*", "/") or (token == "," and groups[-1]):
+            depths[-1] = 2
+        elif token == "**":
+            depths[-1] += 1
+        elif token == ")" and len(groups) > 1:
+            groups.pop(), depths.pop()
+        elif not token and len(groups) > 1:
+            raise ExpressionError("found the end, must be a closing parenthesis")
+        elif token and not (token == "(" and before.isidentifier()):
+            raise ExpressionError(f"found {token!r} after {before!r}, must be an operator")
+        if token == "(":
+            groups.append(before if before.isidentifier() else "")
+            depths.append(2)
+        if sum(depths) > DEEPEST:
+            raise ExpressionError(f"nested more than {DEEPEST} deep")
 
-    def call(self, name: str) -> None:
-        if name not in FUNCTIONS:
-            raise ExpressionError(unknown_name("function", name, FUNCTIONS))
-        count = 1
-        self.expression()
-        while self.next_is(","):
-            self.expression()
-            count += 1
-        self.close()
-        _, least, most = FUNCTIONS[name]
-        if not least <= count <= most:
-            wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
-            raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
-        self.steps.append(Step(_CALL, name, count))
 
-    def close(self) -> None:
-        if not self.next_is(")"):
-            found = repr(self.tokens[self.place]) if self.place < len(self.tokens) else "the end"
-            raise ExpressionError(f"found {found}, must be a closing parenthesis")
+def _check_names(tree: ast.expr, known: Collection[str]) -> None:
+    """ExpressionError at a part that is not arithmetic, an unknown name, or a wrong number of arguments."""
+    nodes = list(ast.walk(tree))
+    for node in nodes:
+        if not isinstance(node, _ARITHMETIC):
+            raise ExpressionError(f"found {type(node).__name__}, must be arithmetic")
+    arguments = {node.func: len(node.args) for node in nodes if isinstance(node, ast.Call)}
+    names = [node for node in nodes if isinstance(node, ast.Name)]
+    for node in sorted(names, key=lambda node: node.col_offset):
+        if node in arguments:
+            _check_call(node.id[1:], arguments[node])
+        elif node.id[1:] not in (PI, *known):
+            raise ExpressionError(unknown_name("name", node.id[1:], [*known, PI]))
+
+
+def _check_call(name: str, count: int) -> None:
+    if name not in FUNCTIONS:
+        raise ExpressionError(unknown_name("function", name, FUNCTIONS))
+    _, least, most = FUNCTIONS[name]
+    if not least <= count <= most:
+        wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
+        raise ExpressionError(f"found {name} of {count}, must be of {wanted}")

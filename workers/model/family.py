@@ -16,17 +16,16 @@ from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 IN_FRAME = ("mass", "damping", "stiffness", "gap_row")
-"""The fields of machines that their frame is made of."""
-
+"""The fields of machines that decide their frame."""
 IN_PUSH = (*IN_FRAME, "force_sin", "force_cos", "load")
-"""Those that their push is made of."""
+"""The fields of machines that decide their push."""
 
 
 class _Still(NamedTuple):
-    """What so many rows of values have in common: fixed parameters, machines, their frame and their push.
+    """What N rows of values have in common: fixed parameters, machines, their frame and their push.
 
-    All fields are those of a machine at some row; what depends on free parameters is made anew. ``faults`` are those of
-    what does not.
+    All fields are those of a machine at one of the rows; what depends on free parameters is made anew. ``faults`` are
+    the reasons against what does not.
     """
 
     fixed: dict[str, Array]
@@ -55,55 +54,46 @@ class FreeMotions:
         self._new_frame = not self._depending.isdisjoint(IN_FRAME)
         self._new_push = not self._depending.isdisjoint(IN_PUSH)
         self._admitted = all(p.admits(self.fixed[p.name]) for p in system.parameters if p.name not in free)
-        self._ranges = [system.parameter(name) for name in free]
         self._known: dict[int, _Still] = {}
 
     def __call__(self, rows: Array) -> Motions:
         """The motions of rows of values (N, free)."""
+        given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
         with np.errstate(all="ignore"):
-            still = self._still(rows)
+            still = self._still(given, len(rows))
             machines = still.machines
             if self._depending:
-                changed = self.system.definition.fields(still.fixed | self._given(rows), self._depending)
+                changed = self.system.definition.fields(still.fixed | given, self._depending)
                 machines = machines._replace(**{name: np.ascontiguousarray(field) for name, field in changed.items()})
             frame = _frame(machines) if self._new_frame else still.frame
             push = _push(frame, machines) if self._new_push else still.push
             free = free_motion(frame, push, machines)
-            reasons = self._reasons(rows, still, machines, frame, free)
-        return Motions(machines, frame, free, reasons)
-
-    def _reasons(self, rows: Array, still: _Still, machines: Machines, frame: Frame, free: Free) -> NDArray[np.int8]:
+            wrong = (still.faults, faults(machines, self._depending))
         reasons = np.full(len(rows), NO_REASON, dtype=np.int8)
         known = finite((free.gap.numbers,)) & ~np.isnan(free.b_upper) & ~np.isnan(free.b_lower)
-        if self._new_frame:
-            known &= finite(frame)
-        reasons[~known] = OUT_OF_DOUBLES
+        reasons[~(known & finite(frame) if self._new_frame else known)] = OUT_OF_DOUBLES
         for reason, holds in faults_of(free):
             reasons[holds] = reason
-        for wrong in (still.faults, faults(machines, self._depending)):
-            reasons[wrong != NO_REASON] = wrong[wrong != NO_REASON]
-        for k, parameter in enumerate(self._ranges):
-            reasons[~parameter.admits(rows[:, k])] = OUT_OF_RANGE
+        for each in wrong:
+            reasons[each != NO_REASON] = each[each != NO_REASON]
+        for name, column in given.items():
+            reasons[~self.system.parameter(name).admits(column)] = OUT_OF_RANGE
         if not self._admitted:
             reasons[:] = OUT_OF_RANGE
-        return reasons
+        return Motions(machines, frame, free, reasons)
 
-    def _still(self, rows: Array) -> _Still:
-        """What these rows have in common with as many others, made of the first one that is asked for."""
-        count = len(rows)
+    def _still(self, given: Mapping[str, Array], count: int) -> _Still:
+        """What ``count`` rows have in common, made at the first row of the first such rows."""
         if count not in self._known:
             fixed = {name: np.full(count, value) for name, value in self.fixed.items()}
-            machines = self.system.definition.machines(fixed | self._given(np.repeat(rows[:1], count, axis=0)))
-            machines = Machines(*(np.ascontiguousarray(field) for field in machines))
+            first = {name: np.repeat(column[:1], count) for name, column in given.items()}
+            machines = Machines(*map(np.ascontiguousarray, self.system.definition.machines(fixed | first)))
             frame = _frame(machines)
             wrong = faults(machines, {*Machines._fields} - self._depending)
             if not self._new_frame:
                 wrong[~finite(frame)] = OUT_OF_DOUBLES
             self._known[count] = _Still(fixed, machines, frame, _push(frame, machines), wrong)
         return self._known[count]
-
-    def _given(self, rows: Array) -> dict[str, Array]:
-        return {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
 
 
 def _frame(machines: Machines) -> Frame:

@@ -42,6 +42,14 @@ class Parameter:
         below_high = value < self.high if self.high_open else value <= self.high
         return np.isfinite(value) & above_low & below_high
 
+    def table(self) -> dict[str, Any]:
+        """All of it but its name, as a TOML file has it."""
+        found = {"default": self.default, "symbol": self.symbol, "unit": self.unit, "meaning": self.meaning}
+        for key, end, is_open in (("low", self.low, self.low_open), ("high", self.high, self.high_open)):
+            if math.isfinite(end):
+                found |= {key: end} | ({f"{key}_open": True} if is_open else {})
+        return found
+
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     """One line for a name that does not exist: the nearest known one, or all of them."""

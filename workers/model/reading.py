@@ -7,8 +7,8 @@ from numbers import Real
 from reprlib import Repr
 from typing import Any
 
-from workers.model.definition import Definition, Harmonic, Matrix, Row
-from workers.model.expression import RESERVED, Expression, ExpressionError, constant, parse
+from workers.model.definition import NO_STOP, Definition, Harmonic, Matrix, Row
+from workers.model.expression import RESERVED, Expression, ExpressionError, parse
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 
@@ -34,13 +34,6 @@ class DefinitionError(ValueError):
     """What is wrong with the definition of a system, in one line: the entry, what was found, what would be right."""
 
 
-def check_keys(where: str, found: Iterable[object], known: Collection[str]) -> None:
-    """DefinitionError at the first key that is not known."""
-    for key in found:
-        if key not in known:
-            raise DefinitionError(unknown_name(f"key in {where}", str(key), known))
-
-
 def read_text(where: str, value: object, default: str | None = None) -> str:
     """A text; DefinitionError for anything else."""
     if value is None and default is not None:
@@ -51,36 +44,32 @@ def read_text(where: str, value: object, default: str | None = None) -> str:
 
 
 def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tuple[str, ...]) -> tuple[Parameter, ...]:
-    """All parameters in order: omega, those of the table, tau, then the initial values of coordinates and velocities.
+    """All parameters in order: omega, the table's, tau, then the initial values of coordinates and velocities.
 
     Omega, tau and the initial values exist by themselves: the table may change their default, range and words.
     """
     given = read_table("system.parameters", table)
     if len(given) > MANY:
         raise DefinitionError(f"system.parameters: found {len(given)}, must be at most {MANY}")
-    built_in = {
-        OMEGA: Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
-        TAU: Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
-    }
-    for name in coordinates:
-        built_in[name] = Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0)
+    first = Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True)
+    last = [Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0)]
+    last += [Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates]
     for name, of in zip(velocities, coordinates, strict=True):
-        built_in[name] = Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
+        last.append(Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0))
     for name in (*coordinates, *velocities):
         for key in ("low", "high"):
             if isinstance(given.get(name), Mapping) and key in given[name]:
-                raise DefinitionError(
-                    f"system.parameters.{name}.{key}: an initial value has no range; the stops alone bound it"
-                )
-    own = {name: _read_parameter(name, one, built_in.get(name)) for name, one in given.items()}
-    order = [OMEGA, *(name for name in own if name not in built_in), TAU, *coordinates, *velocities]
-    return tuple(own.get(name) or built_in[name] for name in order)
+                where = f"system.parameters.{name}.{key}"
+                raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
+    built_in = {parameter.name: parameter for parameter in (first, *last)}
+    found = built_in | {name: _read_parameter(name, one, built_in.get(name)) for name, one in given.items()}
+    own = [name for name in given if name not in built_in]
+    return tuple(found[name] for name in (OMEGA, *own, *(parameter.name for parameter in last)))
 
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
-    table = read_table(where, given)
-    check_keys(where, table, PARAMETER_KEYS)
+    table = read_table(where, given, PARAMETER_KEYS)
     _check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
@@ -122,8 +111,8 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
         if name in (OMEGA, TAU):
             raise DefinitionError(f"system.coordinates: {name} is a parameter of the force; choose another name")
         if names.count(name) > 1:
-            every = ", ".join(names)
-            raise DefinitionError(f"system.coordinates: {name} is there twice in {every}; give velocities = [...] too")
+            twice = f"{name} is there twice in {', '.join(names)}"
+            raise DefinitionError(f"system.coordinates: {twice}; give velocities = [...] too")
     return coordinates, velocities
 
 
@@ -146,9 +135,7 @@ def read_definition(
         return tuple(row(f"{where}[{i}]", each) for i, each in enumerate(read_list(where, given, n, "rows")))
 
     if isinstance(table.get("gap"), list) and any(isinstance(each, list) for each in table["gap"]):
-        raise DefinitionError(
-            f"system.gap: found {_short.repr(table['gap'])}, several gaps at once are not supported; give one row"
-        )
+        raise _found("system.gap", table["gap"], "several gaps at once are not supported; give one row")
     required(table, "mass")
     return Definition(
         coordinates=coordinates,
@@ -180,14 +167,11 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
     while waiting:
         free = next((name for name, each in waiting.items() if not each.names & waiting.keys()), None)
         if free is None:
-            first = next(iter(waiting))
-            chain = [first]
+            chain = [next(iter(waiting))]
             while chain.count(chain[-1]) < 2:
                 chain.append(min(waiting[chain[-1]].names & waiting.keys()))
-            circle = chain[chain.index(chain[-1]) :]
-            raise DefinitionError(
-                f"system.let: {' uses '.join(circle)}, a circle; define one of them without the others"
-            )
+            circle = " uses ".join(chain[chain.index(chain[-1]) :])
+            raise DefinitionError(f"system.let: {circle}, a circle; define one of them without the others")
         ready.append((free, waiting.pop(free)))
     return tuple(ready)
 
@@ -196,17 +180,16 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
     given = table.get("harmonics", [])
     if not isinstance(given, list):
         raise _found("system.harmonics", given, "must be tables [[system.harmonics]]")
-    first = [{"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}]
-    if "force" not in table and "phase" in table:
+    parts = {f"system.harmonics[{i}]": one for i, one in enumerate(given)}
+    if "force" in table:
+        parts = {"system": {"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}} | parts
+    elif "phase" in table:
         raise DefinitionError("system.phase: there is no force that it could be of; give force too")
-    if "force" not in table and not given:
+    elif not given:
         raise DefinitionError(f"system: force missing; give a list of {n}")
     found: list[Harmonic] = []
-    for where, one in [("system", one) for one in first if "force" in one] + [
-        (f"system.harmonics[{i}]", one) for i, one in enumerate(given)
-    ]:
-        part = read_table(where, one)
-        check_keys(where, part, ("order", "force", "phase"))
+    for where, one in parts.items():
+        part = read_table(where, one, ("order", "force", "phase"))
         order = part.get("order")
         if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= HARMONICS:
             raise _found(f"{where}.order", order, f"must be a whole number, 1 to {HARMONICS}")
@@ -214,19 +197,16 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
             raise DefinitionError(f"{where}.order: there is a force of order {order} already; add the two")
         if "force" not in part:
             raise DefinitionError(f"{where}: force missing; give a list of {n}")
-        found.append(
-            Harmonic(order, row(f"{where}.force", part["force"]), row(f"{where}.phase", part.get("phase", [0.0] * n)))
-        )
+        force = row(f"{where}.force", part["force"])
+        found.append(Harmonic(order, force, row(f"{where}.phase", part.get("phase", [0.0] * n))))
     return tuple(sorted(found))
 
 
 def _read_stop(table: Mapping[str, Any], key: str, known: Collection[str]) -> Expression | None:
-    nowhere = math.inf if key == "upper" else -math.inf
     if "upper" not in table and "lower" not in table:
-        raise DefinitionError(
-            "system: upper and lower missing; give one stop or both as positions of the gap coordinate"
-        )
-    if key not in table or table[key] == nowhere:
+        where = "system: upper and lower missing"
+        raise DefinitionError(f"{where}; give one stop or both as positions of the gap coordinate")
+    if key not in table or table[key] == NO_STOP[key]:
         return None
     return read_entry(f"system.{key}", table[key], known)
 
@@ -238,7 +218,7 @@ def read_entry(where: str, given: object, known: Collection[str]) -> Expression:
             return parse(given, known)
         except ExpressionError as error:
             raise DefinitionError(f"{where}: {error}") from None
-    return constant(read_number(where, given, "must be a number or an expression in quotes"))
+    return Expression(repr(read_number(where, given, "must be a number or an expression in quotes")))
 
 
 def read_number(where: str, given: object, right: str = "must be a number", infinite: bool = False) -> float:
@@ -254,10 +234,13 @@ def read_number(where: str, given: object, right: str = "must be a number", infi
     return number
 
 
-def read_table(where: str, given: object) -> Mapping[str, Any]:
-    """The value, a table; DefinitionError for anything else."""
+def read_table(where: str, given: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
+    """The value, a table that has these keys at most, or any; DefinitionError for anything else."""
     if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
         raise _found(where, given, "must be a table")
+    for key in given:
+        if keys and key not in keys:
+            raise DefinitionError(unknown_name(f"key in {where}", key, keys))
     return given
 
 
@@ -303,14 +286,13 @@ def _check_name(where: str, name: object) -> None:
         raise _taken(where, name)
 
 
-def refuse_taken(coordinates: Iterable[str], velocities: Iterable[str], parameters: Iterable[str]) -> None:
+def refuse_taken(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """DefinitionError at the first name that is one of an atlas's own."""
-    for key, names in (("coordinates", coordinates), ("velocities", velocities)):
-        for i, name in enumerate(names):
-            if is_taken(name):
-                raise _taken(f"system.{key}[{i}]", name)
-    for name in filter(is_taken, parameters):
-        raise _taken(f"system.parameters.{name}", name)
+    names = [(f"system.coordinates[{i}]", name) for i, name in enumerate(definition.coordinates)]
+    names += [(f"system.velocities[{i}]", name) for i, name in enumerate(definition.velocities)]
+    for where, name in [*names, *((f"system.parameters.{p.name}", p.name) for p in parameters)]:
+        if is_taken(name):
+            raise _taken(where, name)
 
 
 def _taken(where: str, name: str) -> DefinitionError:

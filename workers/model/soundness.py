@@ -3,13 +3,11 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.model.definition import Definition
+from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
 from workers.model.reading import DefinitionError
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-12
 """Relative size of an eigenvalue that counts as zero."""
@@ -24,15 +22,14 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     with np.errstate(all="ignore"):
         machine = definition.machines({p.name: np.array([p.default]) for p in parameters})
     mass, stiffness, gap = machine.mass[0], machine.stiffness[0], machine.gap_row[0]
-    for name, entries in (
-        ("mass", mass), ("damping", machine.damping[0]), ("stiffness", stiffness), ("gap", gap),
-        ("load", machine.load[0]), ("restitution", machine.R[0]),
-        *((f"force of order {k + 1}", amplitude[0, k]) for amplitude in (machine.force_sin, machine.force_cos)
-          for k in range(amplitude.shape[1])),
-    ):  # fmt: skip
+    matrices = {"mass": mass, "damping": machine.damping[0], "stiffness": stiffness}
+    rest = {"gap": gap, "load": machine.load[0], "restitution": machine.R[0]}
+    forces = [(f"force of order {k + 1}", row) for part in (machine.force_sin, machine.force_cos)
+              for k, row in enumerate(part[0])]  # fmt: skip
+    for name, entries in (*matrices.items(), *rest.items(), *forces):
         if not np.isfinite(entries).all():
             raise DefinitionError(f"system.{name}: found {_shown(entries)} at the defaults, must be finite numbers")
-    for name, matrix in (("mass", mass), ("damping", machine.damping[0]), ("stiffness", stiffness)):
+    for name, matrix in matrices.items():
         _check_matrix(f"system.{name}", matrix, definite=name == "mass")
     if not 0.0 <= machine.R[0] <= 1.0:
         raise DefinitionError(f"system.restitution: found {machine.R[0]:g} at the defaults, must be 0 to 1")

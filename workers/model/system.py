@@ -1,6 +1,5 @@
 """The systems that can be solved: those in the package, and what a user defines in the same form."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.build import build, build_one
+from workers.model.build import build
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition, faults
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Array, Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import (
     DefinitionError,
-    check_keys,
     read_coordinates,
     read_definition,
     read_list,
@@ -32,15 +30,15 @@ from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError
 
-Array = NDArray[np.float64]
-
-MACHINE_KEYS = (
-    "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase", "harmonics", "load", "gap", "upper",
-    "lower", "restitution", "let",
-)  # fmt: skip
-PROSE = ("title", "source", "equation", "picture", "axes")
+DEFAULT = "two-mass"
+SYSTEMS = resources.files("workers.model") / "systems"
+TEXTS = ("title", "source", "equation", "picture")
+PROSE = (*TEXTS, "axes")
 """Keys that no number depends on."""
-KEYS = ("name", "version", *PROSE, *MACHINE_KEYS, "parameters")
+KEYS = (
+    "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
+    "harmonics", "load", "gap", "upper", "lower", "restitution", "let", "parameters",
+)  # fmt: skip
 _PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec has all values, and needs no default
 
 
@@ -70,8 +68,7 @@ class System:
     def from_mapping(cls, given: Mapping[str, Any]) -> "System":
         """The system of a table [system]; DefinitionError, a ValueError, in one line for whatever is wrong with it."""
         found = _read(given, packaged=False)
-        definition = found.definition
-        refuse_taken(definition.coordinates, definition.velocities, [p.name for p in found.parameters])
+        refuse_taken(found.definition, found.parameters)
         return found
 
     @classmethod
@@ -94,23 +91,24 @@ class System:
 
     def build(self, values: Mapping[str, float]) -> Oscillator:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
-        with np.errstate(all="ignore"):
-            machine = self.definition.machines({k: np.array([v], dtype=np.float64) for k, v in values.items()})
-            reason = int(faults(machine)[0])
-        if reason != NO_REASON:
-            raise InvalidError(reason)
-        return build_one(machine)
+        oscillators, reasons = self._built({k: np.array([v], dtype=np.float64) for k, v in values.items()})
+        if reasons[0] != NO_REASON:
+            raise InvalidError(int(reasons[0]))
+        return one_of(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
-        """The oscillators of many values (N,) of each parameter, and the reason of each why there is none."""
+        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
+        oscillators, reasons = self._built(values)
+        for parameter in self.parameters:
+            reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
+        return oscillators, reasons
+
+    def _built(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
         with np.errstate(all="ignore"):
             machines = self.definition.machines(values)
             wrong = faults(machines)
         oscillators, reasons = build(machines)
-        reasons[wrong != NO_REASON] = wrong[wrong != NO_REASON]
-        admitted = np.logical_and.reduce([p.admits(values[p.name]) for p in self.parameters])
-        reasons[~admitted] = OUT_OF_RANGE
-        return oscillators, reasons
+        return oscillators, np.where(wrong != NO_REASON, wrong, reasons)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the nearest known name otherwise."""
@@ -121,12 +119,11 @@ class System:
 
     def table(self) -> dict[str, Any]:
         """The whole system as plain JSON, in one spelling: ``from_mapping`` makes an equal one of it."""
-        prose = {"title": self.title, "source": self.source, "equation": self.equation, "picture": self.picture}
         found: dict[str, Any] = {"name": self.name, "version": self.version}
-        found |= {key: text for key, text in prose.items() if text} | self.definition.table()
+        found |= {key: text for key in TEXTS if (text := getattr(self, key))} | self.definition.table()
         if self.axes:
             found["axes"] = {name: [low, high] for name, low, high in self.axes}
-        return found | {"parameters": {p.name: _parameter_table(p) for p in self.parameters}}
+        return found | {"parameters": {p.name: p.table() for p in self.parameters}}
 
     def resolved(self) -> dict[str, Any]:
         """What a store keeps, enough for ``from_resolved``: the name of a packaged system, the whole of another.
@@ -153,9 +150,7 @@ def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
     """What of ``System.resolved`` decides numbers, for a digest: a name, or a definition without its words."""
     given = resolved["system"]
     if isinstance(given, str):
-        return {"system": given} | (
-            {"system_version": resolved["system_version"]} if "system_version" in resolved else {}
-        )
+        return {key: resolved[key] for key in ("system", "system_version") if key in resolved}
     machine = {key: value for key, value in given.items() if key not in PROSE}
     machine["parameters"] = {
         name: {key: value for key, value in table.items() if key not in _PARAMETER_PROSE}
@@ -180,32 +175,21 @@ def find_system(system: object) -> System:
     return packaged_system(system)
 
 
+@cache
 def packaged_system(name: str) -> System:
     """The system of that name; KeyError with the nearest known name otherwise."""
     if name not in system_names():
         raise KeyError(unknown_name("system", name, system_names()))
-    return _packaged(name)
+    file = SYSTEMS / f"{'chain' if name in CHAINS else name}.toml"
+    table = _only_system(parse_toml(file.read_text(encoding="utf-8")))
+    return _read(chain(table, CHAINS[name]) if name in CHAINS else table, packaged=True)
 
 
 @cache
 def system_names() -> tuple[str, ...]:
     """Names of the packaged systems, the first one the default."""
-    files = [item.name.removesuffix(".toml") for item in _folder().iterdir() if item.name.endswith(".toml")]
-    return (DEFAULT, *sorted({*files, *CHAINS} - {DEFAULT, "chain"}))
-
-
-DEFAULT = "two-mass"
-
-
-@cache
-def _packaged(name: str) -> System:
-    file = "chain" if name in CHAINS else name
-    table = _only_system(parse_toml(_folder().joinpath(f"{file}.toml").read_text(encoding="utf-8")))
-    return _read(chain(table, CHAINS[name]) if name in CHAINS else table, packaged=True)
-
-
-def _folder() -> Any:
-    return resources.files("workers.model").joinpath("systems")
+    files = {item.name.removesuffix(".toml") for item in SYSTEMS.iterdir() if item.name.endswith(".toml")}
+    return (DEFAULT, *sorted(files.union(CHAINS) - {DEFAULT, "chain"}))
 
 
 def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -216,8 +200,7 @@ def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _read(given: Mapping[str, Any], packaged: bool) -> System:
-    table = read_table("system", given)
-    check_keys("system", table, KEYS)
+    table = read_table("system", given, KEYS)
     name = read_text("system.name", table.get("name"))
     if not name or len(name) > 40 or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
         raise DefinitionError(f"system.name: found {name[:60]!r}, must be letters, digits and hyphens, 40 at most")
@@ -229,17 +212,10 @@ def _read(given: Mapping[str, Any], packaged: bool) -> System:
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)
-    texts = {key: read_text(f"system.{key}", table.get(key), "") for key in ("source", "equation", "picture")}
-    return System(
-        name=name,
-        title=read_text("system.title", table.get("title"), name),
-        parameters=parameters,
-        definition=definition,
-        version=version,
-        packaged=packaged,
-        axes=_read_axes(table.get("axes", {}), names),
-        **texts,
-    )
+    source, equation, picture = (read_text(f"system.{key}", table.get(key), "") for key in TEXTS[1:])
+    title = read_text("system.title", table.get("title"), name)
+    axes = _read_axes(table.get("axes", {}), names)
+    return System(name, title, parameters, definition, version, packaged, source, equation, picture, axes)
 
 
 def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:
@@ -254,11 +230,3 @@ def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float
             raise DefinitionError(f"{where}: found {low:g} and {high:g}, must rise")
         found.append((name, low, high))
     return tuple(found)
-
-
-def _parameter_table(p: Parameter) -> dict[str, Any]:
-    found: dict[str, Any] = {"default": p.default, "symbol": p.symbol, "unit": p.unit, "meaning": p.meaning}
-    for key, end, is_open in (("low", p.low, p.low_open), ("high", p.high, p.high_open)):
-        if math.isfinite(end):
-            found |= {key: end} | ({f"{key}_open": True} if is_open else {})
-    return found

@@ -17,11 +17,24 @@ class TomlError(ValueError):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; TomlError where it cannot be read or is none."""
+    """The tables of a TOML file; TomlError where it cannot be read or is not TOML."""
     try:
-        return parse_toml(_text_of(path))
+        if path.is_dir():
+            raise TomlError("cannot be read: is a folder")
+        if path.exists() and not path.is_file():  # a pipe could keep its reader for ever
+            raise TomlError("cannot be read: not a regular file")
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE + 1)
+        if len(content) > MAX_FILE:
+            raise TomlError(f"too large: more than {MAX_FILE} bytes")
+        text = content.decode()
     except OSError as error:
         raise TomlError(f"cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise TomlError(f"not a TOML file: byte {error.start} is not UTF-8 text") from None
+    if text.startswith("\ufeff"):
+        raise TomlError("not a TOML file: it begins with a byte order mark; save it as UTF-8 without one")
+    return parse_toml(text)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -32,24 +45,5 @@ def parse_toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise TomlError("nested too deeply; there is no more to write than tables in tables") from None
-    except ValueError as error:  # besides its own, those of numbers with too many digits
+    except ValueError as error:  # from tomllib, and from numbers with too many digits
         raise TomlError(f"not a TOML file: {error}") from None
-
-
-def _text_of(path: Path) -> str:
-    """The text of a file; anything but a regular file of bounded size could keep its reader for ever."""
-    if path.is_dir():
-        raise TomlError("cannot be read: is a folder")
-    if path.exists() and not path.is_file():
-        raise TomlError("cannot be read: not a regular file")
-    with path.open("rb") as file:
-        content = file.read(MAX_FILE + 1)
-    if len(content) > MAX_FILE:
-        raise TomlError(f"too large: more than {MAX_FILE} bytes")
-    try:
-        text = content.decode()
-    except UnicodeDecodeError as error:
-        raise TomlError(f"not a TOML file: byte {error.start} is not UTF-8 text") from None
-    if text.startswith("\ufeff"):
-        raise TomlError("not a TOML file: it begins with a byte order mark; save it as UTF-8 without one")
-    return text
