@@ -18,18 +18,20 @@ from tests.faults import ROOT
 from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.test_branches import ball_orbit, pair_orbit
-from workers import Settings, identity, solve_tile
+from workers import Settings, solve_tile
+from workers.attractors import same
 from workers.attractors.basins import solve_basins
 from workers.attractors.same import batch_moments, orbits_reached, periods_to_settle, turn
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
-from workers.continuation import admissible, branch, curve, equations, linear, newton, pulses, seeds, stability, view
+from workers.continuation import admissible, branch, curve, equations, pulses, seeds, stability
 from workers.kernel import cells, jit
 from workers.kernel.lanes import run
+from workers.orbit import newton
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
-OF_ATTRACTORS = [*KERNELS, *(value for value in vars(identity).values() if isinstance(value, jit.Kernel))]
+OF_ATTRACTORS = [*KERNELS, *(value for value in vars(same).values() if isinstance(value, jit.Kernel))]
 
 COUNTED = """
 import sys
@@ -188,7 +190,7 @@ def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(part:
 def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     """Of a ball, whose orbit folds and doubles, and of a pair, whose orbit breaks symmetry: most events."""
     warm.warm_up(warm.ORBITS)
-    modules = (equations, stability, linear, pulses, seeds, view, admissible)
+    modules = (equations, stability, pulses, seeds, admissible)
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
     before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))

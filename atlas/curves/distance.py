@@ -15,7 +15,7 @@ from atlas.errors import InputError, check_names
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
 from workers.continuation.many import attract, many_of, moved
-from workers.continuation.view import GRAZING, IMPACT_LOST
+from workers.continuation.monitors import GRAZING, IMPACT_LOST
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,9 +10,9 @@ from workers.continuation import Condition, Event, Family, Orbit, Point, branch,
 from workers.continuation.curves import without_impact
 from workers.continuation.extended import PAIR, SPEED, Extended, solve
 from workers.continuation.follow import Until, never
-from workers.continuation.linear import NoOscillatorError
+from workers.continuation.monitors import GRAZING
+from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
-from workers.continuation.view import GRAZING
 
 Array = NDArray[np.float64]
 
@@ -197,7 +197,7 @@ def _solved_at(
     row[-2:] = (ends[1] - ends[0]) / width**2
     row /= np.linalg.norm(row * equations.scale)
     try:
-        equations.follow(guess)
+        equations = equations.at(guess)
         found = solve(equations, guess, row)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None

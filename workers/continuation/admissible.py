@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.equations import Impacts, Itinerary, at_impacts, block_state, motion_at
-from workers.continuation.linear import ModalOscillator, rest_of
+from workers.continuation.oscillator import ModalOscillator
 from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import Signal
+from workers.model.oscillator import Signal, each
 
 Array = NDArray[np.float64]
 
@@ -42,27 +42,27 @@ class _Contact(NamedTuple):
 
 
 def first_fault(
-    signal: Signal, lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int = -1
+    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array | None = None, lost: int = -1
 ) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
     ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
     if any, is one whose speed is zero and counts as a graze.
     """
-    span = float(itinerary.span(lin)[0])
-    contacts = _contacts(lin, itinerary, points, grazes, lost)
-    if isinstance(contacts, Fault):
-        return contacts
-    if not contacts:
+    span, sign = float(itinerary.span(lin)[0]), itinerary.sign
+    found = _contacts(lin, itinerary, points, np.zeros(0) if grazes is None else grazes, lost)
+    if isinstance(found, Fault):
+        return found
+    signal = each(lin.gap, lambda field: field[0])
+    if not found:
         return _next_contact(signal, lin, itinerary, points, _Contact(0.0, 0, 0.0, 0.0, False), span)
-    first = contacts[0]
-    sign = itinerary.sign
-    contacts.append(first._replace(time=first.time + span, side=sign * first.side, v=sign * first.v, a=sign * first.a))
-    for here, there in pairwise(contacts):
-        fault = _next_contact(signal, lin, itinerary, points, here, there.time - here.time, there)
-        if fault:
-            return fault
-    return None
+    first = found[0]
+    again = first._replace(time=first.time + span, side=sign * first.side, v=sign * first.v, a=sign * first.a)
+    flights = pairwise([*found, again])
+    faults = (
+        _next_contact(signal, lin, itinerary, points, here, there.time - here.time, there) for here, there in flights
+    )
+    return next((fault for fault in faults if fault), None)
 
 
 def _contacts(
@@ -70,26 +70,22 @@ def _contacts(
 ) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
     span, t = float(itinerary.span(lin)[0]), points.t[0]
-    _, v, a = (field[0] for field in at_impacts(lin, itinerary, points))
-    found = []
-    for i, side in enumerate(itinerary.sides):
-        if i != lost and side * v[i] <= 0.0:
-            return Fault(LOST, i)
-        found.append(_Contact(float(t[i]), side, float(v[i]), float(a[i]), i == lost))
-    ends = np.append(t, t[:1] + span)
-    if np.any(np.diff(ends) <= 0.0):
-        return Fault(ORDER, int(np.argmin(np.diff(ends))))
+    _, v, a = at_impacts(lin, itinerary, points)[:, 0]
+    off = [i for i, side in enumerate(itinerary.sides) if i != lost and side * v[i] <= 0.0]
+    if off:
+        return Fault(LOST, off[0])
+    apart = np.diff(np.append(t, t[:1] + span))
+    if np.any(apart <= 0.0):
+        return Fault(ORDER, int(np.argmin(apart)))
+    found = [_Contact(float(t[i]), side, float(v[i]), float(a[i]), i == lost) for i, side in enumerate(itinerary.sides)]
     start = t[0] if len(t) else 0.0
     for s in grazes:
-        turns = math.floor((s - start) / span)
-        time = float(s) - turns * span
-        y, _, bend, _ = (field[0, 0] for field in motion_at(lin, itinerary, points, np.array([[time]])))
+        time = float(s) - math.floor((s - start) / span) * span
+        y, _, bend, _ = motion_at(lin, itinerary, points, np.array([[time]]))[:, 0, 0]
         found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(lin.lower[0]) else -1, 0.0, float(bend), True))
     found.sort()
-    for contact in found:
-        if contact.touches and contact.side * contact.a >= 0.0:
-            return Fault(CONTACT, time=contact.time, side=contact.side)
-    return found
+    outward = (contact for contact in found if contact.touches and contact.side * contact.a >= 0.0)
+    return next((Fault(CONTACT, time=contact.time, side=contact.side) for contact in outward), found)
 
 
 def _open_for(contact: _Contact, M3: float) -> float:
@@ -112,14 +108,12 @@ def _next_contact(
     there: _Contact | None = None,
 ) -> Fault | None:
     """A contact on the flight from one contact to the next, before it; None if there is none."""
-    parts = block_state(lin, itinerary, points, np.array([[here.time]]))
-    h = np.ascontiguousarray(np.stack([part[0, :, 0] for part in parts], axis=-1))
-    M3 = derivative_bounds(signal, h)[2]
-    H = duration - (_open_for(there, M3) if there else 0.0)
+    h = np.ascontiguousarray(block_state(lin, itinerary, points, np.array([[here.time]]))[:, 0, :, 0].T)
+    H = duration - (_open_for(there, derivative_bounds(signal, h)[2]) if there else 0.0)
     if H <= 0.0:
         return None
     phase = math.fmod(float(lin.omega[0]) * here.time + float(lin.tau[0]), 2.0 * math.pi)
     kind = ON_STOP_AT_REST if here.touches else ON_STOP_MOVING
-    upper, lower, offset = float(lin.upper[0]), -float(lin.lower[0]), float(rest_of(lin, 0))
-    s, side, _count = next_crossing(signal, h, phase, offset, upper, lower, here.side, kind, H, np.zeros(h.shape))
+    stops = float(lin.upper[0]), -float(lin.lower[0])
+    s, side, _count = next_crossing(signal, h, phase, 0.0, *stops, here.side, kind, H, np.zeros(h.shape))
     return Fault(CONTACT, time=here.time + s, side=int(side)) if side else None

@@ -3,18 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.equations import Itinerary, Orbit, unpacked
 from workers.continuation.events import Event
 from workers.continuation.extended import MINUS_ONE, Condition, Extended, solve
 from workers.continuation.follow import BranchRun, Until, follow, never, window_of
-from workers.continuation.linear import Family
+from workers.continuation.oscillator import Family
 
-Array = NDArray[np.float64]
-
-RESOLUTION, BUDGET = 0.02, 2000
-"""The longest step as a share of the window; points of either way after which it ends and says so."""
+RESOLUTION, MOST_POINTS = 0.02, 2000
+"""The longest step as a share of the window; points of either direction after which it ends and says so."""
 
 
 class Start(NamedTuple):
@@ -31,22 +28,21 @@ def branch(
     window: tuple[float, float],
     *,
     resolution: float = RESOLUTION,
-    budget: int = BUDGET,
+    budget: int = MOST_POINTS,
     until: Until = never,
 ) -> BranchRun:
-    """The branch of an orbit of a family with one free parameter, both ways from ``value``.
+    """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
     Pseudo-arclength in times, speeds and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
-    Either way ends at the first event of which ``until`` is true.
+    Either direction ends at the first event of which ``until`` is true.
     Raises ValueError, in one line, for R = 0, for a start that no orbit is near, that is not admissible, or that is a
     shorter or symmetric orbit repeated.
     """
     bounds = window_of(family.free, dict.fromkeys(family.free, window))
     values = np.array([value])
     equations = Extended(family, orbit, (), values, bounds.width)
-    row = np.zeros(equations.states + 1)
-    row[-1] = 1.0 / equations.scale[-1]
+    row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
     found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
     if not found.converged:
         raise ValueError(f"Newton's method finds no orbit at {family.free[0]} = {value:g}")
@@ -62,26 +58,21 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     """
     if event.conditions != (Condition(MINUS_ONE),):
         raise ValueError(f"a branch leaves at symmetry_breaking and period_doubling, not at {event.kind}")
-    point, itinerary = event.point, event.point.orbit.itinerary
-    square = Extended(family, point.orbit, event.conditions, point.values, np.array([width]))
-    X = square.pack(point.orbit, np.zeros(0), point.values)
-    square.follow(X)
-    w = square.null_vector(0) * square.unit[: len(square.null_vector(0))]
-    m, sign = len(itinerary.sides), itinerary.sign
-    span = float(itinerary.span(square.model(point.values)[0])[0])
-    sides = itinerary.sides + tuple(sign * side for side in itinerary.sides)
-    periods = itinerary.periods if itinerary.symmetric else 2 * itinerary.periods
-    t, v = point.orbit.times, point.orbit.speeds
-    times, speeds = np.concatenate([t, t + span]), np.concatenate([v, sign * v])
-    ways = np.concatenate([w[:m], -w[:m], w[m : 2 * m], -sign * w[m : 2 * m], w[2 * m :]])
-    whole = Orbit(Itinerary(sides, periods), times, speeds, point.orbit.offset)
-    equations = Extended(family, whole, (), point.values, np.array([width]))
-    X = equations.pack(whole, np.zeros(0), point.values)
-    direction = np.zeros(len(X))
-    direction[: len(ways)] = ways
-    unit = direction / equations.scale
+    none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
+    square = Extended(family, orbit, event.conditions, values, widths)
+    critical = square.at(square.pack(orbit, none, values)).null_vector(0)
+    w = unpacked((critical * square.unit[: len(critical)])[None], square.m, len(critical) - 2 * square.m)
+    (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
+    span = float(orbit.itinerary.span(square.model(values))[0])
+    itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
+    times = np.concatenate([orbit.times, orbit.times + span])
+    whole = Orbit(itinerary, times, np.concatenate([orbit.speeds, sign * orbit.speeds]), orbit.offset)
+    equations = Extended(family, whole, (), values, widths)
+    change = Orbit(itinerary, np.append(w.t, -w.t), np.append(w.v, -sign * w.v), float(w.offset[0]))
+    unit = equations.pack(change, none, np.zeros(1)) / equations.scale
     unit /= np.linalg.norm(unit)
-    found = solve(equations, X + amplitude * unit * equations.scale, unit / equations.scale)
+    X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
+    found = solve(equations, X, unit / equations.scale)
     if not found.converged:
         raise ValueError(f"Newton's method finds no orbit beside the {event.kind}; try another amplitude")
     return Start(equations.orbit(found.X), float(equations.values(found.X)[0]))

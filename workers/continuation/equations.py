@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.linear import ModalOscillator, rigid_mode
-from workers.continuation.pulses import before_impacts, between_impacts, blocks_between, linearised_table
+from workers.continuation.oscillator import ModalOscillator, rigid_mode
+from workers.continuation.pulses import block_answers, forced_motion, green
+from workers.model.oscillator import COLUMN
 
 Array = NDArray[np.float64]
 Table = NDArray[Any]
@@ -63,6 +64,21 @@ class Impacts(NamedTuple):
     v: Array
     offset: Array
 
+    def orbit(self, itinerary: Itinerary, k: int = 0) -> Orbit:
+        """One of them."""
+        return Orbit(itinerary, self.t[k].copy(), self.v[k].copy(), float(self.offset[k]))
+
+
+def impacts_of(*orbits: Orbit) -> Impacts:
+    """The impacts of orbits of one itinerary."""
+    times, speeds, offset = (np.array([orbit[k] for orbit in orbits]) for k in (1, 2, 3))
+    return Impacts(times, speeds, offset)
+
+
+def unpacked(X: Array, m: int, shift: int) -> Impacts:
+    """The impacts of unknowns X (N, ...): m times, m speeds and, where ``shift`` is 1, the offset come first."""
+    return Impacts(X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
+
 
 def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
@@ -75,11 +91,6 @@ def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     sides = (flips * np.array(orbit.itinerary.sides))[order]
     itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
     return Orbit(itinerary, times[order], (flips * orbit.speeds)[order], orbit.offset)
-
-
-def impacts_of(orbit: Orbit) -> Impacts:
-    """One orbit as one of many."""
-    return Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))
 
 
 def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
@@ -97,8 +108,8 @@ def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
         return
     if itinerary.periods % 2 == 0:
         raise ValueError(f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}")
-    even = np.any(lin.sin_part[:, 1::2]) or np.any(lin.cos_part[:, 1::2])
-    if even or np.any(lin.load) or not np.array_equal(lin.upper, lin.lower):
+    even = np.any(lin.gap.sin_part[:, 1::2]) or np.any(lin.gap.cos_part[:, 1::2])
+    if even or np.any(lin.gap.block[..., COLUMN.load]) or not np.array_equal(lin.upper, lin.lower):
         raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
@@ -107,10 +118,54 @@ def unknown_offset(lin: ModalOscillator, itinerary: Itinerary) -> bool:
     return not itinerary.symmetric and rigid_mode(lin) is not None
 
 
-def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple[Array, Array, Array]:
-    """y, y' and y'' (N, m) just before each impact."""
-    y, v, a = before_impacts(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points))
-    return y, v, a
+def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+    """y, y' and y'' (3, N, m) just before each impact."""
+    answers = (_pairs(lin, itinerary, points.t, float(itinerary.sign)) @ points.v[..., None])[..., 0]
+    forced = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(points.t))[:3]
+    found: Array = forced - (1.0 + lin.R)[:, None] * answers
+    found[0] += points.offset[:, None]
+    return found
+
+
+def motion_at(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
+    """y and its first three derivatives (4, N, K) at times s (N, K), any times but those of impacts."""
+    since, kicks = _latest_kicks(lin, itinerary, points, s)
+    answers = green(lin.gap, lin.kick, itinerary.span(lin), float(itinerary.sign), since)
+    found: Array = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(s)) - np.sum(kicks * answers, axis=3)
+    found[0] += points.offset[:, None]
+    return found
+
+
+def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
+    """Block coordinates h, h' (2, N, n, K) at times s (N, K), forced response and rest position taken off."""
+    since, kicks = _latest_kicks(lin, itinerary, points, s)
+    answers = block_answers(lin.gap, lin.kick, itinerary.span(lin), float(itinerary.sign), since)
+    found: Array = -np.sum(kicks[:, None] * answers, axis=4)
+    rigid = rigid_mode(lin)
+    if rigid is not None:
+        found[0, :, rigid] += (points.offset / lin.gap.row[:, rigid, 0])[:, None]
+    return found
+
+
+def _latest_kicks(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
+    """Of each impact the time (N, K, m) since its latest kick before times s (N, K), and what that kick is."""
+    t, v, span = points.t[:, None], points.v[:, None], itinerary.span(lin)[:, None]
+    turns = np.floor((s - (points.t[:, :1] if points.t.shape[1] else 0.0)) / span)[..., None]
+    since = s[..., None] - turns * span[..., None] - t
+    earlier = since < 0.0
+    flips = np.where((turns + earlier) % 2.0 == 0.0, 1.0, float(itinerary.sign))
+    return since + earlier * span[..., None], (1.0 + lin.R)[:, None, None] * v * flips
+
+
+def _pairs(lin: ModalOscillator, itinerary: Itinerary, t: Array, zeta: complex) -> Table:
+    """g, g', g'' (3, N, m, m) at impact i of the kicks at impact j, which are multiplied by zeta from turn to turn.
+
+    Kicks are the latest before impact i, its own one turn ago. Impacts are ordered as in the itinerary, so that this is
+    smooth in the times whatever they are.
+    """
+    ago, span = np.triu(np.ones((t.shape[1],) * 2, dtype=bool)), itinerary.span(lin)
+    found = green(lin.gap, lin.kick, span, zeta, t[:, :, None] - t[:, None] + ago * span[:, None, None])[:3]
+    return np.where(ago, found / zeta, found)
 
 
 def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
@@ -124,9 +179,7 @@ def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Arr
 
 def stops(lin: ModalOscillator, itinerary: Itinerary) -> Array:
     """Positions (N, m) of the stops of the impacts."""
-    if not itinerary.sides:
-        return np.zeros((len(lin.omega), 0))
-    return np.stack([lin.upper if side > 0 else -lin.lower for side in itinerary.sides], axis=1)
+    return np.where(np.array(itinerary.sides) > 0, lin.upper[:, None], -lin.lower[:, None])
 
 
 def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: complex = 1) -> Table:
@@ -139,35 +192,26 @@ def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: c
 
     zero where z is a multiplier, and without poles.
     """
-    given = lin, itinerary.span(lin), float(itinerary.sign), z if isinstance(z, complex) else float(z)
+    (N, m), own = points.t.shape, np.arange(points.t.shape[1])
     rigid = rigid_mode(lin) if itinerary.sign * z == 1 else None
-    found: Table = linearised_table(*given, *_plain(points), -1 if rigid is None else rigid)
-    return found
+    _, speed, bend = at_impacts(lin, itinerary, points)
+    zeta = itinerary.sign * (z if isinstance(z, complex) else float(z))
+    g0, g1, g2 = (1.0 + lin.R)[:, None, None] * _pairs(lin, itinerary, points.t, zeta)
+    size, v = 2 * m + (rigid is not None), points.v[:, None]
+    J = np.zeros((N, size, size), dtype=g0.dtype)
+    J[:, :m, :m], J[:, :m, m : 2 * m] = g1 * v, -g0
+    J[:, m : 2 * m, :m], J[:, m : 2 * m, m : 2 * m] = g2 * v, -g1
+    J[:, own, own] += speed
+    J[:, m + own, own] += bend
+    J[:, m + own, m + own] -= 1.0
+    if rigid is not None:
+        J[:, :m, -1] = 1.0
+        J[:, -1, m : 2 * m] = ((1.0 + lin.R) * lin.kick[:, rigid, 1])[:, None]
+    return J
 
 
 def _balance(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
     """(1 + R) k sum_i v_i - load span of the rigid mode."""
     j = rigid_mode(lin)
-    kicks = (1.0 + lin.R) * lin.k[:, j, 1] * points.v.sum(1)
-    return np.asarray(kicks - lin.load[:, j] * itinerary.span(lin))
-
-
-def motion_at(
-    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array
-) -> tuple[Array, Array, Array, Array]:
-    """y and its first three derivatives at times s (N, K), any times but those of impacts."""
-    y, v, a, j = between_impacts(
-        lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s)
-    )
-    return y, v, a, j
-
-
-def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
-    """Block coordinates h, h' (N, n, K) at times s (N, K), forced response and rest position taken off."""
-    h, rate = blocks_between(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s))
-    return h, rate
-
-
-def _plain(points: Impacts) -> tuple[Array, Array, Array]:
-    """Times, speeds and offsets as kernels take them."""
-    return np.ascontiguousarray(points.t), np.ascontiguousarray(points.v), np.ascontiguousarray(points.offset)
+    kicks = (1.0 + lin.R) * lin.kick[:, j, 1] * points.v.sum(1)
+    return np.asarray(kicks - lin.gap.block[:, j, COLUMN.load] * itinerary.span(lin))

@@ -4,18 +4,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.continuation.admissible import LOST, ORDER, Fault
-from workers.continuation.equations import Orbit, motion_at
+from workers.continuation.equations import motion_at
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, SPEED, Condition, Extended, solve
-from workers.continuation.linear import NoOscillatorError
-from workers.continuation.minimal import Reduction, difference, is_minimal, reduced, reductions
-from workers.continuation.stability import multipliers
-from workers.continuation.view import TestFunctions, fault, name_of, view, without_own
-from workers.continuation.walk import between
-
-Array = NDArray[np.float64]
+from workers.continuation.monitors import Point, TestFunctions, fault, monitored, name_of, point_of
+from workers.continuation.newton import Array
+from workers.continuation.oscillator import NoOscillatorError
+from workers.continuation.same import Reduction, difference, is_minimal, reduced, reductions
+from workers.continuation.walk import Step
 
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
@@ -27,22 +24,7 @@ NEAR_HALVES = 1e-2
 orbit of half the turn."""
 
 TRIES = 4
-"""Halvings of a step that help to locate what is watched."""
-
-
-class Point(NamedTuple):
-    """One orbit on the way, at parameters (free,).
-
-    contacts (G,)      times at which it grazes
-    multipliers (2n,)  of a turn, which is half the orbit where it is symmetric; unstable: how many have modulus above
-                       1, besides those that the event itself fixes
-    """
-
-    values: Array
-    orbit: Orbit
-    contacts: Array
-    multipliers: NDArray[np.complex128]
-    unstable: int
+"""Halvings of a step that help to locate where a test function is zero."""
 
 
 class Event(NamedTuple):
@@ -55,113 +37,63 @@ class Event(NamedTuple):
 
 
 class LocatedEvent(NamedTuple):
-    """An event at a share of the way between two points."""
+    """An event at a share of a step; whether its orbit is admissible, the event's own grazes allowed."""
 
     share: float
     event: Event
+    admissible: bool
 
 
 class Change(NamedTuple):
-    """What changed its sign between two views, by name; the share of the way at which it is zero, about."""
+    """A test function that changed its sign: its name, the share of the step at which it is zero, about, the sign after
+    it, and the conditions of the event.
+    """
 
     name: str
     share: float
+    sign: float
     conditions: tuple[Condition, ...]
 
 
-def point_of(equations: Extended, X: Array, seen: TestFunctions) -> Point:
-    """The point of unknowns X (N,) and their view."""
-    contacts = equations.contacts(X[None])[0].copy()
-    return Point(equations.values(X).copy(), equations.orbit(X), contacts, seen.multipliers, seen.unstable)
-
-
-def _event_point(equations: Extended, X: Array) -> Point:
-    """The point of unknowns X (N,) that solve the conditions of an event."""
-    lin = equations.model(equations.values(X))[0]
-    mu = multipliers(lin, equations.itinerary, equations.points(X[None]))[0]
-    others = without_own(mu, equations.conditions, equations.totals)
-    unstable = int(np.sum(np.abs(others) > 1.0))
-    return Point(equations.values(X).copy(), equations.orbit(X), equations.contacts(X[None])[0].copy(), mu, unstable)
-
-
-def turn_of(equations: Extended, X: Array) -> tuple[float, float]:
-    """The length of a turn and the forcing frequency at unknowns X (N,)."""
-    lin = equations.model(equations.values(X))[0]
-    return float(equations.itinerary.span(lin)[0]), float(lin.omega[0])
-
-
 def changes(before: TestFunctions, after: TestFunctions) -> list[Change]:
-    """What changed its sign."""
+    """The test functions that changed their sign."""
     found = []
-    for name, b in after.watched.items():
-        a = before.watched[name]
+    for name, b in after.functions.items():
+        a = before.functions[name]
         if a.sign * b.sign < 0.0:
-            found.append(Change(name, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0))), b.conditions))
+            found.append(Change(name, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0))), b.sign, b.conditions))
     return found
 
 
-def located(equations: Extended, here: Array, there: Array, change: Change) -> LocatedEvent | None:
-    """The event at which something watched changed its sign; None at a pole, at a real pair of product 1."""
-    low, high, guess, end = 0.0, 1.0, change.share, view(equations, there).watched[change.name].sign
+def located(step: Step, change: Change) -> LocatedEvent | None:
+    """The event at which a test function changed its sign; None at a pole, at a real pair of product 1."""
+    low, high, guess = 0.0, 1.0, change.share
     for _ in range(TRIES):
-        found = solved(equations, here + guess * (there - here), change.conditions, None, here, there)
+        found = _solved(step, step.guess(guess), change.conditions)
         if found is not None:
             return found
         guess = 0.5 * (low + high)
-        middle = between(equations, here, there, guess)
+        middle = step.solution(guess)
         if not middle.converged:
             return None
-        low, high = (guess, high) if view(equations, middle.X).watched[change.name].sign != end else (low, guess)
+        changed = monitored(step.equations, middle.X).functions[change.name].sign == change.sign
+        low, high = (low, guess) if changed else (guess, high)
         guess = 0.5 * (low + high)
     return None
 
 
-def solved(
-    equations: Extended,
-    guess: Array,
-    conditions: tuple[Condition, ...],
-    contact: float | None,
-    here: Array,
-    there: Array,
-) -> LocatedEvent | None:
-    """The event with these conditions near a guess, if between two points; ``contact`` is a new contact time."""
-    values = equations.values(guess)
-    square = Extended(equations.family, equations.orbit(guess), conditions, values, _width(equations))
-    kept = equations.contacts(guess[None])[0] if square.grazes >= equations.grazes else np.zeros(0)
-    X = square.pack(equations.orbit(guess), np.append(kept, [] if contact is None else contact), values)
-    try:
-        square.follow(X)
-        found = solve(square, X)
-    except (NoOscillatorError, np.linalg.LinAlgError):
-        return None
-    share = _share(equations, square, found.X, here, there) if found.converged else None
-    if share is None:
-        return None
-    if not is_minimal(square.itinerary, square.points(found.X[None]), *turn_of(square, found.X)):
-        return None
-    square.follow(found.X)
-    kappa = math.nan
-    for condition, total in zip(conditions, square.totals, strict=True):
-        if condition.kind == PAIR:
-            kappa = 0.5 * total
-    if (len(conditions) == 1 and abs(kappa) >= 1.0) or abs(kappa) > 1.0 + 1e-9:
-        return None
-    kind = name_of(conditions, square.itinerary.symmetric)
-    return LocatedEvent(share, Event(kind, conditions, _event_point(square, found.X), kappa))
-
-
-def leaving(equations: Extended, here: Array, there: Array, why: Fault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible between two points, the first on the way."""
-    low, high, X = 0.0, 1.0, there
+def leaving(step: Step, why: Fault) -> LocatedEvent | None:
+    """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
+    low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
-        found = _of_fault(equations, X, why, here, there)
-        if found is not None and _is_admissible(equations, found.event):
+        found = _of_fault(step, X, why)
+        if found is not None and found.admissible:
             return found
         half = 0.5 * (low + high)
-        middle = between(equations, here, there, half)
+        middle = step.solution(half)
         if not middle.converged:
             return None
-        seen = fault(equations, middle.X)
+        seen = fault(step.equations, middle.X)
         if seen is None:
             low = half
         else:
@@ -169,95 +101,95 @@ def leaving(equations: Extended, here: Array, there: Array, why: Fault) -> Locat
     return None
 
 
-def halves_between(equations: Extended, here: Array, there: Array) -> Reduction | None:
-    """The orbit of half the turn that is passed between two points: both halves exchange their parts there."""
-    for to in reductions(equations.itinerary):
-        if to.parts == 2:
-            a, b = (_difference(equations, X, to) for X in (here, there))
-            if a @ b <= 0.0:
-                return to
+def origin(step: Step, to: Reduction) -> LocatedEvent | None:
+    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
+    grazes too. None on other curves, and where it is not found.
+    """
+    eq = step.equations
+    own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
+    if own != eq.conditions:
+        return None
+    a, b = (float(np.linalg.norm(difference(*eq.motion(X), to))) + TINY for X in (step.here, step.there))
+    share = a / (a + b)
+    guess = step.guess(share)
+    orbit, values = reduced(eq.orbit(guess), to), eq.values(guess)
+    square = Extended(eq.family, orbit, (*own, Condition(MINUS_ONE)), values, eq.width)
+    X = square.pack(orbit, eq.contacts(guess[None])[0], values)
+    square = square.at(X)
+    found = solve(square, X)
+    return _event(square, found.X, share) if found.converged else None
+
+
+def halves_between(step: Step) -> Reduction | None:
+    """The orbit of half the turn that is passed on a step: both halves exchange their parts there."""
+    for to in _halves(step.equations):
+        a, b = (difference(*step.equations.motion(X), to) for X in (step.here, step.there))
+        if a @ b <= 0.0:
+            return to
     return None
 
 
 def nearly_halves(equations: Extended, X: Array) -> Reduction | None:
     """The orbit of half the turn that unknowns X (N,) nearly are."""
-    for to in reductions(equations.itinerary):
-        if to.parts == 2 and np.max(np.abs(_difference(equations, X, to))) < NEAR_HALVES:
+    for to in _halves(equations):
+        if np.max(np.abs(difference(*equations.motion(X), to))) < NEAR_HALVES:
             return to
     return None
 
 
-def origin(equations: Extended, here: Array, there: Array, to: Reduction) -> LocatedEvent | None:
-    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
-    grazes too. None on other curves, and where it is not found.
-    """
-    own = tuple(condition for condition in equations.conditions if condition.kind == GRAZE)
-    if own != equations.conditions:
+def _halves(equations: Extended) -> list[Reduction]:
+    return [to for to in reductions(equations.itinerary) if to.parts == 2]
+
+
+def _solved(
+    step: Step, guess: Array, conditions: tuple[Condition, ...], contact: float | None = None
+) -> LocatedEvent | None:
+    """The event with these conditions near a guess, if on the step; ``contact`` is a new contact time."""
+    eq = step.equations
+    orbit, values = eq.orbit(guess), eq.values(guess)
+    square = Extended(eq.family, orbit, conditions, values, eq.width)
+    kept = eq.contacts(guess[None])[0] if square.grazes >= eq.grazes else np.zeros(0)
+    X = square.pack(orbit, np.append(kept, [] if contact is None else contact), values)
+    try:
+        square = square.at(X)
+        found = solve(square, X)
+    except (NoOscillatorError, np.linalg.LinAlgError):
         return None
-    a, b = (float(np.linalg.norm(_difference(equations, X, to))) + TINY for X in (here, there))
-    share = a / (a + b)
-    guess = here + share * (there - here)
-    orbit, values = reduced(equations.orbit(guess), to), equations.values(guess)
-    square = Extended(equations.family, orbit, (*own, Condition(MINUS_ONE)), values, _width(equations))
-    X = square.pack(orbit, equations.contacts(guess[None])[0], values)
-    square.follow(X)
-    found = solve(square, X)
-    if not found.converged:
+    share = step.share_of(found.X) if found.converged else None
+    if share is None or not is_minimal(*square.motion(found.X)):
         return None
-    kind = name_of(square.conditions, orbit.itinerary.symmetric)
-    return LocatedEvent(share, Event(kind, square.conditions, _event_point(square, found.X)))
+    located = _event(square.at(found.X), found.X, share)
+    kappa = located.event.kappa
+    return None if (len(conditions) == 1 and abs(kappa) >= 1.0) or abs(kappa) > 1.0 + 1e-9 else located
 
 
-def _difference(equations: Extended, X: Array, to: Reduction) -> Array:
-    span, omega = turn_of(equations, X)
-    return difference(equations.itinerary, equations.points(X[None]), span, omega, to)
+def _event(square: Extended, X: Array, share: float) -> LocatedEvent:
+    """The event that unknowns X of a square system are."""
+    totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
+    kind = name_of(square.conditions, square.itinerary.symmetric)
+    event = Event(kind, square.conditions, point_of(square, X), 0.5 * next(totals, math.nan))
+    return LocatedEvent(share, event, fault(square, X) is None)
 
 
-def _width(equations: Extended) -> Array:
-    """The scale of the free parameters."""
-    return equations.scale[len(equations.scale) - equations.free :]
-
-
-def _share(equations: Extended, square: Extended, X: Array, here: Array, there: Array) -> float | None:
-    """At which share of the way from here to there X lies, contact times left out; None where it is not near it."""
-    ours = np.concatenate([np.arange(equations.states), len(here) - equations.free + np.arange(equations.free)])
-    theirs = np.concatenate([np.arange(equations.states), len(X) - equations.free + np.arange(equations.free)])
-    chord = (there - here)[ours] / equations.scale[ours]
-    off = (X[theirs] - here[ours]) / equations.scale[ours]
-    length = float(np.linalg.norm(chord))
-    share = float(off @ chord) / length**2
-    near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
-    return share if near else None
-
-
-def _of_fault(equations: Extended, X: Array, why: Fault, here: Array, there: Array) -> LocatedEvent | None:
+def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """The graze or the lost impact that a fault at X comes from."""
-    own = equations.conditions
+    own = step.equations.conditions
     if why.reason == ORDER:
         return None
     if why.reason == LOST:
-        return solved(equations, X, (*own, Condition(SPEED, impact=why.impact)), None, here, there)
-    peak = _peak(equations, X, why)
-    if peak is None:
-        return None
-    return solved(equations, X, (*own, Condition(GRAZE, side=why.side)), peak, here, there)
-
-
-def _is_admissible(equations: Extended, event: Event) -> bool:
-    point = event.point
-    square = Extended(equations.family, point.orbit, event.conditions, point.values, _width(equations))
-    return fault(square, square.pack(point.orbit, point.contacts, point.values)) is None
+        return _solved(step, X, (*own, Condition(SPEED, impact=why.impact)))
+    peak = _peak(step.equations, X, why)
+    return None if peak is None else _solved(step, X, (*own, Condition(GRAZE, side=why.side)), peak)
 
 
 def _peak(equations: Extended, X: Array, why: Fault) -> float | None:
     """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
-    lin = equations.model(equations.values(X))[0]
-    points, itinerary = equations.points(X[None]), equations.itinerary
+    lin, itinerary, points = equations.motion(X)
     span = float(itinerary.span(lin)[0])
     ends = [t + k * span for t in points.t[0] for k in (0, 1, 2)]
     limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
     s = np.linspace(why.time, limit, 402)[1:-1]
-    speed = why.side * motion_at(lin, itinerary, points, s[None])[1][0]
+    speed = why.side * motion_at(lin, itinerary, points, s[None])[1, 0]
     turned = np.flatnonzero(speed <= 0.0)
     if not len(turned):
         return None

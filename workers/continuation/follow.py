@@ -1,7 +1,8 @@
 """Orbits followed in their free parameters: branches (one, no condition) and curves of events (two, one condition).
 
-Whatever changes sign from one step to the next is located as the solution of a square system. The way ends at the edge
-of the window, where it closes, where the orbit ceases to be admissible, or where it turns into a shorter one.
+Whatever changes sign from one step to the next is located as the solution of a square system. A run goes in both
+directions from its start; either ends at the edge of the window, where it closes, where the orbit ceases to be
+admissible, or where it turns into a shorter one.
 """
 
 import math
@@ -9,38 +10,31 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.continuation.events import (
     Event,
     LocatedEvent,
-    Point,
     changes,
     halves_between,
     leaving,
     located,
     nearly_halves,
     origin,
-    point_of,
-    turn_of,
 )
 from workers.continuation.extended import ANGLE, PAIR, Extended
-from workers.continuation.minimal import Reduction, is_minimal
-from workers.continuation.view import TestFunctions, view
-from workers.continuation.walk import PseudoArclength, at_value
-
-Array = NDArray[np.float64]
+from workers.continuation.monitors import Point, TestFunctions, monitored
+from workers.continuation.newton import Array
+from workers.continuation.same import Reduction, is_minimal
+from workers.continuation.walk import PseudoArclength, Step
 
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
     "edge", "closed", "budget", "stalled", "inadmissible", "shorter_orbit",
 )  # fmt: skip
-"""How a way ends where it does not end at an event: at the window's edge; as a closed loop; its points are spent; no
-step converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
-
+"""How a direction ends if not at an event: at the window's edge; as a closed loop; its points are spent; no step
+converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
 
 SHORTEST = 1e-3
 """Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
-
 
 DOUBT = 1e-4
 """Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
@@ -83,160 +77,128 @@ def window_of(free: tuple[str, ...], window: Mapping[str, tuple[float, float]]) 
 
 
 Until = Callable[[Event], bool]
-"""Whether a way ends at an event."""
+"""Whether a run ends at an event."""
 
 
 def never(event: Event) -> bool:
-    """No way ends at any event that it can pass."""
+    """No run ends at an event that it can pass."""
     return False
 
 
 def follow(
     equations: Extended, start: Array, window: Window, resolution: float, budget: int, until: Until = never
 ) -> BranchRun:
-    """Both ways from a solution ``start`` (N,) of the equations, at most ``budget`` points each.
+    """Both directions from a solution ``start`` (N,) of the equations, at most ``budget`` points each.
 
-    ``resolution`` is the longest step, as a share of the window; either way ends at the first event of which ``until``
-    is true. ValueError where the orbit to start from is not
-    admissible or another one repeated.
+    ``resolution`` is the longest step, as a share of the window; either direction ends at the first event of which
+    ``until`` is true. ValueError where the orbit to start from is not admissible or another one repeated.
     """
-    first = view(equations, start)
+    first = monitored(equations, start)
     if first.fault is not None:
         raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
-    if not is_minimal(equations.itinerary, equations.points(start[None]), *turn_of(equations, start)):
+    if not is_minimal(*equations.motion(start)):
         raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
-    totals, borders = list(equations.totals), list(equations.borders)
     direction = np.zeros(len(start))
-    direction[len(start) - equations.free :] = equations.scale[len(start) - equations.free :]
-    ahead = _OneWay(equations, start, first, direction, window, resolution, budget, until)
-    ahead.run()
-    if ahead.end == CLOSED:
-        return BranchRun(ahead.points, ahead.events, (CLOSED, CLOSED), ahead.walker.newton_steps)
-    equations.totals, equations.borders = totals, borders  # those of the start, not of the other end
-    back = _OneWay(equations, start, first, -direction, window, resolution, budget, until)
-    back.run()
+    direction[len(start) - equations.free :] = equations.width
+    walkers = (PseudoArclength(first.equations, start, resolution, sign * direction) for sign in (1.0, -1.0))
+    ahead = _one_direction(next(walkers), first, window, budget, until)
+    if CLOSED in ahead.ends:
+        return ahead
+    back = _one_direction(next(walkers), first, window, budget, until)
     return BranchRun(
         points=back.points[:0:-1] + ahead.points,
         events=back.events[::-1] + ahead.events,
-        ends=(back.end, ahead.end),
-        newton_steps=ahead.walker.newton_steps + back.walker.newton_steps,
+        ends=(back.ends[1], ahead.ends[1]),
+        newton_steps=ahead.newton_steps + back.newton_steps,
     )
 
 
-class _OneWay:
-    """One of the two ways from a start, point by point."""
+class _Passage(NamedTuple):
+    """What a step brings: events, points with those of events among them, how the direction ends there, if it does, and
+    the test functions at the last point.
+    """
 
-    def __init__(
-        self,
-        equations: Extended,
-        start: Array,
-        first: TestFunctions,
-        direction: Array,
-        window: Window,
-        resolution: float,
-        budget: int,
-        until: Until,
-    ) -> None:
-        self.equations, self.start, self.window, self.budget, self.until = equations, start, window, budget, until
-        self.walker = PseudoArclength(equations, start, resolution, direction)
-        self.leaving = self.walker.tangent
-        self.view = first
-        self.points: list[Point] = [point_of(equations, start, first)]
-        self.events: list[Event] = []
-        self.end = ""
+    end: str
+    events: tuple[Event, ...] = ()
+    points: tuple[Point, ...] = ()
+    after: TestFunctions | None = None
 
-    def run(self) -> None:
-        """Go on until the end."""
-        while not self.end:
-            here = self.walker.X
-            if len(self.points) > self.budget:
-                self.end = BUDGET
-            elif not self.walker.advance():
-                self._stall(here)
-            else:
-                self._arrive(here, self.walker.X)
 
-    def _stall(self, here: Array) -> None:
-        """End where no step converges: where a branch meets the orbit that it left the equations are singular."""
-        to = nearly_halves(self.equations, here)
-        if to is None:
-            self.end = STALLED
-        else:
-            self._become_shorter(here, here, to)
+def _one_direction(
+    walker: PseudoArclength, first: TestFunctions, window: Window, budget: int, until: Until
+) -> BranchRun:
+    """One of the two directions from a start, whose point comes first; how it ends is the second of both ends."""
+    points, events, end, seen = [first.point], list[Event](), "", first
+    while not end:
+        if len(points) > budget:
+            end = BUDGET
+            break
+        passage = _next(walker, seen, window, until)
+        if passage is None:
+            walker.back()
+            continue
+        points += passage.points
+        events += passage.events
+        end, seen = passage.end, passage.after or seen
+        walker.equations = seen.equations
+    return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), walker.newton_steps)
 
-    def _arrive(self, here: Array, there: Array) -> None:
-        """Take the step from one point to the next, or a shorter one where it went too far."""
-        eq, end = self.equations, ""
-        crossed = self.window.crossed(eq.values(there))
-        if crossed is not None:
-            edge = at_value(eq, here, there, *crossed)
-            if not edge.converged:
-                self.end = EDGE
-                return
-            there, end = edge.X, EDGE
-        if not end and self._closes(here, there):
-            there, end = self.start, CLOSED
-        seen = view(eq, there)
-        slid = not is_minimal(eq.itinerary, eq.points(there[None]), *turn_of(eq, there))
-        if (slid or self._went_too_far(seen)) and self.walker.length > SHORTEST * self.walker.longest:
-            self.walker.back()
-            eq.follow(here)
-            return
-        to = halves_between(eq, here, there)
-        if slid and to is None:
-            self.end = SHORTER
-        elif to is not None:
-            self._become_shorter(here, there, to)
-        else:
-            self._pass(here, there, seen, end)
 
-    def _went_too_far(self, seen: TestFunctions) -> bool:
-        """Whether stability changed on a branch although nothing that is watched did."""
-        if self.equations.conditions or seen.fault is not None or changes(self.view, seen):
-            return False
-        before, after = np.abs(self.view.multipliers), np.abs(seen.multipliers)
-        gained = np.sum(after > 1.0 + DOUBT) > np.sum(before > 1.0 - DOUBT)
-        return bool(gained or np.sum(after > 1.0 - DOUBT) < np.sum(before > 1.0 + DOUBT))
+def _next(walker: PseudoArclength, seen: TestFunctions, window: Window, until: Until) -> _Passage | None:
+    """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
+    eq, here = walker.equations, walker.X
+    if not walker.advance():  # where a branch meets the orbit that it left the equations are singular
+        to = nearly_halves(eq, here)
+        return _Passage(STALLED) if to is None else _meeting(Step(eq, here, here), to)
+    there, end, crossed = walker.X, "", window.crossed(eq.values(walker.X))
+    if crossed is not None:
+        edge = Step(eq, here, there).at_value(*crossed)
+        if not edge.converged:
+            return _Passage(EDGE)
+        there, end = edge.X, EDGE
+    elif walker.closes():
+        there, end = walker.start[0], CLOSED
+    after = monitored(eq, there)
+    step, slid = Step(after.equations, here, there), not is_minimal(*eq.motion(there))
+    if (slid or _went_too_far(seen, after)) and walker.length > SHORTEST * walker.longest:
+        return None
+    to = halves_between(step)
+    if to is not None:
+        return _meeting(step, to)
+    return _Passage(SHORTER) if slid else _passage(step, seen, after, end, until)
 
-    def _closes(self, here: Array, there: Array) -> bool:
-        """Whether a step passes the start in the direction in which the way left it."""
-        before, after = ((X - self.start) / self.equations.scale for X in (here, there))
-        passes = float(before @ self.leaving) < 0.0 <= float(after @ self.leaving)
-        away = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
-        return passes and away < 1.5 * self.walker.longest
 
-    def _become_shorter(self, here: Array, there: Array, to: Reduction) -> None:
-        """End where a branch meets the orbit that it left."""
-        placed = origin(self.equations, here, there, to)
-        self.end = SHORTER
-        if placed is not None:
-            self.events.append(placed.event)
-            self.points.append(placed.event.point)
-            self.end = placed.event.kind
+def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
+    """Whether stability changed on a branch although no test function changed its sign."""
+    if after.equations.conditions or after.fault is not None or changes(before, after):
+        return False
+    one, other = np.abs(before.point.multipliers), np.abs(after.point.multipliers)
+    gained = np.sum(other > 1.0 + DOUBT) > np.sum(one > 1.0 - DOUBT)
+    return bool(gained or np.sum(other > 1.0 - DOUBT) < np.sum(one > 1.0 + DOUBT))
 
-    def _pass(self, here: Array, there: Array, seen: TestFunctions, end: str) -> None:
-        """Locate what happened between two points and add it; end the way where it ends."""
-        eq, found, limit = self.equations, list[LocatedEvent](), math.inf
-        last = point_of(eq, there, seen)
-        if seen.fault is not None:
-            ceases = leaving(eq, here, there, seen.fault)
-            if ceases is None:
-                self.end = INADMISSIBLE
-                return
-            found.append(ceases)
-            limit, end, last = ceases.share, ceases.event.kind, ceases.event.point
-        for change in changes(self.view, seen):
-            placed = located(eq, here, there, change)
-            if placed is not None and placed.share <= limit:
-                found.append(placed)
-                if _ends_pair(eq, placed.event) or self.until(placed.event):
-                    limit, end, last = placed.share, placed.event.kind, placed.event.point
-        found.sort(key=lambda placed: placed.share)
-        passed = [placed.event for placed in found if placed.share <= limit]
-        self.events += passed
-        self.points += [event.point for event in passed if event.point is not last]
-        self.points.append(last)
-        self.view, self.end = seen, end
+
+def _meeting(step: Step, to: Reduction) -> _Passage:
+    """The end where a branch meets the orbit that it left."""
+    found = origin(step, to)
+    return _Passage(SHORTER) if found is None else _Passage(found.event.kind, (found.event,), (found.event.point,))
+
+
+def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, until: Until) -> _Passage:
+    """The events of a step and its last point, at which the direction has this ``end``, unless it ends before that."""
+    found, limit, last = list[LocatedEvent](), math.inf, after.point
+    if after.fault is not None:
+        ceases = leaving(step, after.fault)
+        if ceases is None:
+            return _Passage(INADMISSIBLE)
+        found, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
+    for change in changes(before, after):
+        met = located(step, change)
+        if met is not None and met.share <= limit:
+            found.append(met)
+            if _ends_pair(step.equations, met.event) or until(met.event):
+                limit, end, last = met.share, met.event.kind, met.event.point
+    passed = tuple(met.event for met in sorted(found, key=lambda met: met.share) if met.share <= limit)
+    return _Passage(end, passed, (*(event.point for event in passed if event.point is not last), last), after)
 
 
 def _ends_pair(equations: Extended, event: Event) -> bool:

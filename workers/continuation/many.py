@@ -7,18 +7,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import Impacts, Itinerary, Orbit, check_orbits, linearised, residual, unknown_offset
-from workers.continuation.extended import NEWTON_STEPS
-from workers.continuation.linear import Family, ModalOscillator, taken
-from workers.continuation.minimal import is_minimal
+from workers.continuation.equations import (
+    Impacts,
+    Itinerary,
+    Orbit,
+    check_orbits,
+    impacts_of,
+    linearised,
+    residual,
+    unknown_offset,
+    unpacked,
+)
+from workers.continuation.newton import Array, Rows, newton
+from workers.continuation.oscillator import Family, ModalOscillator
+from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
-from workers.model.oscillator import Signal, each
+from workers.model.oscillator import taken
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FARTHEST, DONE = 0.5, 1e-12
-"""Newton's first step at most, and its last one, in radians of the force and relative to the fastest impact."""
+FARTHEST = 0.5
+"""Newton's first step at most, in radians of the force and relative to the fastest impact."""
 
 
 class Many(NamedTuple):
@@ -31,8 +40,7 @@ class Many(NamedTuple):
 
     def orbit(self, k: int) -> Orbit:
         """One of them."""
-        points = self.impacts
-        return Orbit(self.itinerary, points.t[k].copy(), points.v[k].copy(), float(points.offset[k]))
+        return self.impacts.orbit(self.itinerary, k)
 
 
 def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
@@ -46,13 +54,7 @@ def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
 
 def many_of(orbits: list[Orbit], values: Array) -> Many:
     """Orbits of one itinerary as one record."""
-    shape = (len(orbits), len(orbits[0].times))
-    points = Impacts(
-        np.array([orbit.times for orbit in orbits]).reshape(shape),
-        np.array([orbit.speeds for orbit in orbits]).reshape(shape),
-        np.array([orbit.offset for orbit in orbits]),
-    )
-    return Many(orbits[0].itinerary, values, points, np.ones(len(orbits), dtype=bool))
+    return Many(orbits[0].itinerary, values, impacts_of(*orbits), np.ones(len(orbits), dtype=bool))
 
 
 def moved(family: Family, orbits: Many, values: Array) -> Many:
@@ -60,35 +62,28 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
     """
-    lin = family.model(values)[0]
-    check_orbits(lin, orbits.itinerary)
-    m, N = len(orbits.itinerary.sides), len(values)
-    if m == 0:
+    lin, itinerary, before = family.model(values), orbits.itinerary, orbits.impacts
+    check_orbits(lin, itinerary)
+    m, shift = len(itinerary.sides), int(unknown_offset(lin, itinerary))
+    if m == 0 or not orbits.found.any():
         return orbits._replace(values=values)
-    shift = int(unknown_offset(lin, orbits.itinerary))
-    X = np.concatenate([orbits.impacts.t, orbits.impacts.v, orbits.impacts.offset[:, None][:, :shift]], axis=1)
-    fastest = np.max(np.abs(orbits.impacts.v), axis=1, keepdims=True)
-    time = 1.0 / lin.omega[:, None]
-    scale = np.concatenate([np.repeat(time, m, 1), np.repeat(fastest, m, 1), (fastest * time)[:, :shift]], axis=1)
-    found, last = np.zeros(N, dtype=bool), np.full(N, FARTHEST)
-    open_rows = np.flatnonzero(orbits.found)
-    for _ in range(NEWTON_STEPS):
-        if not len(open_rows):
-            break
-        here = taken(lin, open_rows)
-        points = _points(X[open_rows], m, shift)
-        J = linearised(here, orbits.itinerary, points) * scale[open_rows, None, :]
-        right = -residual(here, orbits.itinerary, points)
-        step = _solved(J, right)
-        size = np.max(np.abs(step), axis=1)
-        before = last[open_rows]
-        good = size < np.minimum(FARTHEST, 2.0 * before)
-        X[open_rows[good]] += (step * scale[open_rows])[good]
-        last[open_rows] = size
-        done = good & ((size < DONE) | ((size < 1e-10) & (size > 0.3 * before)))  # the latter is rounding
-        found[open_rows[done]] = True
-        open_rows = open_rows[good & ~done]
-    return Many(orbits.itinerary, values, _points(X, m, shift), found)
+    fastest, time = np.max(np.abs(before.v), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
+    scale = np.repeat(np.concatenate([time, fastest, fastest * time], axis=1), [m, m, shift], axis=1)
+
+    def motion(X: Array, rows: Rows) -> tuple[ModalOscillator, Itinerary, Impacts]:
+        return taken(lin, known[rows]), itinerary, unpacked(X, m, shift)
+
+    known = np.flatnonzero(orbits.found)
+    X = np.concatenate([before.t, before.v, before.offset[:, None][:, :shift]], axis=1)
+    found = newton(
+        lambda X, rows: residual(*motion(X, rows)),
+        lambda X, rows: (residual(*motion(X, rows)), linearised(*motion(X, rows))),
+        X[known],
+        scale[known],
+        farthest=FARTHEST,
+    )
+    X[known] = found.X
+    return Many(itinerary, values, unpacked(X, m, shift), np.isin(np.arange(len(X)), known[found.converged]))
 
 
 def attract(family: Family, orbits: Many) -> Mask:
@@ -97,47 +92,10 @@ def attract(family: Family, orbits: Many) -> Mask:
     rows = np.flatnonzero(good)
     if not len(rows):
         return good
-    lin, signals = family.model(orbits.values[rows])
-    points = _rows(orbits.impacts, rows)
+    motion = family.model(orbits.values[rows]), orbits.itinerary, taken(orbits.impacts, rows)
     with np.errstate(all="ignore"):
-        sizes = np.abs(multipliers(lin, orbits.itinerary, points))
-    good[rows] = np.all(sizes < 1.0, axis=1)
-    for k, row in enumerate(rows):
-        if good[row]:
-            one, own = np.array([k]), _rows(points, np.array([k]))
-            signal = None if signals is None else _one_signal(signals, k)
-            good[row] = _is_orbit(taken(lin, one), signal, orbits.itinerary, own)
+        good[rows] = np.all(np.abs(multipliers(*motion)) < 1.0, axis=1)
+    for k in np.flatnonzero(good[rows])[:, None]:
+        one = taken(motion[0], k), orbits.itinerary, taken(motion[2], k)
+        good[rows[k]] = is_minimal(*one) and not (family.certified and first_fault(*one))
     return good
-
-
-def _one_signal(signals: Signal, k: int) -> Signal:
-    found: Signal = each(signals, lambda field: field[k])
-    return found
-
-
-def _is_orbit(lin: ModalOscillator, signal: Signal | None, itinerary: Itinerary, points: Impacts) -> bool:
-    if not is_minimal(itinerary, points, float(itinerary.span(lin)[0]), float(lin.omega[0])):
-        return False
-    return signal is None or first_fault(signal, lin, itinerary, points, np.zeros(0)) is None
-
-
-def _points(X: Array, m: int, shift: int) -> Impacts:
-    return Impacts(X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
-
-
-def _rows(points: Impacts, rows: NDArray[np.int64]) -> Impacts:
-    return Impacts(*(field[rows] for field in points))
-
-
-def _solved(matrices: Array, right: Array) -> Array:
-    """The solution of each system; NaN where it is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
-    except np.linalg.LinAlgError:
-        found = np.full(right.shape, np.nan)
-        for k, (matrix, side) in enumerate(zip(matrices, right, strict=True)):
-            try:
-                found[k] = np.linalg.solve(matrix, side)
-            except np.linalg.LinAlgError:
-                continue
-        return found

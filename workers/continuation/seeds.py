@@ -3,10 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.continuation.equations import (
-    Impacts,
     Itinerary,
     Orbit,
     at_impacts,
@@ -17,14 +15,13 @@ from workers.continuation.equations import (
     unknown_offset,
 )
 from workers.continuation.extended import Extended, solve
-from workers.continuation.linear import Family, family_of, linear_of
+from workers.continuation.newton import Array
+from workers.continuation.oscillator import Family, family_of, modal
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
 from workers.kernel.stroboscopic import motion_from, propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section
-
-Array = NDArray[np.float64]
 
 RECORD = 256
 """Impacts of one period that an orbit may have."""
@@ -33,9 +30,10 @@ RECORD = 256
 def orbit_from_state(
     system: System, values: Mapping[str, float], state: Array, periods: int, symmetric: bool = False
 ) -> Orbit:
-    """The periodic orbit through (or next to) a physical section state, so many periods long, by Newton's method.
+    """The periodic orbit through (or next to) a physical section state, by Newton's method.
 
     values   parameters by name; those left out have their defaults
+    periods  of the force in the whole orbit
     Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
     """
     osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
@@ -75,7 +73,7 @@ def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Or
 
 def _offset(family: Family, orbit: Orbit, values: Array) -> float:
     """About the offset of y of a rigid mode: by how much the impacts of the orbit without it miss their stops."""
-    lin, points = family.model(values[None])[0], impacts_of(orbit)
+    lin, points = family.model(values[None]), impacts_of(orbit)
     if not unknown_offset(lin, orbit.itinerary) or not orbit.itinerary.sides:
         return 0.0
     return float(np.mean(stops(lin, orbit.itinerary) - at_impacts(lin, orbit.itinerary, points)[0]))
@@ -107,12 +105,7 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     count, itinerary = len(orbits), orbits[0].itinerary
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
     oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
-    lin = linear_of(oscillators)
-    points = Impacts(
-        np.array([orbit.times for orbit in orbits]),
-        np.array([orbit.speeds for orbit in orbits]),
-        np.array([orbit.offset for orbit in orbits]),
-    )
+    lin, points = modal(oscillators), impacts_of(*orbits)
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(points.t / period - shift, 1.0)
     points = points._replace(t=np.where(since <= AT_SECTION, points.t - AT_SECTION * period, points.t))
@@ -120,6 +113,6 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.forced.shape[3] + 1.0)
     waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, None, None]
     still = oscillators.rest + np.sum(oscillators.forced * waves, axis=(3, 4))
-    blocks = np.stack([np.moveaxis(part, 1, 2) for part in parts], axis=-1) + still[:, None]
+    blocks = np.moveaxis(parts, (0, 3), (3, 1)) + still[:, None]
     flat = blocks.reshape(count, itinerary.periods, -1)
     return np.asarray(np.einsum("nij,nkj->nki", oscillators.to_physical, flat))
