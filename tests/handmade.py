@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.equations import Impacts, Itinerary, Orbit
-from workers.continuation.events import Event
+from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
-from workers.continuation.monitors import Point
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
 from workers.continuation.stability import pieces
 from workers.model.oscillator import Signal, make_blocks

@@ -15,13 +15,11 @@ from tests.handmade import (
     upper_peak,
 )
 from tests.test_branches import ball_orbit, pair_orbit
-from workers.continuation.branches import branch
+from workers.continuation.branches import BUDGET, CLOSED, EDGE, branch
 from workers.continuation.curves import curve
 from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.events import Event
+from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, Condition
-from workers.continuation.follow import BUDGET, CLOSED, EDGE
-from workers.continuation.monitors import Point
 from workers.continuation.oscillator import Family, family_of
 from workers.model.system import find_system
 

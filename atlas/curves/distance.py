@@ -14,8 +14,8 @@ from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
+from workers.continuation.events import GRAZING, IMPACT_LOST
 from workers.continuation.many import attract, many_of, moved
-from workers.continuation.monitors import GRAZING, IMPACT_LOST
 
 if TYPE_CHECKING:
     import xarray as xr

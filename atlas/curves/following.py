@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from atlas.curves.cells import CellOrbits
 from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
+from workers.continuation.branches import Until
 from workers.continuation.curves import without_impact
+from workers.continuation.events import GRAZING
 from workers.continuation.extended import PAIR, SPEED, Extended, solve
-from workers.continuation.follow import Until, never
-from workers.continuation.monitors import GRAZING
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
 
@@ -80,7 +80,7 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
 
 
 def events_towards(
-    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until = never
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
 ) -> list[Located]:
     """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
     to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises

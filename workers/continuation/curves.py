@@ -2,13 +2,11 @@
 
 import numpy as np
 
-from workers.continuation.branches import MOST_POINTS, RESOLUTION
+from workers.continuation.branches import MOST_POINTS, RESOLUTION, BranchRun, bounds_of, follow
 from workers.continuation.equations import Orbit
 from workers.continuation.events import Event
 from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
-from workers.continuation.follow import BranchRun, follow, window_of
-from workers.continuation.newton import Array
-from workers.continuation.oscillator import Family
+from workers.continuation.oscillator import Array, Family
 
 
 def curve(
@@ -33,22 +31,22 @@ def curve(
     """
     if len(family.free) != 2 or len(event.conditions) != 1:
         raise ValueError(f"a curve needs two free parameters and one condition, found {family.free}, {event.kind}")
-    bounds = window_of(family.free, window)
+    bounds = bounds_of(family.free, window)
     condition = event.conditions[0]
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     orbit, contacts = event.point.orbit, event.point.contacts
     if condition.kind == SPEED:
         orbit, condition, contacts = without_impact(orbit, condition.impact)
-    equations = Extended(family, orbit, (condition,), values, bounds.width)
+    equations = Extended(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
     equations = equations.at(X)
     # the nearest point of the curve: across its tangent as it is known there
-    tangent = np.linalg.svd(equations.with_jacobian(X)[1] * equations.scale)[2][-1]
+    tangent = np.linalg.svd(equations.with_jacobian(X[None])[1][0] * equations.scale)[2][-1]
     found = solve(equations, X, tangent / equations.scale)
     if not found.converged:
         raise ValueError(f"Newton's method finds no {event.kind} there")
-    return follow(equations, found.X, bounds, resolution, budget)
+    return follow(equations, found.X, bounds, resolution, budget, None)
 
 
 def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:

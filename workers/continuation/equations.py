@@ -12,11 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.oscillator import ModalOscillator, rigid_mode
-from workers.continuation.pulses import block_answers, forced_motion, green
+from workers.continuation.oscillator import Array, ModalOscillator, rigid_mode
+from workers.continuation.pulses import answers, before_impacts, forced_motion, green, jacobian
 from workers.model.oscillator import COLUMN
 
-Array = NDArray[np.float64]
 Table = NDArray[Any]
 """Real numbers, complex ones where z is."""
 
@@ -69,6 +68,10 @@ class Impacts(NamedTuple):
         return Orbit(itinerary, self.t[k].copy(), self.v[k].copy(), float(self.offset[k]))
 
 
+Motion = tuple[ModalOscillator, Itinerary, Impacts]
+"""N orbits of one itinerary with their oscillators."""
+
+
 def impacts_of(*orbits: Orbit) -> Impacts:
     """The impacts of orbits of one itinerary."""
     times, speeds, offset = (np.array([orbit[k] for orbit in orbits]) for k in (1, 2, 3))
@@ -82,8 +85,6 @@ def unpacked(X: Array, m: int, shift: int) -> Impacts:
 
 def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
-    if not len(orbit.times):
-        return orbit
     turns = np.floor(orbit.times / span)
     flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
     times = orbit.times - turns * span
@@ -119,19 +120,22 @@ def unknown_offset(lin: ModalOscillator, itinerary: Itinerary) -> bool:
 
 
 def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """y, y' and y'' (3, N, m) just before each impact."""
-    answers = (_pairs(lin, itinerary, points.t, float(itinerary.sign)) @ points.v[..., None])[..., 0]
-    forced = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(points.t))[:3]
-    found: Array = forced - (1.0 + lin.R)[:, None] * answers
-    found[0] += points.offset[:, None]
+    """y and its first three derivatives (4, N, m) just before each impact."""
+    found: Array = before_impacts(lin.gap, lin.kick, *_plain(lin, itinerary, points))
     return found
+
+
+def _plain(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple[Any, ...]:
+    """Phase, 1 + R, span and sign, times, speeds and offsets as kernels take them."""
+    plain = (np.ascontiguousarray(field) for field in points)
+    return lin.tau, 1.0 + lin.R, itinerary.span(lin), float(itinerary.sign), *plain
 
 
 def motion_at(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
     """y and its first three derivatives (4, N, K) at times s (N, K), any times but those of impacts."""
     since, kicks = _latest_kicks(lin, itinerary, points, s)
-    answers = green(lin.gap, lin.kick, itinerary.span(lin), float(itinerary.sign), since)
-    found: Array = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(s)) - np.sum(kicks * answers, axis=3)
+    answer = green(lin.gap, lin.kick, itinerary.span(lin), float(itinerary.sign), since)
+    found: Array = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(s)) - np.sum(kicks * answer, axis=3)
     found[0] += points.offset[:, None]
     return found
 
@@ -139,8 +143,8 @@ def motion_at(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Ar
 def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
     """Block coordinates h, h' (2, N, n, K) at times s (N, K), forced response and rest position taken off."""
     since, kicks = _latest_kicks(lin, itinerary, points, s)
-    answers = block_answers(lin.gap, lin.kick, itinerary.span(lin), float(itinerary.sign), since)
-    found: Array = -np.sum(kicks[:, None] * answers, axis=4)
+    u = answers(lin.gap.block, lin.kick, itinerary.span(lin), float(itinerary.sign), since)
+    found: Array = -np.sum(kicks[:, None] * u, axis=4)
     rigid = rigid_mode(lin)
     if rigid is not None:
         found[0, :, rigid] += (points.offset / lin.gap.row[:, rigid, 0])[:, None]
@@ -149,31 +153,22 @@ def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: 
 
 def _latest_kicks(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
     """Of each impact the time (N, K, m) since its latest kick before times s (N, K), and what that kick is."""
-    t, v, span = points.t[:, None], points.v[:, None], itinerary.span(lin)[:, None]
-    turns = np.floor((s - (points.t[:, :1] if points.t.shape[1] else 0.0)) / span)[..., None]
-    since = s[..., None] - turns * span[..., None] - t
+    start, span = points.t[:, :1] if itinerary.sides else 0.0, itinerary.span(lin)[:, None]
+    turns = np.floor((s - start) / span)
+    since = (s - turns * span)[..., None] - points.t[:, None]
     earlier = since < 0.0
-    flips = np.where((turns + earlier) % 2.0 == 0.0, 1.0, float(itinerary.sign))
-    return since + earlier * span[..., None], (1.0 + lin.R)[:, None, None] * v * flips
-
-
-def _pairs(lin: ModalOscillator, itinerary: Itinerary, t: Array, zeta: complex) -> Table:
-    """g, g', g'' (3, N, m, m) at impact i of the kicks at impact j, which are multiplied by zeta from turn to turn.
-
-    Kicks are the latest before impact i, its own one turn ago. Impacts are ordered as in the itinerary, so that this is
-    smooth in the times whatever they are.
-    """
-    ago, span = np.triu(np.ones((t.shape[1],) * 2, dtype=bool)), itinerary.span(lin)
-    found = green(lin.gap, lin.kick, span, zeta, t[:, :, None] - t[:, None] + ago * span[:, None, None])[:3]
-    return np.where(ago, found / zeta, found)
+    flips = np.where((turns[..., None] + earlier) % 2.0 == 0.0, 1.0, float(itinerary.sign))
+    return since + earlier * span[..., None], (1.0 + lin.R)[:, None, None] * points.v[:, None] * flips
 
 
 def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
     """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
-    y, v, _ = at_impacts(lin, itinerary, points)
+    y, v, _, _ = at_impacts(lin, itinerary, points)
     parts = [y - stops(lin, itinerary), v - points.v]
-    if unknown_offset(lin, itinerary):
-        parts.append(_balance(lin, itinerary, points)[:, None])
+    if unknown_offset(lin, itinerary):  # (1 + R) k sum_i v_i - load span of the rigid mode
+        j = rigid_mode(lin)
+        kicks = (1.0 + lin.R) * lin.kick[:, j, 1] * points.v.sum(1)
+        parts.append((kicks - lin.gap.block[:, j, COLUMN.load] * itinerary.span(lin))[:, None])
     return np.concatenate(parts, axis=1)
 
 
@@ -192,26 +187,7 @@ def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: c
 
     zero where z is a multiplier, and without poles.
     """
-    (N, m), own = points.t.shape, np.arange(points.t.shape[1])
     rigid = rigid_mode(lin) if itinerary.sign * z == 1 else None
-    _, speed, bend = at_impacts(lin, itinerary, points)
-    zeta = itinerary.sign * (z if isinstance(z, complex) else float(z))
-    g0, g1, g2 = (1.0 + lin.R)[:, None, None] * _pairs(lin, itinerary, points.t, zeta)
-    size, v = 2 * m + (rigid is not None), points.v[:, None]
-    J = np.zeros((N, size, size), dtype=g0.dtype)
-    J[:, :m, :m], J[:, :m, m : 2 * m] = g1 * v, -g0
-    J[:, m : 2 * m, :m], J[:, m : 2 * m, m : 2 * m] = g2 * v, -g1
-    J[:, own, own] += speed
-    J[:, m + own, own] += bend
-    J[:, m + own, m + own] -= 1.0
-    if rigid is not None:
-        J[:, :m, -1] = 1.0
-        J[:, -1, m : 2 * m] = ((1.0 + lin.R) * lin.kick[:, rigid, 1])[:, None]
-    return J
-
-
-def _balance(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """(1 + R) k sum_i v_i - load span of the rigid mode."""
-    j = rigid_mode(lin)
-    kicks = (1.0 + lin.R) * lin.kick[:, j, 1] * points.v.sum(1)
-    return np.asarray(kicks - lin.gap.block[:, j, COLUMN.load] * itinerary.span(lin))
+    given = *_plain(lin, itinerary, points), z if isinstance(z, complex) else float(z)
+    found: Table = jacobian(lin.gap, lin.kick, *given, -1 if rigid is None else rigid)
+    return found

@@ -1,23 +1,35 @@
-"""Events between two points of a branch or curve, located as solutions of square systems."""
+"""What is known at a point of a branch or curve: stability, test functions of events, whether it is admissible; and
+events between two points, located as solutions of square systems.
+"""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from workers.continuation.admissible import LOST, ORDER, Fault
-from workers.continuation.equations import motion_at
-from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, SPEED, Condition, Extended, solve
-from workers.continuation.monitors import Point, TestFunctions, fault, monitored, name_of, point_of
-from workers.continuation.newton import Array
-from workers.continuation.oscillator import NoOscillatorError
+from workers.continuation.admissible import LOST, ORDER, Fault, first_fault
+from workers.continuation.equations import Orbit, linearised, motion_at
+from workers.continuation.extended import ANGLE, CUSP, GRAZE, MINUS_ONE, PAIR, SPEED, UNIT, Condition, Extended, solve
+from workers.continuation.oscillator import Array, NoOscillatorError
 from workers.continuation.same import Reduction, difference, is_minimal, reduced, reductions
+from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.walk import Step
+
+Complex = NDArray[np.complex128]
+
+FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker",
+)  # fmt: skip
+GRAZING, IMPACT_LOST = "graze", "impact_lost"
+"""Kinds of events with one condition."""
+
+ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
+"""Strong resonances by cos theta."""
+
 
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
-
-TINY = 1e-300
 
 NEAR_HALVES = 1e-2
 """Difference of both halves, in radians of the force and relative speeds, below which a branch that stalls meets the
@@ -25,6 +37,129 @@ orbit of half the turn."""
 
 TRIES = 4
 """Halvings of a step that help to locate where a test function is zero."""
+
+
+class Point(NamedTuple):
+    """One orbit of a branch or curve, at parameters (free,).
+
+    contacts (G,)      times at which it grazes
+    multipliers (2n,)  of a turn, which is half the orbit where it is symmetric; unstable: how many have modulus above
+                       1, besides those that the event itself fixes
+    """
+
+    values: Array
+    orbit: Orbit
+    contacts: Array
+    multipliers: Complex
+    unstable: int
+
+
+class TestFunction(NamedTuple):
+    """A number that changes sign at an event, as its sign and the logarithm of its modulus; the event's conditions."""
+
+    sign: float
+    log: float
+    conditions: tuple[Condition, ...]
+
+
+class TestFunctions(NamedTuple):
+    """The test functions at a point, by name; the equations as they are bordered there; why it is not admissible."""
+
+    equations: Extended
+    point: Point
+    functions: dict[str, TestFunction]
+    fault: Fault | None
+
+
+def point_of(equations: Extended, X: Array) -> Point:
+    """The point of unknowns X (N,)."""
+    mu = multipliers(*equations.motion(X))[0]
+    unstable = int(np.sum(np.abs(_others(mu, equations)) > 1.0))
+    return Point(equations.values(X).copy(), equations.orbit(X), equations.contacts(X).copy(), mu, unstable)
+
+
+def monitored(equations: Extended, X: Array) -> TestFunctions:
+    """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
+    equations = equations.at(X)
+    point, motion, own = point_of(equations, X), equations.motion(X), equations.conditions
+    kind = own[0].kind if own else None
+    found = {}
+    for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
+        if kind != name:
+            sign, log = np.linalg.slogdet(linearised(*motion, z)[0])
+            own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
+            found[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
+    others = _others(point.multipliers, equations)
+    if kind == UNIT:
+        found[CUSP] = _function(float(equations.curvature(motion)[0]), (*own, Condition(CUSP)))
+        found["double"] = _function(float(np.prod(1.0 - others).real), _resonance(1.0))
+    if kind == MINUS_ONE:
+        found["double"] = _function(float(np.prod(1.0 + others).real), _resonance(-1.0))
+    if kind == PAIR:
+        kappa = 0.5 * equations.totals[0]
+        found |= {name: _function(kappa - angle, _resonance(angle)) for angle, name in ANGLES.items()}
+    else:
+        found[PAIR] = _pairs(others, own)
+    return TestFunctions(equations, point, found, fault(equations, X))
+
+
+def fault(equations: Extended, X: Array) -> Fault | None:
+    """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
+    if not equations.family.certified:
+        return None
+    lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
+    return first_fault(*equations.motion(X), equations.contacts(X), lost)
+
+
+def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
+    """The name of an event with these conditions, one or two."""
+    kinds = [condition.kind for condition in conditions]
+    if ANGLE in kinds:
+        return ANGLES[conditions[kinds.index(ANGLE)].kappa]
+    if CUSP in kinds:
+        return "cusp"
+    flip = SYMMETRY_BREAKING if symmetric else PERIOD_DOUBLING
+    names = {UNIT: FOLD, MINUS_ONE: flip, PAIR: NEIMARK_SACKER, GRAZE: GRAZING, SPEED: IMPACT_LOST}
+    if len(kinds) == 1:
+        return names[kinds[0]]
+    if set(kinds) == {UNIT, MINUS_ONE}:
+        return "fold_flip"
+    other = [names[kind] for kind in kinds if kind not in (GRAZE, SPEED)]
+    if not other:
+        return "double_graze"
+    return f"graze_{other[0]}" if len(other) == 1 else "_".join(sorted(other))
+
+
+def _others(mu: Complex, equations: Extended) -> Complex:
+    """The finite multipliers besides those that the conditions fix."""
+    left = mu[np.isfinite(mu)]
+    for condition, total in zip(equations.conditions, equations.totals, strict=True):
+        if condition.kind in (UNIT, MINUS_ONE) and len(left):
+            left = np.delete(left, np.argmin(np.abs(left - (1.0 if condition.kind == UNIT else -1.0))))
+        if condition.kind == PAIR and len(left) > 1:
+            left = np.delete(left, pair_near(left[None], np.array([total]))[2][0])
+    return left
+
+
+def _pairs(others: Complex, own: tuple[Condition, ...]) -> TestFunction:
+    """prod (mu_i mu_j - 1) over all pairs of multipliers: zero where one lies on the unit circle."""
+    i, j = np.triu_indices(len(others), 1)
+    with np.errstate(all="ignore"):
+        products = others[i] * others[j]
+        value = float(np.prod(products - 1.0).real)
+    nearest = np.argmin(np.abs(products.real - 1.0)) if len(products) else None
+    kappa = 0.0 if nearest is None else 0.5 * float((others[i] + others[j])[nearest].real)
+    return _function(value, (*own, Condition(PAIR, kappa=kappa)))
+
+
+def _resonance(kappa: float) -> tuple[Condition, ...]:
+    return Condition(PAIR, kappa=kappa), Condition(ANGLE, kappa=kappa)
+
+
+def _function(value: float, conditions: tuple[Condition, ...]) -> TestFunction:
+    if not math.isfinite(value):
+        return TestFunction(0.0, math.inf, conditions)
+    return TestFunction(float(np.sign(value)), math.log(abs(value)) if value else -math.inf, conditions)
 
 
 class Event(NamedTuple):
@@ -44,40 +179,25 @@ class LocatedEvent(NamedTuple):
     admissible: bool
 
 
-class Change(NamedTuple):
-    """A test function that changed its sign: its name, the share of the step at which it is zero, about, the sign after
-    it, and the conditions of the event.
-    """
-
-    name: str
-    share: float
-    sign: float
-    conditions: tuple[Condition, ...]
-
-
-def changes(before: TestFunctions, after: TestFunctions) -> list[Change]:
+def changed(before: TestFunctions, after: TestFunctions) -> list[str]:
     """The test functions that changed their sign."""
-    found = []
-    for name, b in after.functions.items():
-        a = before.functions[name]
-        if a.sign * b.sign < 0.0:
-            found.append(Change(name, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0))), b.sign, b.conditions))
-    return found
+    return [name for name, b in after.functions.items() if before.functions[name].sign * b.sign < 0.0]
 
 
-def located(step: Step, change: Change) -> LocatedEvent | None:
+def located(step: Step, before: TestFunctions, after: TestFunctions, name: str) -> LocatedEvent | None:
     """The event at which a test function changed its sign; None at a pole, at a real pair of product 1."""
-    low, high, guess = 0.0, 1.0, change.share
+    a, b = before.functions[name], after.functions[name]
+    low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
     for _ in range(TRIES):
-        found = _solved(step, step.guess(guess), change.conditions)
+        found = _solved(step, step.guess(guess), b.conditions)
         if found is not None:
             return found
         guess = 0.5 * (low + high)
         middle = step.solution(guess)
         if not middle.converged:
             return None
-        changed = monitored(step.equations, middle.X).functions[change.name].sign == change.sign
-        low, high = (low, guess) if changed else (guess, high)
+        passed = monitored(step.equations, middle.X).functions[name].sign == b.sign
+        low, high = (low, guess) if passed else (guess, high)
         guess = 0.5 * (low + high)
     return None
 
@@ -109,58 +229,52 @@ def origin(step: Step, to: Reduction) -> LocatedEvent | None:
     own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
     if own != eq.conditions:
         return None
-    a, b = (float(np.linalg.norm(difference(*eq.motion(X), to))) + TINY for X in (step.here, step.there))
+    a, b = (float(np.linalg.norm(difference(*eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
     share = a / (a + b)
     guess = step.guess(share)
-    orbit, values = reduced(eq.orbit(guess), to), eq.values(guess)
-    square = Extended(eq.family, orbit, (*own, Condition(MINUS_ONE)), values, eq.width)
-    X = square.pack(orbit, eq.contacts(guess[None])[0], values)
-    square = square.at(X)
-    found = solve(square, X)
-    return _event(square, found.X, share) if found.converged else None
+    found = _solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
+    return None if found is None else _event(*found, share)
 
 
-def halves_between(step: Step) -> Reduction | None:
-    """The orbit of half the turn that is passed on a step: both halves exchange their parts there."""
-    for to in _halves(step.equations):
-        a, b = (difference(*step.equations.motion(X), to) for X in (step.here, step.there))
-        if a @ b <= 0.0:
-            return to
+def halves_met(step: Step) -> Reduction | None:
+    """The orbit of half the turn that is passed on a step: both halves exchange their parts there. Where no step
+    converged, ``here`` and ``there`` being one, that which it nearly is.
+    """
+    for to in reductions(step.equations.itinerary):
+        if to.parts == 2:
+            a, b = (difference(*step.equations.motion(X), to) for X in (step.here, step.there))
+            if a @ b <= 0.0 or (step.here is step.there and np.max(np.abs(a)) < NEAR_HALVES):
+                return to
     return None
-
-
-def nearly_halves(equations: Extended, X: Array) -> Reduction | None:
-    """The orbit of half the turn that unknowns X (N,) nearly are."""
-    for to in _halves(equations):
-        if np.max(np.abs(difference(*equations.motion(X), to))) < NEAR_HALVES:
-            return to
-    return None
-
-
-def _halves(equations: Extended) -> list[Reduction]:
-    return [to for to in reductions(equations.itinerary) if to.parts == 2]
 
 
 def _solved(
-    step: Step, guess: Array, conditions: tuple[Condition, ...], contact: float | None = None
+    step: Step, guess: Array, conditions: tuple[Condition, ...], contact: tuple[float, ...] = ()
 ) -> LocatedEvent | None:
-    """The event with these conditions near a guess, if on the step; ``contact`` is a new contact time."""
+    """The event with these conditions near a guess, if on the step; ``contact``: the time of a new graze."""
     eq = step.equations
-    orbit, values = eq.orbit(guess), eq.values(guess)
-    square = Extended(eq.family, orbit, conditions, values, eq.width)
-    kept = eq.contacts(guess[None])[0] if square.grazes >= eq.grazes else np.zeros(0)
-    X = square.pack(orbit, np.append(kept, [] if contact is None else contact), values)
+    found = _solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
+    share = None if found is None else step.share_of(found[1])
+    if found is None or share is None or not is_minimal(*found[0].motion(found[1])):
+        return None
+    met = _event(*found, share)
+    kappa = abs(met.event.kappa)
+    return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else met
+
+
+def _solution(
+    equations: Extended, orbit: Orbit, conditions: tuple[Condition, ...], contacts: Array, guess: Array
+) -> tuple[Extended, Array] | None:
+    """The square system of these conditions and its solution near an orbit and the parameters of a guess."""
+    values = equations.values(guess)
+    square = Extended(equations.family, orbit, conditions, values, equations.width)
+    X = square.pack(orbit, contacts, values)
     try:
         square = square.at(X)
         found = solve(square, X)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None
-    share = step.share_of(found.X) if found.converged else None
-    if share is None or not is_minimal(*square.motion(found.X)):
-        return None
-    located = _event(square.at(found.X), found.X, share)
-    kappa = located.event.kappa
-    return None if (len(conditions) == 1 and abs(kappa) >= 1.0) or abs(kappa) > 1.0 + 1e-9 else located
+    return (square.at(found.X), found.X) if found.converged else None
 
 
 def _event(square: Extended, X: Array, share: float) -> LocatedEvent:
@@ -179,7 +293,7 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     if why.reason == LOST:
         return _solved(step, X, (*own, Condition(SPEED, impact=why.impact)))
     peak = _peak(step.equations, X, why)
-    return None if peak is None else _solved(step, X, (*own, Condition(GRAZE, side=why.side)), peak)
+    return None if peak is None else _solved(step, X, (*own, Condition(GRAZE, side=why.side)), (peak,))
 
 
 def _peak(equations: Extended, X: Array, why: Fault) -> float | None:

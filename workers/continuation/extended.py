@@ -8,14 +8,14 @@ that Newton's method still gains six digits or more a step.
 
 import math
 from copy import copy
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.continuation.equations import (
     Impacts,
-    Itinerary,
+    Motion,
     Orbit,
     check_orbits,
     linearised,
@@ -24,13 +24,11 @@ from workers.continuation.equations import (
     unknown_offset,
     unpacked,
 )
-from workers.continuation.newton import newton
+from workers.continuation.newton import Array, Rows, Solved, newton
 from workers.continuation.oscillator import Family, ModalOscillator, NoOscillatorError
 from workers.continuation.stability import multipliers, pair_near
 from workers.model.modes import stacked
-from workers.model.oscillator import taken
-
-Array = NDArray[np.float64]
+from workers.model.oscillator import each, taken
 
 DIFFERENCE = 6e-6
 """Half the length of a central difference, in units of an unknown's scale: about the cube root of rounding."""
@@ -68,31 +66,26 @@ class Extended:
     ) -> None:
         self.family, self.itinerary, self.conditions = family, orbit.itinerary, conditions
         self.width = np.asarray(width, dtype=np.float64)
-        self.known: dict[bytes, ModalOscillator] = {}
+        self._model = lru_cache(REMEMBERED)(lambda *values: family.model(np.array([values], dtype=np.float64)))
         lin = self.model(np.asarray(values, dtype=np.float64))
         check_orbits(lin, orbit.itinerary)
         self.m, self.free = len(orbit.itinerary.sides), len(family.free)
         self.shift = int(unknown_offset(lin, orbit.itinerary))
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
         time = 1.0 / float(lin.omega[0])
-        stops_at = [abs(float(stop[0])) for stop in (lin.upper, lin.lower) if np.isfinite(stop[0])]
-        forced_size = float(np.abs(lin.gap.sin_part).sum() + np.abs(lin.gap.cos_part).sum())
-        speed = max(float(np.max(np.abs(orbit.speeds), initial=0.0)), 1e-3 * max(forced_size, *stops_at, 1e-300) / time)
-        root = math.sqrt(max(1, self.m))
-        parts = [np.full(self.m, root * time), np.full(self.m, root * speed), np.full(self.shift, speed * time)]
-        self.scale = np.concatenate([*parts, np.full(self.grazes, time), self.width])
-        self.unit = np.concatenate([self.scale[: 2 * self.m], [speed * time]])
+        clearances = np.abs([lin.upper[0], lin.lower[0]])
+        forced = float(np.abs(lin.gap.sin_part).sum() + np.abs(lin.gap.cos_part).sum())
+        least = 1e-3 * max(forced, float(np.max(clearances, initial=1e-300, where=np.isfinite(clearances)))) / time
+        speed, root = max(float(np.max(np.abs(orbit.speeds), initial=0.0)), least), math.sqrt(max(1, self.m))
+        sizes = [root * time, root * speed, speed * time]
+        states = np.repeat([*sizes, time], [self.m, self.m, self.shift, self.grazes])
+        self.scale, self.unit = np.concatenate([states, self.width]), np.repeat(sizes, [self.m, self.m, 1])
         self.totals = [2.0 * condition.kappa for condition in conditions]
-        self.borders: list[tuple[Array, Array] | None] = [None] * len(conditions)
+        self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
     def model(self, values: Array) -> ModalOscillator:
         """The oscillator at parameters (free,), as the only one of a record of many."""
-        key = values.tobytes()
-        if key not in self.known:
-            if len(self.known) >= REMEMBERED:
-                self.known.pop(next(iter(self.known)))
-            self.known[key] = self.family.model(values[None])
-        return self.known[key]
+        return self._model(*values.tolist())
 
     @property
     def states(self) -> int:
@@ -105,14 +98,14 @@ class Extended:
         return np.concatenate([orbit.times, orbit.speeds, offset, contacts, values])
 
     def contacts(self, X: Array) -> Array:
-        """The contact times (B, G) of unknowns (B, N)."""
-        return X[:, self.states : self.states + self.grazes]
+        """The contact times (..., G) of unknowns (..., N)."""
+        return X[..., self.states : self.states + self.grazes]
 
     def values(self, X: Array) -> Array:
         """The parameters (..., free) of unknowns (..., N)."""
         return X[..., X.shape[-1] - self.free :]
 
-    def motion(self, X: Array) -> tuple[ModalOscillator, Itinerary, Impacts]:
+    def motion(self, X: Array) -> Motion:
         """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
         return self.model(self.values(X)), self.itinerary, unpacked(X[None], self.m, self.shift)
 
@@ -120,25 +113,27 @@ class Extended:
         """The orbit of unknowns (N,)."""
         return unpacked(X[None], self.m, self.shift).orbit(self.itinerary)
 
-    def residual(self, X: Array) -> Array:
-        """All equations (equations,) at unknowns (N,), exact."""
-        return self._all(X[None], self.model(self.values(X)))[0]
+    def residual(self, X: Array, _: Rows | None = None) -> Array:
+        """All equations (1, equations) at unknowns (1, N), exact."""
+        return self._all(X, self.model(self.values(X[0])))
 
-    def with_jacobian(self, X: Array) -> tuple[Array, Array]:
-        """All equations (equations,) and their derivatives (equations, N) at unknowns (N,)."""
-        N = len(X)
+    def with_jacobian(self, X: Array, _: Rows | None = None) -> tuple[Array, Array]:
+        """All equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
+        N = X.shape[1]
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
-        rows = np.concatenate([X[None], X + steps, X - steps])
-        values, which = np.unique(self.values(rows), axis=0, return_inverse=True)
-        lin = taken(self.family.model(values), which.ravel())
+        rows = np.concatenate([X, X + steps, X - steps])
+        values, which = self.values(rows), np.zeros(len(rows), dtype=np.int64)
+        others = np.append(0, np.flatnonzero(np.any(values != values[0], axis=1)))
+        which[others] = np.arange(len(others))
+        lin = taken(self.family.model(values[others]), which)
         base, ahead, behind = np.split(self._all(rows, lin), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
         J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
-        here = taken(lin, np.zeros(1, dtype=np.int64)), self.itinerary, unpacked(X[None], self.m, self.shift)
+        here = each(lin, lambda field: field[:1]), self.itinerary, unpacked(X, self.m, self.shift)
         J[: self.states, : self.states] = linearised(*here)[0]
         J[: self.states, self.states : N - self.free] = 0.0
-        return base[0], J
+        return base, J[None]
 
     def at(self, X: Array) -> "Extended":
         """The same equations, bordered with null vectors at X, in the directions of the former ones; and the pair asked
@@ -148,22 +143,13 @@ class Extended:
         found.borders, found.totals = list(self.borders), list(self.totals)
         for i, condition in enumerate(self.conditions):
             if condition.kind in (UNIT, MINUS_ONE):
-                U, _, Vt = np.linalg.svd(self._bordered_matrix(condition, *motion)[0])
-                left, right = U[:, -1], Vt[-1]
-                former = self.borders[i]
-                if former is not None:
-                    left, right = left * np.sign(left @ former[0] or 1.0), right * np.sign(right @ former[1] or 1.0)
-                found.borders[i] = (left, right)
+                U, _, Vt = np.linalg.svd(self._bordered_matrix(condition, motion)[0])
+                (a, b), left, right = self.borders[i], U[:, -1], Vt[-1]
+                found.borders[i] = left * np.sign(np.sum(a * left) or 1.0), right * np.sign(np.sum(b * right) or 1.0)
             if condition.kind == PAIR:
                 total, _, _ = pair_near(multipliers(*motion), np.array([self.totals[i]]))
                 found.totals[i] = float(total[0])
         return found
-
-    def null_vector(self, condition: int) -> Array:
-        """The perturbation (2m,) or (2m + 1,) that a multiplier 1 or -1 leaves free."""
-        found = self.borders[condition]
-        assert found is not None
-        return found[1]
 
     def _all(self, X: Array, lin: ModalOscillator) -> Array:
         """All equations (B, equations) at unknowns (B, N), of oscillators of the same rows."""
@@ -181,50 +167,37 @@ class Extended:
                 total, product, _ = pair_near(multipliers(*motion), np.full(len(X), self.totals[i]))
                 parts.append((product - 1.0 if condition.kind == PAIR else total - 2.0 * condition.kappa)[:, None])
             elif condition.kind == CUSP:
-                parts.append(self.curvature(lin, points)[:, None])
+                parts.append(self.curvature(motion)[:, None])
             else:
-                parts.append(self._solved(i, lin, points)[:, -1:])
+                parts.append(self._solved(i, motion)[:, -1:])
         return np.concatenate(parts, axis=1)
 
-    def _bordered_matrix(
-        self, condition: Condition, lin: ModalOscillator, itinerary: Itinerary, points: Impacts
-    ) -> Array:
+    def _bordered_matrix(self, condition: Condition, motion: Motion) -> Array:
         """J_z of a condition on a multiplier, in units of the scale of the unknowns."""
-        J = linearised(lin, itinerary, points, 1 if condition.kind == UNIT else -1)
+        J = linearised(*motion, 1 if condition.kind == UNIT else -1)
         unit = self.unit[: J.shape[2]]
         return np.asarray(J * unit / unit[:, None])
 
-    def _solved(self, i: int, lin: ModalOscillator, points: Impacts) -> Array:
+    def _solved(self, i: int, motion: Motion) -> Array:
         """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
-        J = self._bordered_matrix(self.conditions[i], lin, self.itinerary, points)
-        border = self.borders[i]
-        assert border is not None
+        J = self._bordered_matrix(self.conditions[i], motion)
         size = J.shape[1]
         matrix = np.zeros((len(J), size + 1, size + 1))
-        matrix[:, :size, :size], matrix[:, :size, -1], matrix[:, -1, :size] = J, *border
+        matrix[:, :size, :size], matrix[:, :size, -1], matrix[:, -1, :size] = J, *self.borders[i]
         right = np.zeros((len(J), size + 1, 1))
         right[:, -1] = 1.0
         return np.asarray(stacked(np.linalg.solve, right.shape, matrix, right)[..., 0])
 
-    def curvature(self, lin: ModalOscillator, points: Impacts) -> Array:
+    def curvature(self, motion: Motion) -> Array:
         """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
-        w = unpacked(self._solved(fold, lin, points) * np.append(self.scale[: self.states], 1.0), self.m, self.shift)
+        w = unpacked(self._solved(fold, motion) * np.append(self.scale[: self.states], 1.0), self.m, self.shift)
         ends = (
-            Impacts(*(field + sign * CURVED * along for field, along in zip(points, w, strict=True)))
+            Impacts(*(field + sign * CURVED * along for field, along in zip(motion[2], w, strict=True)))
             for sign in (1.0, -1.0)
         )
-        ahead, behind = (self._solved(fold, lin, end)[:, -1] for end in ends)
+        ahead, behind = (self._solved(fold, (*motion[:2], end))[:, -1] for end in ends)
         return np.asarray((ahead - behind) / (2.0 * CURVED))
-
-
-class Solved(NamedTuple):
-    """What Newton's method found: unknowns (N,), Jacobian near there, steps taken, and whether it converged."""
-
-    X: Array
-    jacobian: Array
-    steps: int
-    converged: bool
 
 
 def solve(equations: Extended, X: Array, row: Array | None = None) -> Solved:
@@ -232,13 +205,8 @@ def solve(equations: Extended, X: Array, row: Array | None = None) -> Solved:
 
     It fails as ``newton``, and where there is no oscillator.
     """
-
-    def with_jacobian(X: Array, _: NDArray[np.int64]) -> tuple[Array, Array]:
-        known, J = equations.with_jacobian(X[0])
-        return known[None], J[None]
-
     try:
-        found = newton(lambda X, _: equations.residual(X[0])[None], with_jacobian, X[None], equations.scale[None], row)
+        found = newton(equations.residual, equations.with_jacobian, X[None], equations.scale[None], row)
     except NoOscillatorError:
         return Solved(X, np.zeros((0, 0)), 0, False)
     return Solved(found.X[0], found.jacobian[0], found.steps, bool(found.converged[0]))

@@ -10,6 +10,7 @@ from workers.continuation.admissible import first_fault
 from workers.continuation.equations import (
     Impacts,
     Itinerary,
+    Motion,
     Orbit,
     check_orbits,
     impacts_of,
@@ -19,7 +20,7 @@ from workers.continuation.equations import (
     unpacked,
 )
 from workers.continuation.newton import Array, Rows, newton
-from workers.continuation.oscillator import Family, ModalOscillator
+from workers.continuation.oscillator import Family
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.model.oscillator import taken
@@ -70,7 +71,7 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
     fastest, time = np.max(np.abs(before.v), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
     scale = np.repeat(np.concatenate([time, fastest, fastest * time], axis=1), [m, m, shift], axis=1)
 
-    def motion(X: Array, rows: Rows) -> tuple[ModalOscillator, Itinerary, Impacts]:
+    def motion(X: Array, rows: Rows) -> Motion:
         return taken(lin, known[rows]), itinerary, unpacked(X, m, shift)
 
     known = np.flatnonzero(orbits.found)

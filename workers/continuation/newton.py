@@ -1,7 +1,7 @@
 """Newton's method on a stack of N problems of one kind; one problem is N = 1."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,15 @@ KEPT = 1e-4
 """Step after which the Jacobian is kept."""
 
 
-class Solutions(NamedTuple):
-    """Unknowns (N, U), their Jacobians near there (N, E, U), steps taken, and which of the problems converged (N,)."""
+class Solved(NamedTuple):
+    """What Newton's method found: unknowns (N, U), their Jacobians near there (N, E, U), steps taken, and which of the
+    problems converged (N,). Of one problem without the first axis.
+    """
 
     X: Array
     jacobian: Array
     steps: int
-    converged: NDArray[np.bool_]
+    converged: Any
 
 
 def newton(
@@ -37,7 +39,7 @@ def newton(
     scale: Array,
     row: Array | None = None,
     farthest: float = 1.0,
-) -> Solutions:
+) -> Solved:
     """Newton's method from X (N, U).
 
     values, with_jacobian  what is to vanish (B, E) at unknowns (B, U) of problems (B,), and its derivatives (B, E, U)
@@ -67,7 +69,7 @@ def newton(
             known, J[rows] = with_jacobian(X[rows], rows)
         elif len(rows):
             known = values(X[rows], rows)
-    return Solutions(X, J, step, converged)
+    return Solved(X, J, step, converged)
 
 
 def _solved(J: Array, right: Array, row: Array | None, scale: Array) -> Array:

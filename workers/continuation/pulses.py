@@ -4,11 +4,11 @@ A turn has length ``span``; from turn to turn a kick is multiplied by zeta. The 
 u(s) = (I - e^(A span) / zeta)^-1 e^(A s) k. Periodic kicks have zeta = 1; those of a symmetric orbit, one half period
 after the other, zeta = -1; growing perturbations of orbits others.
 
-Everywhere gap is the signal of N oscillators, kick (N, n, 2) the column that impacts kick along and span (N,).
+Everywhere kick (N, n, 2) is the column that impacts kick along and span (N,).
 """
 
 import math
-from functools import cache
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +23,15 @@ TERMS = 24
 """Terms of the series for a rigid mode of little damping: 2 (2 eta span / 2 pi)^24 is below rounding."""
 
 
-@cache
-def _coefficients(n: int) -> tuple[float, ...]:
-    """Coefficients of B_n, of u^0 first: B_0 = 1, B_n' = n B_(n-1), mean zero."""
-    if n == 0:
-        return (1.0,)
-    higher = [n * a / (i + 1) for i, a in enumerate(_coefficients(n - 1))]
-    return (-math.fsum(a / (i + 2) for i, a in enumerate(higher)), *higher)
+def _bernoulli_polynomials() -> NDArray[np.float64]:
+    """Coefficients of B_n(u) / n!, n by n, of u^0 first: b_(n-k) / k! of u^k, with x / (e^x - 1) = sum_n b_n x^n."""
+    b, orders = [Fraction(1)], range(TERMS + 1)
+    for n in orders[1:]:
+        b.append(-sum((b[k] / math.factorial(n + 1 - k) for k in range(n)), Fraction(0)))
+    return np.array([[float(b[n - k] / math.factorial(k)) if k <= n else 0.0 for k in orders] for n in orders])
 
 
-def _table() -> NDArray[np.float64]:
-    """Coefficients of B_n(u) / n!, n by n, of u^0 first."""
-    found = np.zeros((TERMS + 1, TERMS + 1))
-    for n in range(TERMS + 1):
-        found[n, : n + 1] = np.array(_coefficients(n)) / math.factorial(n)
-    return found
-
-
-BERNOULLI = _table()
+BERNOULLI = _bernoulli_polynomials()
 
 
 @kernel
@@ -51,15 +42,13 @@ def green(gap, kick, span, zeta, since):
     found = np.full((4, N, K, m), 0.0 * zeta)
     for r in range(N):
         for j in range(kick.shape[1]):
-            block, c0, c1, k1 = gap.block[r, j], gap.row[r, j, 0], gap.row[r, j, 1], kick[r, j, 1]
+            block, row, row1, k1 = gap.block[r, j], gap.row[r, j], gap.row1[r, j], kick[r, j, 1]
             eta, lam = block[COLUMN.eta], block[COLUMN.lam]
-            balanced = lam == 0.0 and zeta == 1.0
-            first = _first(block, kick[r, j, 0], k1, span[r], zeta, balanced)
-            pull = c0 * k1 / span[r] if balanced else 0.0
+            first, balanced = _first(block, kick[r, j], span[r], zeta)
+            pull = row[0] * k1 / span[r] if balanced else 0.0
             for i, p in np.ndindex(K, m):
                 h, rate = _answer(block, k1, span[r], balanced, first, since[r, i, p])
-                q0 = c0 * h + c1 * rate
-                q1 = (c0 - 2.0 * eta * c1) * rate - lam * c1 * h
+                q0, q1 = row[0] * h + row[1] * rate, row1[0] * h + row1[1] * rate
                 q2 = -2.0 * eta * q1 - lam * q0 - pull
                 found[0, r, i, p] += q0
                 found[1, r, i, p] += q1
@@ -69,31 +58,79 @@ def green(gap, kick, span, zeta, since):
 
 
 @kernel
-def block_answers(gap, kick, span, zeta, since):
-    """u = (h, h') of the blocks (2, N, n, K, m) at times ``since`` (N, K, m)."""
-    gap, kick = borrowed(gap), borrowed(kick)
-    (N, K, m), n = since.shape, kick.shape[1]
-    found = np.empty((2, N, n, K, m))
-    for r in range(N):
-        for j in range(n):
-            block, k1 = gap.block[r, j], kick[r, j, 1]
-            balanced = block[COLUMN.lam] == 0.0 and zeta == 1.0
-            first = _first(block, kick[r, j, 0], k1, span[r], zeta, balanced)
-            for i, p in np.ndindex(K, m):
-                u = _answer(block, k1, span[r], balanced, first, since[r, i, p])
-                found[0, r, j, i, p], found[1, r, j, i, p] = u
+def pairs(gap, kick, span, zeta, t):
+    """g and its first three derivatives (4, N, m, m) at impact i of the kicks at impact j, at times t (N, m).
+
+    Kicks are the latest before impact i, its own one turn ago. Impacts are ordered as in the itinerary, so that this is
+    smooth in the times whatever they are.
+    """
+    N, m = t.shape
+    since = np.empty((N, m, m))
+    for r, i, j in np.ndindex(N, m, m):
+        since[r, i, j] = t[r, i] - t[r, j] + (span[r] if i <= j else 0.0)
+    found = green(gap, kick, span, zeta, since)
+    for d, r, i, j in np.ndindex(4, N, m, m):
+        if i <= j:
+            found[d, r, i, j] /= zeta
     return found
 
 
 @kernel
-def _first(block, k0, k1, span, zeta, balanced):
-    """u(0) = (I - e^(A span) / zeta)^-1 k of a block; 0 where a constant load balances the kicks."""
-    if balanced:
-        return 0.0 * (k0 / zeta), 0.0 * (k1 / zeta)
+def before_impacts(gap, kick, tau, q, span, sign, t, v, offset):
+    """y and its first three derivatives (4, N, m) just before impacts of times t and speeds v (N, m); q is 1 + R."""
+    found, answer = forced_motion(gap, tau, t), pairs(gap, kick, span, sign, t)
+    for d, r, i in np.ndindex(found.shape):
+        for j in range(t.shape[1]):
+            found[d, r, i] -= q[r] * answer[d, r, i, j] * v[r, j]
+        found[d, r, i] += offset[r] if d == 0 else 0.0
+    return found
+
+
+@kernel
+def jacobian(gap, kick, tau, q, span, sign, t, v, offset, z, rigid):
+    """J_z (N, M, M) of ``equations.linearised``; rigid is the block of a rigid mode that borders it, -1 where none."""
+    N, m = t.shape
+    before = before_impacts(gap, kick, tau, q, span, sign, t, v, offset)
+    answer = pairs(gap, kick, span, sign * z, t)
+    size = 2 * m + (1 if rigid >= 0 else 0)
+    J = np.full((N, size, size), 0.0 * z)
+    for r, i in np.ndindex(N, m):
+        for j in range(m):
+            g0, g1, g2 = q[r] * answer[0, r, i, j], q[r] * answer[1, r, i, j], q[r] * answer[2, r, i, j]
+            J[r, i, j], J[r, i, m + j] = g1 * v[r, j], -g0
+            J[r, m + i, j], J[r, m + i, m + j] = g2 * v[r, j], -g1
+        J[r, i, i] += before[1, r, i]
+        J[r, m + i, i] += before[2, r, i]
+        J[r, m + i, m + i] -= 1.0
+        if rigid >= 0:
+            J[r, i, size - 1] = 1.0
+            J[r, size - 1, m + i] = q[r] * kick[r, rigid, 1]
+    return J
+
+
+@kernel
+def answers(block, kick, span, zeta, since):
+    """u = (h, h') (2, N, n, K, m) of blocks (N, n, columns) at times ``since`` (N, K, m)."""
+    (N, K, m), n = since.shape, kick.shape[1]
+    found = np.empty((2, N, n, K, m))
+    for r, j in np.ndindex(N, n):
+        first, balanced = _first(block[r, j], kick[r, j], span[r], zeta)
+        for i, p in np.ndindex(K, m):
+            u = _answer(block[r, j], kick[r, j, 1], span[r], balanced, first, since[r, i, p])
+            found[0, r, j, i, p], found[1, r, j, i, p] = u
+    return found
+
+
+@kernel
+def _first(block, kick, span, zeta):
+    """u(0) = (I - e^(A span) / zeta)^-1 k of a block, 0 where a load balances the kicks; and whether one does."""
+    k0, k1 = kick[0], kick[1]
+    if block[COLUMN.lam] == 0.0 and zeta == 1.0:
+        return (0.0 * (k0 / zeta), 0.0 * (k1 / zeta)), True
     f11, f12, f21, f22 = block_flow(block, span)
     e11, e12, e21, e22 = f11 / zeta, f12 / zeta, f21 / zeta, f22 / zeta
     det = (1.0 - e11) * (1.0 - e22) - e12 * e21
-    return ((1.0 - e22) * k0 + e12 * k1) / det, (e21 * k0 + (1.0 - e11) * k1) / det
+    return (((1.0 - e22) * k0 + e12 * k1) / det, (e21 * k0 + (1.0 - e11) * k1) / det), False
 
 
 @kernel

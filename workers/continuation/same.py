@@ -3,12 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.continuation.equations import Impacts, Itinerary, Orbit
-from workers.continuation.oscillator import ModalOscillator
-
-Array = NDArray[np.float64]
+from workers.continuation.oscillator import Array, ModalOscillator
 
 SAME = 1e-7
 """Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""
@@ -58,23 +55,22 @@ def _whole(orbit: Orbit, omega: float) -> tuple[Array, Array, Array]:
 
 
 class Reduction(NamedTuple):
-    """A turn that may be ``parts`` turns of another orbit, which changes by ``sign`` from one to the next."""
+    """A turn that may be ``parts`` turns of an orbit of a shorter or symmetric itinerary."""
 
     parts: int
-    sign: int
+    itinerary: Itinerary
 
 
 def reductions(itinerary: Itinerary) -> list[Reduction]:
     """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
     sides, m, found = itinerary.sides, len(itinerary.sides), []
-    halves = _half_periods(itinerary)
-    for parts in (parts for parts in range(2, m + 1) if m % parts == 0):
-        k = m // parts
+    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn
+    for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
+        k, length = m // parts, halves // parts
         for sign in (1, -1):
-            closes = sign**parts == itinerary.sign
-            repeats = all(sides[i + k] == sign * sides[i] for i in range(m - k))
-            if closes and repeats and halves % parts == 0 and (halves // parts) % 2 == (sign < 0):
-                found.append(Reduction(parts, sign))
+            closes = sign**parts == itinerary.sign and length % 2 == (sign < 0)
+            if closes and all(sides[i + k] == sign * sides[i] for i in range(m - k)):
+                found.append(Reduction(parts, Itinerary(sides[:k], length if sign < 0 else length // 2, sign < 0)))
     return found
 
 
@@ -84,7 +80,7 @@ def difference(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, to: 
     k = len(t) // to.parts
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / to.parts
     kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
-    return np.concatenate([later * lin.omega[0], (kicks - to.sign * v) / np.max(np.abs(v))])
+    return np.concatenate([later * lin.omega[0], (kicks - to.itinerary.sign * v) / np.max(np.abs(v))])
 
 
 def is_minimal(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> bool:
@@ -94,11 +90,5 @@ def is_minimal(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> b
 
 def reduced(orbit: Orbit, to: Reduction) -> Orbit:
     """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
-    k, halves = len(orbit.times) // to.parts, _half_periods(orbit.itinerary) // to.parts
-    itinerary = Itinerary(orbit.itinerary.sides[:k], halves if to.sign < 0 else halves // 2, to.sign < 0)
-    return Orbit(itinerary, orbit.times[:k].copy(), orbit.speeds[:k].copy(), orbit.offset if to.sign > 0 else 0.0)
-
-
-def _half_periods(itinerary: Itinerary) -> int:
-    """Half forcing periods in a turn."""
-    return itinerary.periods * (1 if itinerary.symmetric else 2)
+    k, offset = len(to.itinerary.sides), 0.0 if to.itinerary.symmetric else orbit.offset
+    return Orbit(to.itinerary, orbit.times[:k].copy(), orbit.speeds[:k].copy(), offset)

@@ -14,9 +14,8 @@ from workers.continuation.equations import (
     stops,
     unknown_offset,
 )
-from workers.continuation.extended import Extended, solve
-from workers.continuation.newton import Array
-from workers.continuation.oscillator import Family, family_of, modal
+from workers.continuation.many import many_of, moved
+from workers.continuation.oscillator import Array, Family, family_of, modal
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
 from workers.kernel.stroboscopic import motion_from, propagate
 from workers.model.oscillator import Oscillator
@@ -43,7 +42,11 @@ def orbit_from_state(
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The same where the oscillator is built, of a family at parameters (free,)."""
     orbit = recorded(osc, state, periods, symmetric)
-    return refined(family, orbit._replace(offset=_offset(family, orbit, values)), values)
+    lin = family.model(values[None])
+    if orbit.itinerary.sides and unknown_offset(lin, orbit.itinerary):  # about what impacts miss their stops by
+        y = at_impacts(lin, orbit.itinerary, impacts_of(orbit))[0]
+        orbit = orbit._replace(offset=float(np.mean(stops(lin, orbit.itinerary) - y)))
+    return refined(family, orbit, values)
 
 
 def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
@@ -71,22 +74,12 @@ def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Or
     return in_one_turn(Orbit(itinerary, impacts[:, 0] + shift * osc.period, sides * impacts[:, 2]), span)
 
 
-def _offset(family: Family, orbit: Orbit, values: Array) -> float:
-    """About the offset of y of a rigid mode: by how much the impacts of the orbit without it miss their stops."""
-    lin, points = family.model(values[None]), impacts_of(orbit)
-    if not unknown_offset(lin, orbit.itinerary) or not orbit.itinerary.sides:
-        return 0.0
-    return float(np.mean(stops(lin, orbit.itinerary) - at_impacts(lin, orbit.itinerary, points)[0]))
-
-
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
-    fixed = Family((), lambda rows: family.model(np.repeat(values[None], len(rows), axis=0)))
-    equations = Extended(fixed, orbit, (), np.zeros(0), np.zeros(0))
-    found = solve(equations, equations.pack(orbit, np.zeros(0), np.zeros(0)))
-    if not found.converged:
+    found = moved(family, many_of([orbit], values[None]), values[None])
+    if not found.found[0]:
         raise ValueError("Newton's method finds no orbit there")
-    return equations.orbit(found.X)
+    return found.orbit(0)
 
 
 def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:

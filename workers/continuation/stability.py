@@ -1,13 +1,13 @@
 """Stability of an orbit: the map of one turn as flights and saltations, its multipliers."""
 
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.equations import Impacts, Itinerary, at_impacts
-from workers.continuation.oscillator import ModalOscillator
+from workers.continuation.oscillator import Array, ModalOscillator
 from workers.continuation.pulses import flights
-
-Array = NDArray[np.float64]
 
 
 def saltations(lin: ModalOscillator, v: Array, a: Array) -> Array:
@@ -31,7 +31,7 @@ def pieces(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array
     span = itinerary.span(lin)[:, None]
     if not itinerary.sides:
         return itinerary.sign * flights(lin.gap, span)
-    _, v, a = at_impacts(lin, itinerary, points)
+    _, v, a, _ = at_impacts(lin, itinerary, points)
     following = np.concatenate([points.t[:, 1:], points.t[:, :1] + span], axis=1)
     factors = np.roll(saltations(lin, v, a), -1, axis=1) @ flights(lin.gap, following - points.t)
     factors[:, -1] *= itinerary.sign
@@ -40,11 +40,7 @@ def pieces(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array
 
 def turn_map(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
     """DP (N, 2n, 2n) over a turn; of symmetric orbits D_G = -DP over half the orbit: its square is DP."""
-    factors = pieces(lin, itinerary, points)
-    total = factors[:, 0]
-    for i in range(1, factors.shape[1]):
-        total = factors[:, i] @ total
-    return total
+    return reduce(lambda total, factor: factor @ total, np.moveaxis(pieces(lin, itinerary, points), 1, 0))
 
 
 def multipliers(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> NDArray[np.complex128]:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.extended import Extended, Solved, solve
-from workers.continuation.newton import Array
+from workers.continuation.extended import Extended, solve
+from workers.continuation.newton import Array, Solved
 
 TURN, MOST_TURN = 0.1, 0.35
 """Angle in radians that the tangent may turn by in a step: wanted, and at most."""
@@ -27,8 +27,8 @@ class PseudoArclength:
 
     def __init__(self, equations: Extended, X: Array, longest: float, direction: Array) -> None:
         self.equations, self.longest, self.length = equations, longest, 0.2 * longest
-        self.X, self.tangent = X, tangent_at(equations, equations.with_jacobian(X)[1], direction / equations.scale)
-        self.start = (self.X, self.tangent)
+        _, J = equations.with_jacobian(X[None])
+        self.X, self.tangent = self.start = X, tangent_at(equations, J[0], direction / equations.scale)
         self.former: tuple[Array, Array, float] | None = None
         self.newton_steps = 0
 
