@@ -29,9 +29,9 @@ from workers.continuation.equations import (
     residual,
 )
 from workers.continuation.extended import Extended, solve
+from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import ModalOscillator, family_of
 from workers.continuation.pulses import flights, green
-from workers.continuation.seeds import section_state
 from workers.continuation.stability import multipliers, turn_map
 from workers.model.oscillator import COLUMN, make_blocks
 from workers.model.system import find_system

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from atlas.curves.plane import Cells, Plane
 from workers.continuation import Family, Orbit, family_of
 from workers.continuation.equations import Itinerary, check_orbits
-from workers.continuation.many import alike, attract, many_of, moved
+from workers.continuation.orbits import alike, attract, many_of, moved, orbit_of
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
-from workers.continuation.seeds import orbit_of
 from workers.model.oscillator import one_of
 
 Array = NDArray[np.float64]

@@ -63,8 +63,8 @@ class Followed(NamedTuple):
 
 
 def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> list[Located]:
-    """The events at which the orbit of a cell gains or loses stability, or ends, on the way to its neighbour and on, so
-    many cells in all; in order along its branch. Empty where that cannot be followed.
+    """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
+    ``cells`` cells; in order along its branch. Empty where that cannot be followed.
     """
     plane, orbit = orbits.plane, orbits.of(start)
     if orbit is None:

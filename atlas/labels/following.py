@@ -17,7 +17,7 @@ from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
 from workers.continuation import Family, Orbit, family_of, section_states
 from workers.continuation.equations import Impacts
-from workers.continuation.many import Many, alike, many_of, moved
+from workers.continuation.orbits import Many, alike, many_of, moved
 from workers.continuation.oscillator import NoOscillatorError
 from workers.results import NO_IMPACT
 
@@ -139,7 +139,7 @@ class _Follower:
         return reached, _change(start, arrived, self.family.model(there).omega)
 
     def _follow(self, start: Many, there: Array, steps: int) -> Many:
-        """Orbits taken to other parameters in so many steps; none found where some have no oscillator on the way."""
+        """Orbits taken to other parameters in ``steps`` steps; none found where some have no oscillator on the way."""
         here, at = start.values, start
         try:
             for k in range(1, steps + 1):

@@ -7,8 +7,8 @@ from workers.continuation.curves import curve
 from workers.continuation.equations import Itinerary, Orbit
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import Condition
+from workers.continuation.orbits import orbit_from_state, section_state, section_states
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
-from workers.continuation.seeds import orbit_from_state, section_state, section_states
 
 __all__ = [
     "BranchRun",
