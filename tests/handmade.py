@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.equations import Impacts, Itinerary, Orbit
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
-from workers.continuation.linear import Family, ModalOscillator, family_of
+from workers.continuation.oscillator import Family, ModalOscillator, family_of
+from workers.continuation.stability import pieces
+from workers.model.oscillator import NUMBER, OF_FLOW, Mode, make_blocks
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -66,67 +68,86 @@ def reference_event(record: dict[str, Any], free: tuple[str, ...]) -> tuple[Fami
 
 def upper_peak(family: Family, values: Array) -> float:
     """When the motion without impact is largest."""
-    lin = family.model(values[None])[0]
-    crest = 0.5 * math.pi - math.atan2(lin.cos_part[0, 0], lin.sin_part[0, 0]) - lin.tau[0]
+    lin = family.model(values[None])
+    crest = 0.5 * math.pi - math.atan2(lin.gap.cos_part[0, 0], lin.gap.sin_part[0, 0]) - lin.tau[0]
     return float(crest / lin.omega[0])
+
+
+def exponents(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+    """Lyapunov exponents (N, 2n) per forcing period, largest first: ln|multipliers|, whatever their spread.
+
+    The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
+    beside another as in the product of the factors.
+    """
+    factors = pieces(lin, itinerary, points)
+    N, m, size = factors.shape[:3]
+    cyclic = np.zeros((N, m * size, m * size))
+    for i in range(m):
+        after = (i + 1) % m
+        cyclic[:, after * size : (after + 1) * size, i * size : (i + 1) * size] = factors[:, i]
+    with np.errstate(divide="ignore"):
+        logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))), axis=1)
+    periods = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
+    return np.asarray(logs.reshape(N, size, m).sum(2) / periods)
+
+
+def oscillator(
+    eta: Array,
+    lam: Array,
+    c: Array,
+    k: Array,
+    waves: Array,
+    load: Array,
+    stops: tuple[Array, Array],
+    omega: Array,
+    tau: Array,
+    R: Array,
+) -> ModalOscillator:
+    """N oscillators: blocks (N, n), gap rows c and kick columns k (N, n, 2), waves (2, N, H), stops (upper, lower).
+
+    Bounds of the signal are left out: its crossings are not certified.
+    """
+    N, n = eta.shape
+    row1 = np.stack([-lam * c[..., 1], c[..., 0] - 2.0 * eta * c[..., 1]], axis=-1)
+    kick1 = np.stack([k[..., 1], -lam * k[..., 0] - 2.0 * eta * k[..., 1]], axis=-1)
+    blocks = make_blocks(eta, lam, lam, load)
+    blocks[..., OF_FLOW:] = np.concatenate([c, row1, k, kick1, np.zeros((N, n, 2))], axis=-1)
+    numbers = np.full((N, len(NUMBER)), np.nan)
+    numbers[:, NUMBER.omega] = omega
+    gap = Mode(blocks, lam, np.stack(waves, axis=-1), numbers, np.zeros((N, n, 2, waves.shape[2], 2)))
+    return ModalOscillator(gap, *stops, tau, R)
+
+
+def ball_between(
+    free: tuple[str, ...], fixed: dict[str, float], wave: str, load: float, upper: float, lower: float
+) -> Family:
+    """A free mass between stops under a load, y measured from a table that shakes; the parameter ``wave`` says how."""
+
+    def model(rows: Array) -> ModalOscillator:
+        N = len(rows)
+        given = {name: np.full(N, value) for name, value in fixed.items()}
+        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
+        none = np.zeros((N, 1))
+        waves = np.stack([-given[wave][:, None], none])
+        stops = np.full(N, upper), np.full(N, lower)
+        c, k = (np.tile(unit, (N, 1, 1)) for unit in np.eye(2))
+        return oscillator(none, none, c, k, waves, none + load, stops, np.ones(N), np.zeros(N), given["R"])
+
+    return Family(free, model, certified=False)
 
 
 def bouncing_ball(free: tuple[str, ...], **fixed: float) -> Family:
     """y'' = -1 + A sin t above a table at y = 0; A is the relative acceleration Gamma."""
-
-    def model(rows: Array) -> tuple[ModalOscillator, None]:
-        N = len(rows)
-        given = {name: np.full(N, value) for name, value in fixed.items()}
-        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
-        one, none = np.ones(N), np.zeros(N)
-        return ModalOscillator(
-            eta=none[:, None],
-            lam=none[:, None],
-            c=np.tile([[1.0, 0.0]], (N, 1, 1)),
-            k=np.tile([[0.0, 1.0]], (N, 1, 1)),
-            sin_part=-given["A"][:, None],
-            cos_part=none[:, None],
-            load=-one[:, None],
-            upper=np.full(N, np.inf),
-            lower=none,
-            omega=one,
-            tau=none,
-            R=given["R"],
-            trace=none,
-        ), None
-
-    return Family(free, model)
+    return ball_between(free, fixed, "A", -1.0, np.inf, 0.0)
 
 
 def impact_pair(free: tuple[str, ...], **fixed: float) -> Family:
     """y'' = alpha sin t between stops at -1/2 and 1/2."""
-
-    def model(rows: Array) -> tuple[ModalOscillator, None]:
-        N = len(rows)
-        given = {name: np.full(N, value) for name, value in fixed.items()}
-        given |= {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(free)}
-        none = np.zeros(N)
-        return ModalOscillator(
-            eta=none[:, None],
-            lam=none[:, None],
-            c=np.tile([[1.0, 0.0]], (N, 1, 1)),
-            k=np.tile([[0.0, 1.0]], (N, 1, 1)),
-            sin_part=-given["alpha"][:, None],
-            cos_part=none[:, None],
-            load=none[:, None],
-            upper=np.full(N, 0.5),
-            lower=np.full(N, 0.5),
-            omega=np.ones(N),
-            tau=none,
-            R=given["R"],
-            trace=none,
-        ), None
-
-    return Family(free, model)
+    return ball_between(free, fixed, "alpha", 0.0, 0.5, 0.5)
 
 
 def general(seed: int = 1, harmonics: int = 2, rigid_damping: float = 0.3) -> ModalOscillator:
-    """An oscillator with everything: coupled damping (both entries of c and k), a rigid mode, loads, harmonics."""
+    """An oscillator with everything: coupled damping (both entries of c and k), a rigid mode, its load, harmonics."""
     rng = np.random.default_rng(seed)
     eta = np.array([[0.2, 3.0, rigid_damping]])
     lam = np.array([[2.5, 4.0, 0.0]])
@@ -139,18 +160,7 @@ def general(seed: int = 1, harmonics: int = 2, rigid_damping: float = 0.3) -> Mo
     flat += np.linalg.lstsq(rows, np.array([0.0, 1.0]) - rows @ flat, rcond=None)[0]
     kick = np.zeros(6)
     kick[free] = flat
-    return ModalOscillator(
-        eta=eta,
-        lam=lam,
-        c=c,
-        k=kick.reshape(1, 3, 2),
-        sin_part=rng.normal(size=(1, harmonics)),
-        cos_part=rng.normal(size=(1, harmonics)),
-        load=rng.normal(size=(1, 3)),
-        upper=np.array([1.0]),
-        lower=np.array([0.7]),
-        omega=np.array([1.7]),
-        tau=np.array([0.4]),
-        R=np.array([0.6]),
-        trace=2.0 * eta.sum(1),
-    )
+    waves, load = rng.normal(size=(2, 1, harmonics)), rng.normal(size=(1, 3)) * (lam == 0.0)
+    stops = np.array([1.0]), np.array([0.7])
+    at = np.array([1.7]), np.array([0.4]), np.array([0.6])
+    return oscillator(eta, lam, c, kick.reshape(1, 3, 2), waves, load, stops, *at)

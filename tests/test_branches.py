@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
-from workers.continuation.branches import branch, leaving_branch
+from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
 from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.follow import BUDGET, EDGE, BranchRun
-from workers.continuation.linear import family_of
+from workers.continuation.oscillator import family_of
 from workers.model.system import find_system
 
 pytestmark = pytest.mark.slow

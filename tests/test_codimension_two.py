@@ -11,7 +11,7 @@ from tests.handmade import bouncing_ball
 from workers.continuation import Condition, Event, Itinerary, Orbit, Point, curve, family_of
 from workers.continuation.branches import branch
 from workers.continuation.extended import GRAZE, UNIT
-from workers.continuation.linear import Family, ModalOscillator
+from workers.continuation.oscillator import Family, ModalOscillator
 from workers.model.system import find_system
 
 R, PHI = 0.5, 1.0
@@ -22,12 +22,13 @@ def two_tones() -> Family:
     """A ball above a table, y'' = -1 + A sin t + 2 B sin(2 t + PHI): then Y' = -A cos t - B cos(2 t + PHI)."""
     one = bouncing_ball(("A",), R=R)
 
-    def model(rows: NDArray[np.float64]) -> tuple[ModalOscillator, None]:
-        lin, second = one.model(rows)[0], -0.5 * rows[:, 1]
-        sin_part = np.stack([lin.sin_part[:, 0], second * math.cos(PHI)], axis=1)
-        return lin._replace(sin_part=sin_part, cos_part=np.outer(second, [0.0, math.sin(PHI)])), None
+    def model(rows: NDArray[np.float64]) -> ModalOscillator:
+        lin, second = one.model(rows), -0.5 * rows[:, 1]
+        sin_part = np.stack([lin.gap.sin_part[:, 0], second * math.cos(PHI)], axis=1)
+        cos_part = np.outer(second, [0.0, math.sin(PHI)])
+        return lin._replace(gap=lin.gap._replace(waves=np.stack([sin_part, cos_part], axis=-1)))
 
-    return Family(("A", "B"), model)
+    return Family(("A", "B"), model, certified=False)
 
 
 def fold(t: float) -> tuple[float, float]:

@@ -8,9 +8,8 @@ import pytest
 from tests.handmade import TWO_MASS
 from workers import solve_tile
 from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state
-from workers.continuation.many import attract, many_of, moved
+from workers.continuation.orbits import attract, many_of, moved, refined
 from workers.continuation.same import distance, same_orbit
-from workers.continuation.seeds import refined
 
 ASYMMETRIC = {"omega": 2.32, "b": 0.193}
 """Parameters of an orbit of one impact at either stop that is not its own mirror image."""

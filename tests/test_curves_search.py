@@ -59,8 +59,8 @@ def fresh(solved: Path, tmp_path: Path) -> Path:
 
 def amplitudes(path: Path, points: np.ndarray) -> np.ndarray:
     """|Y| of the motion without impact at points (N, 2) of the plane of ``forces``."""
-    lin = CellOrbits(plane_of(read_header(path))).family.model(points)[0]
-    return np.asarray(np.hypot(lin.sin_part[:, 0], lin.cos_part[:, 0]))
+    lin = CellOrbits(plane_of(read_header(path))).family.model(points)
+    return np.asarray(np.hypot(lin.gap.sin_part[:, 0], lin.gap.cos_part[:, 0]))
 
 
 def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(

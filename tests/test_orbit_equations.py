@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from tests.handmade import (
     CURVES,
     bouncing_ball,
+    exponents,
     general,
     impact_pair,
     reference_event,
@@ -28,11 +29,11 @@ from workers.continuation.equations import (
     residual,
 )
 from workers.continuation.extended import Extended, solve
-from workers.continuation.green import add_green
-from workers.continuation.linear import ModalOscillator, family_of, flow_entries, rest_of
-from workers.continuation.pulses import flights
-from workers.continuation.seeds import section_state
-from workers.continuation.stability import exponents, multipliers, turn_map
+from workers.continuation.orbits import section_state
+from workers.continuation.oscillator import ModalOscillator, family_of
+from workers.continuation.pulses import flights, green
+from workers.continuation.stability import multipliers, turn_map
+from workers.model.oscillator import COLUMN, OF_FLOW, make_blocks
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -42,7 +43,7 @@ BIFURCATIONS = [record for record in CURVES if record["times"]]
 
 def linear_at(record: dict[str, Any]) -> ModalOscillator:
     given = reference_values(record)
-    return family_of(TWO_MASS, given, ()).model(np.zeros((1, 0)))[0]
+    return family_of(TWO_MASS, given, ()).model(np.zeros((1, 0)))
 
 
 @pytest.mark.parametrize("record", CURVES, ids=reference_name)
@@ -51,7 +52,7 @@ def test_a_reference_point_is_found_again_with_its_digits(record: dict[str, Any]
     family, event, values = reference_event(record, tuple(record["free"]))
     square = Extended(family, event.point.orbit, event.conditions, values, 0.2 * values)
     exact = square.pack(event.point.orbit, event.point.contacts, values)
-    square.follow(exact)
+    square = square.at(exact)
     moved = exact * (1.0 + 1e-4 * np.random.default_rng(0).standard_normal(len(exact)))
     found = solve(square, moved)
     assert found.converged
@@ -73,10 +74,9 @@ def test_a_reference_orbit_has_its_multipliers_and_its_section_state(record: dic
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_a_reference_orbit_is_admissible(record: dict[str, Any]) -> None:
     family, event, values = reference_event(record, tuple(record["free"]))
-    lin, signal = Extended(family, event.point.orbit, (), values, values).model(values)
-    assert signal is not None
-    points = impacts_of(event.point.orbit)
-    assert first_fault(signal, lin, event.point.orbit.itinerary, points, event.point.contacts) is None
+    orbit = event.point.orbit
+    lin = Extended(family, orbit, (), values, values).model(values)
+    assert first_fault(lin, orbit.itinerary, impacts_of(orbit), event.point.contacts) is None
 
 
 def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
@@ -91,9 +91,7 @@ def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
         equations = Extended(family, orbit, (), values, values)
         row = np.eye(1, 5, 4)[0]
         found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
-        lin, signal = equations.model(values)
-        assert signal is not None
-        faults.append(first_fault(signal, lin, orbit.itinerary, equations.points(found.X[None]), np.zeros(0)))
+        faults.append(first_fault(*equations.motion(found.X)))
     crossed = [fault for fault in faults if fault is not None]
     assert len(crossed) == 1
     assert crossed[0].reason == CONTACT
@@ -104,11 +102,10 @@ def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
 def test_an_impact_that_moves_off_its_stop_is_a_fault() -> None:
     record = CURVES[4]
     family, event, values = reference_event(record, ("omega",))
-    lin, signal = Extended(family, event.point.orbit, (), values, values).model(values)
-    assert signal is not None
+    lin = Extended(family, event.point.orbit, (), values, values).model(values)
     points = impacts_of(event.point.orbit)
     turned = points._replace(v=points.v * np.array([[1.0, -1.0]]))
-    fault = first_fault(signal, lin, event.point.orbit.itinerary, turned, np.zeros(0))
+    fault = first_fault(lin, event.point.orbit.itinerary, turned)
     assert fault is not None
     assert (fault.reason, fault.impact) == (LOST, 1)
 
@@ -117,53 +114,54 @@ def kicked(
     lin: ModalOscillator, points: Impacts, span: float, h: np.ndarray, s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The naive twin: block states at times s, and at the end of the turn, by an integrator from h at time 0."""
-    n = lin.eta.shape[1]
+    eta, lam, load = lin.gap.eta[0], lin.gap.lam[0], lin.gap.load[0]
+    n = len(eta)
 
     def rate(_: float, u: np.ndarray) -> np.ndarray:
         x, v = u[:n], u[n:]
-        return np.concatenate([v, lin.load[0] - 2.0 * lin.eta[0] * v - lin.lam[0] * x])
+        return np.concatenate([v, load - 2.0 * eta * v - lam * x])
 
     u, out, now = np.concatenate([h[:, 0], h[:, 1]]), [], 0.0
     for t, v in [*zip(points.t[0], points.v[0], strict=True), (span, 0.0)]:
         inside = s[(s > now) & (s < t)]
         path = solve_ivp(rate, (now, t), u, t_eval=[*inside, t], method="DOP853", rtol=1e-13, atol=1e-13)
         out += list(path.y.T[: len(inside)])
-        u = path.y[:, -1] - (1.0 + lin.R[0]) * v * np.concatenate([lin.k[0, :, 0], lin.k[0, :, 1]])
+        u = path.y[:, -1] - (1.0 + lin.R[0]) * v * lin.gap.kick[0].T.ravel()
         now = t
     return np.array(out), u
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 0.05, 0.3, 2.0])
 def test_the_answer_to_kicks_is_that_of_a_general_integrator(damping: float) -> None:
-    """Blocks with both entries of c and k, a damped or undamped rigid mode, loads and two harmonics."""
+    """Blocks with both entries of c and k, a damped or undamped rigid mode under a load, and two harmonics."""
     lin = general(rigid_damping=damping)
     itinerary = Itinerary((1, -1, 1), 2)
     span = float(itinerary.span(lin)[0])
     v = np.array([[0.8, -0.5, 0.3]])
-    balance = lin.load[0, 2] * span / ((1.0 + lin.R[0]) * lin.k[0, 2, 1])
+    balance = lin.gap.blocks[0, 2, COLUMN.load] * span / ((1.0 + lin.R[0]) * lin.gap.kick[0, 2, 1])
     points = Impacts(np.array([[0.9, 2.2, 5.1]]), v * balance / v.sum(), np.array([0.25]))
-    rest = np.where(lin.lam[0] > 0.0, lin.load[0] / np.where(lin.lam[0] > 0.0, lin.lam[0], 1.0), 0.0)
-    start = np.stack([part[0, :, 0] for part in block_state(lin, itinerary, points, np.zeros((1, 1)))], -1)
-    start[:, 0] += rest
+    start = block_state(lin, itinerary, points, np.zeros((1, 1)))[:, 0, :, 0].T
     s = np.array([0.3, 1.0, 2.0, 2.3, 4.0, 6.0])
     path, end = kicked(lin, points, span, start, s)
     phase = lin.omega[0] * s + lin.tau[0]
-    Y = sum(lin.sin_part[0, h] * np.sin((h + 1) * phase) + lin.cos_part[0, h] * np.cos((h + 1) * phase) for h in (0, 1))
-    y = path[:, :3] @ lin.c[0, :, 0] + path[:, 3:] @ lin.c[0, :, 1] + Y
+    waves = zip(lin.gap.sin_part[0], lin.gap.cos_part[0], (phase, 2.0 * phase), strict=True)
+    Y = sum(sin * np.sin(angle) + cos * np.cos(angle) for sin, cos, angle in waves)
+    y = path[:, :3] @ lin.gap.row[0, :, 0] + path[:, 3:] @ lin.gap.row[0, :, 1] + Y
     assert end == pytest.approx(np.concatenate([start[:, 0], start[:, 1]]), abs=1e-10)
     assert motion_at(lin, itinerary, points, s[None])[0][0] == pytest.approx(y, abs=1e-10)
-    assert rest_of(lin, 0) == pytest.approx(lin.c[0, :, 0] @ rest)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-9, 0.02, 0.13, 0.14, 1.0, 40.0])
 def test_the_answer_of_a_rigid_mode_has_a_unit_kick_and_mean_zero(damping: float) -> None:
     """Truth: its definition, g'(0) - g'(L) = 1 and g(0) = g(L); 0.13 and 0.14 lie on either side of the series."""
-    lin = general()._replace(eta=damping * np.ones((1, 1)), lam=np.zeros((1, 1)))
-    lin = lin._replace(c=np.array([[[1.0, 0.0]]]), k=np.array([[[0.0, 1.0]]]))
+    lin = bouncing_ball((), A=1.0, R=0.5).model(np.zeros((1, 0)))
+    eta = np.full((1, 1), damping)
+    blocks = lin.gap.blocks.copy()
+    blocks[..., :OF_FLOW] = make_blocks(eta, lin.gap.lam)[..., :OF_FLOW]
+    lin = lin._replace(gap=lin.gap._replace(blocks=blocks))
     nodes, weights = np.polynomial.legendre.leggauss(200)
-    s, total = np.concatenate([[0.0, 3.7], 1.85 * (nodes + 1.0)]), np.zeros((4, 202))
-    add_green(lin, 0, 3.7, 1.0, s, total)
-    g0, g1, g2, _ = total
+    s = np.concatenate([[0.0, 3.7], 1.85 * (nodes + 1.0)])
+    g0, g1, g2, _ = green(lin.gap, np.array([3.7]), 1.0, s[None, :, None])[:, 0, :, 0]
     assert g0[0] == pytest.approx(g0[1], abs=1e-14)
     assert g1[0] - g1[1] == pytest.approx(1.0, abs=1e-14)
     assert 1.85 * weights @ g0[2:] == pytest.approx(0.0, abs=1e-12)
@@ -174,11 +172,12 @@ def test_flows_are_those_of_the_kernel_s_formula() -> None:
     """Truth: matrix exponentials; near critical and far over it too."""
     from scipy.linalg import expm
 
+    one = bouncing_ball((), A=1.0, R=0.5).model(np.zeros((1, 0))).gap
     for eta, lam in ((0.1, 4.0), (2.0, 4.0), (2.0 + 1e-7, 4.0), (9.0, 4.0), (0.7, 0.0), (0.0, 0.0), (0.0, 3.0)):
         for s in (1e-3, 0.4, 3.0):
-            found = np.array(flow_entries(eta, lam, s))
+            gap = one._replace(blocks=make_blocks(np.array([[eta]]), np.array([[lam]])))
             exact = expm(np.array([[0.0, 1.0], [-lam, -2.0 * eta]]) * s)
-            assert found == pytest.approx(exact.ravel(), abs=1e-13)
+            assert flights(gap, np.array([[s]]))[0, 0] == pytest.approx(exact, abs=1e-13)
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
@@ -212,7 +211,7 @@ def test_the_determinant_is_that_of_the_turn_without_poles(record: dict[str, Any
     """det J_z = prod(-v_i) det(z - DP) / det(z - e^(A span)), the whole orbit and the half of a symmetric one."""
     lin, orbit = linear_at(record), reference_orbit(record)
     points, itinerary, one = impacts_of(orbit), orbit.itinerary, np.eye(4)
-    free = itinerary.sign * flights(lin, itinerary.span(lin)[:, None])[0, 0]
+    free = itinerary.sign * flights(lin.gap, itinerary.span(lin)[:, None])[0, 0]
     DP = turn_map(lin, itinerary, points)[0]
     expected = np.prod(-points.v) * np.linalg.det(z * one - DP) / np.linalg.det(z * one - free)
     assert np.linalg.det(linearised(lin, itinerary, points, z)[0]) == pytest.approx(expected, abs=1e-11)
@@ -223,7 +222,7 @@ def test_exponents_keep_the_exact_law_of_their_sum(record: dict[str, Any]) -> No
     lin, orbit = linear_at(record), reference_orbit(record)
     found = exponents(lin, orbit.itinerary, impacts_of(orbit))[0]
     per_period = len(orbit.times) * (2 if orbit.itinerary.symmetric else 1) / orbit.itinerary.periods
-    law = -lin.trace[0] * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.R[0]) * per_period
+    law = -2.0 * lin.gap.eta.sum() * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.R[0]) * per_period
     assert found.sum() == pytest.approx(law, abs=1e-12)
 
 
@@ -233,7 +232,7 @@ def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:
     Here from the fold, Gamma = pi (1 - R)/(1 + R), t = 0: multipliers 1 and R^2.
     """
     R = 0.5
-    lin = bouncing_ball((), A=np.pi * (1 - R) / (1 + R), R=R).model(np.zeros((1, 0)))[0]
+    lin = bouncing_ball((), A=np.pi * (1 - R) / (1 + R), R=R).model(np.zeros((1, 0)))
     v = -2.0 * np.pi / (1.0 + R)
     points = Impacts(np.zeros((1, 1)), np.array([[v]]), np.array([-(1 + R) * v * 2 * np.pi / 12]))
     points = points._replace(
@@ -245,7 +244,7 @@ def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:
 
 
 def test_sticking_and_false_symmetry_are_refused_in_one_line() -> None:
-    pair = impact_pair((), alpha=0.3, R=0.6).model(np.zeros((1, 0)))[0]
+    pair = impact_pair((), alpha=0.3, R=0.6).model(np.zeros((1, 0)))
     with pytest.raises(ValueError, match="R = 0"):
         check_orbits(pair._replace(R=np.zeros(1)), Itinerary((1, -1), 1))
     with pytest.raises(ValueError, match="equal stops"):

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from tests import naive
+from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
 from workers.continuation.admissible import first_fault
 from workers.continuation.equations import impacts_of, in_one_turn, residual
-from workers.continuation.minimal import is_minimal
-from workers.continuation.stability import exponents, multipliers
+from workers.continuation.same import is_minimal
+from workers.continuation.stability import multipliers
 from workers.model.system import find_system
 from workers.results import PERIODIC
 
@@ -33,7 +34,7 @@ def agree(params: dict[str, Any], settings: Settings) -> int:
             TWO_MASS, values, found["state"][k], int(found["period"][k]), bool(found["symmetric"][k])
         )
         points = impacts_of(orbit)
-        lin, signals = family_of(TWO_MASS, values, ()).model(np.zeros((1, 0)))
+        lin = family_of(TWO_MASS, values, ()).model(np.zeros((1, 0)))
         assert section_state(TWO_MASS, values, orbit) == pytest.approx(found["state"][k], abs=1e-10)
         spectrum = exponents(lin, orbit.itinerary, points)[0]
         assert spectrum[0] == pytest.approx(found["spectrum"][k, 0], abs=max(1e-9, found["error"][k]))
@@ -41,11 +42,9 @@ def agree(params: dict[str, Any], settings: Settings) -> int:
         assert spectrum == pytest.approx(found["spectrum"][k], abs=max(1e-8, found["error"][k]))
         assert orbit.itinerary.impacts(1) == found["impacts_upper"][k]
         assert orbit.itinerary.impacts(-1) == found["impacts_lower"][k]
-        assert is_minimal(orbit.itinerary, points, float(orbit.itinerary.span(lin)[0]), float(lin.omega[0]))
+        assert is_minimal(lin, orbit.itinerary, points)
         assert np.max(np.abs(multipliers(lin, orbit.itinerary, points)[0])) < 1.0
-        assert signals is not None
-        signal = type(signals)(*(field[0] for field in signals))
-        assert first_fault(signal, lin, orbit.itinerary, points, np.zeros(0)) is None
+        assert first_fault(lin, orbit.itinerary, points) is None
     return len(cells)
 
 
@@ -81,7 +80,7 @@ def test_times_are_reduced_to_one_turn_of_the_same_orbit() -> None:
     found = solve_tile("two-mass", {})
     for symmetric in (False, True):
         orbit = orbit_from_state(TWO_MASS, {}, found["state"], int(found["period"]), symmetric)
-        lin = family_of(TWO_MASS, {}, ()).model(np.zeros((1, 0)))[0]
+        lin = family_of(TWO_MASS, {}, ()).model(np.zeros((1, 0)))
         span = float(orbit.itinerary.span(lin)[0])
         later = orbit._replace(times=orbit.times + 0.7 * span)
         lin = lin._replace(tau=lin.tau - 0.7 * span * lin.omega)

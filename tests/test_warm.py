@@ -24,7 +24,7 @@ from workers.attractors.basins import solve_basins
 from workers.attractors.same import batch_moments, orbits_reached, periods_to_settle, turn
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
-from workers.continuation import admissible, branch, curve, equations, linear, pulses, seeds, stability, view
+from workers.continuation import admissible, branch, curve, equations, orbits, pulses, stability
 from workers.kernel import cells, jit
 from workers.kernel.lanes import run
 from workers.orbit import newton
@@ -188,7 +188,7 @@ def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(tmp_p
 def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     """Of a ball, whose orbit folds and doubles, and of a pair, whose orbit breaks symmetry: most events."""
     warm.warm_up(warm.ORBITS)
-    modules = (equations, stability, linear, pulses, seeds, view, admissible)
+    modules = (equations, stability, pulses, orbits, admissible)
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
     before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))

@@ -13,7 +13,7 @@ from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
 from workers.continuation import Orbit, Point
-from workers.continuation.seeds import refined
+from workers.continuation.orbits import refined
 from workers.results import PERIODIC, REGIME
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
 
 
 def _places(branch: Branch, value: float) -> Iterator[tuple[int, float]]:
-    """Where a branch passes a value of the parameter: after which point, and at which share of the way to the next."""
+    """Where a branch passes a value of the parameter: after which point, and at which share of the step to the next."""
     values = branch.values
     for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0.0):
         if values[k] != values[k + 1]:

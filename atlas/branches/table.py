@@ -144,7 +144,7 @@ def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
 
 
 def modulus(point: "Point", periods: int) -> float:
-    """The largest modulus of the multipliers of an orbit over so many periods of the force.
+    """The largest modulus of the multipliers of an orbit over ``periods`` periods of the force.
 
     Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
     """

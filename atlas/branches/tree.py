@@ -20,7 +20,7 @@ from workers.continuation import (
     leaving_branch,
     section_states,
 )
-from workers.continuation.seeds import refined
+from workers.continuation.orbits import refined
 from workers.model.system import System
 
 Array = NDArray[np.float64]
@@ -40,9 +40,9 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One branch: its way, the pattern of its orbits, and what it leaves: another branch, by its number, at an event.
+    """One branch: its run, the pattern of its orbits, and what it leaves: another branch, by its number, at an event.
 
-    sections (N, n, 2d)  states at the n sections of a turn, of each of the N points of the way
+    sections (N, n, 2d)  states at the n sections of a turn, of each of the N points of the run
     mirrored (N, n, 2d)  those of the mirror images; None where orbits are symmetric, or the machine is not
     """
 
@@ -190,7 +190,7 @@ class Tree:
         self.branches.append(Branch(run, itinerary, sections, mirrored, parent, origin))
 
     def _sections(self, run: BranchRun, itinerary: Itinerary, shift: float) -> Array:
-        """States (N, n, 2d) of all points of a way; where it ends at a shorter orbit, those repeated."""
+        """States (N, n, 2d) of all points of a run; where it ends at a shorter orbit, those repeated."""
         own = [k for k, point in enumerate(run.points) if len(point.orbit.times) == len(itinerary.sides)]
         given = {name: np.full(len(own), value) for name, value in self.values.items()}
         given[self.along] = np.array([run.points[k].values[0] for k in own])

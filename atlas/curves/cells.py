@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from atlas.curves.plane import Cells, Plane
 from workers.continuation import Family, Orbit, family_of
 from workers.continuation.equations import Itinerary, check_orbits
-from workers.continuation.linear import NoOscillatorError
-from workers.continuation.many import alike, attract, many_of, moved
+from workers.continuation.orbits import alike, attract, many_of, moved, orbit_of
+from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
-from workers.continuation.seeds import orbit_of
 from workers.model.oscillator import one_of
 
 Array = NDArray[np.float64]
@@ -54,7 +53,7 @@ class CellOrbits:
 
     def omega(self, values: Array) -> Array:
         """The forcing frequency (N,) at points (N, 2)."""
-        return np.asarray(self.family.model(values)[0].omega)
+        return np.asarray(self.family.model(values).omega)
 
     def persist(self, pairs: Cells) -> NDArray[np.int64]:
         """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters:
@@ -126,7 +125,7 @@ class CellOrbits:
         for symmetric in (True, False):
             itinerary = Itinerary((), 1, symmetric)
             try:
-                check_orbits(self.family.model(values)[0], itinerary)
+                check_orbits(self.family.model(values), itinerary)
             except ValueError:
                 continue
             return Orbit(itinerary, np.zeros(0), np.zeros(0))

@@ -14,14 +14,14 @@ from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
-from workers.continuation.many import attract, many_of, moved
-from workers.continuation.view import GRAZING, IMPACT_LOST
+from workers.continuation.events import GRAZING, IMPACT_LOST
+from workers.continuation.orbits import attract, many_of, moved
 
 if TYPE_CHECKING:
     import xarray as xr
 
 RESOLUTION = 0.02
-"""The longest step along a branch, as a share of its way."""
+"""The longest step along a branch, as a share of its window."""
 
 
 def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) -> list[dict[str, Any]]:

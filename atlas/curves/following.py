@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from atlas.curves.cells import CellOrbits
 from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
+from workers.continuation.branches import Until
 from workers.continuation.curves import without_impact
+from workers.continuation.events import GRAZING
 from workers.continuation.extended import PAIR, SPEED, Extended, solve
-from workers.continuation.follow import Until, never
-from workers.continuation.linear import NoOscillatorError
+from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
-from workers.continuation.view import GRAZING
 
 Array = NDArray[np.float64]
 
@@ -63,8 +63,8 @@ class Followed(NamedTuple):
 
 
 def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> list[Located]:
-    """The events at which the orbit of a cell gains or loses stability, or ends, on the way to its neighbour and on, so
-    many cells in all; in order along its branch. Empty where that cannot be followed.
+    """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
+    ``cells`` cells; in order along its branch. Empty where that cannot be followed.
     """
     plane, orbit = orbits.plane, orbits.of(start)
     if orbit is None:
@@ -80,7 +80,7 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
 
 
 def events_towards(
-    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until = never
+    orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
 ) -> list[Located]:
     """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
     to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
@@ -197,7 +197,7 @@ def _solved_at(
     row[-2:] = (ends[1] - ends[0]) / width**2
     row /= np.linalg.norm(row * equations.scale)
     try:
-        equations.follow(guess)
+        equations = equations.at(guess)
         found = solve(equations, guess, row)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None

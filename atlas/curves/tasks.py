@@ -25,8 +25,8 @@ class Persist:
 
 @dataclass(frozen=True)
 class Look:
-    """The events of the orbits of some cells on the way to a neighbour each, and on, so many cells in all; of the first
-    way that has any.
+    """The events of the orbits of some cells, from each to a neighbour and on, over ``cells`` cells; of the first way
+    that has any.
     """
 
     ways: tuple[tuple[int, int], ...]
@@ -35,7 +35,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Follow:
-    """The curve of an event: number ``event`` of those that the part ``part`` has; at most so many points a way."""
+    """The curve of an event, number ``event`` of those of the part ``part``; at most ``budget`` points either way."""
 
     part: str
     event: int

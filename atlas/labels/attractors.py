@@ -67,7 +67,7 @@ class Attractors:
         return found.ravel()
 
     def beside(self, away: int = 1) -> Rows:
-        """Pairs (N, 2) of orbits of one kind in cells so many places away from each other along a dimension."""
+        """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
         number = np.arange(len(self.values)).reshape(self.shape)
         found = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):

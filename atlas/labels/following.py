@@ -17,8 +17,8 @@ from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
 from workers.continuation import Family, Orbit, family_of, section_states
 from workers.continuation.equations import Impacts
-from workers.continuation.linear import NoOscillatorError
-from workers.continuation.many import Many, alike, many_of, moved
+from workers.continuation.orbits import Many, alike, many_of, moved
+from workers.continuation.oscillator import NoOscillatorError
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)
@@ -136,10 +136,10 @@ class _Follower:
             states = section_states(own.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
             apart = np.abs(states - own.state[pairs[rows, 1]][:, None]).max(axis=2).min(axis=1)
             reached[rows] = apart <= SAME * np.abs(states).max(axis=(1, 2))
-        return reached, _change(start, arrived, self.family.model(there)[0].omega)
+        return reached, _change(start, arrived, self.family.model(there).omega)
 
     def _follow(self, start: Many, there: Array, steps: int) -> Many:
-        """Orbits taken to other parameters in so many steps; none found where some have no oscillator on the way."""
+        """Orbits taken to other parameters in ``steps`` steps; none found where some have no oscillator on the way."""
         here, at = start.values, start
         try:
             for k in range(1, steps + 1):

@@ -4,8 +4,7 @@ import numpy as np
 
 from atlas.labels.attractors import Array, Attractors
 from workers.continuation import Family, Orbit, orbit_from_state
-from workers.continuation.many import alike, many_of, moved
-from workers.continuation.seeds import recorded
+from workers.continuation.orbits import alike, many_of, moved, recorded
 from workers.model.oscillator import Oscillator, one_of
 
 
@@ -38,7 +37,7 @@ def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
 
 
 def _recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit | None:
-    """An orbit of so many periods as its impacts are recorded; None where it rests on a stop."""
+    """An orbit of ``periods`` forcing periods as its impacts are recorded; None where it rests on a stop."""
     try:
         return recorded(osc, state, periods, symmetric)
     except ValueError:

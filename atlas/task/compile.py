@@ -158,7 +158,7 @@ def _follow_an_orbit() -> None:
     (along, value), *_ = AN_ORBIT.items()
     family = family_of(record, values, (along,))
     branch(family, orbit, value, (0.999 * value, 1.001 * value))
-    lin, _ = family.model(np.array([[value]]))
+    lin = family.model(np.array([[value]]))
     points = Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))
     motion_at(lin, orbit.itinerary, points, orbit.times[None] + 0.1)
     linearised(lin, orbit.itinerary, points, 1j)

@@ -1,20 +1,70 @@
-"""Branches of periodic orbits in one parameter, stable and unstable, with their events; and what leaves at events."""
+"""Branches of periodic orbits in one parameter, stable and unstable, with their events; what leaves at events; and how
+orbits are followed in their free parameters: one for a branch, two for a curve of events.
 
+Whatever changes sign from one step to the next is located as the solution of a square system. A run goes in both
+directions from its start; either ends at the edge of the window, where it closes, where the orbit ceases to be
+admissible, or where it turns into a shorter one.
+"""
+
+import math
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.events import Event
-from workers.continuation.extended import MINUS_ONE, Condition, Extended, solve
-from workers.continuation.follow import BranchRun, Until, follow, never, window_of
-from workers.continuation.linear import Family
+from workers.continuation.equations import Itinerary, Orbit, unpacked
+from workers.continuation.events import (
+    Event,
+    LocatedEvent,
+    Point,
+    TestFunctions,
+    changed,
+    halves_met,
+    leaving,
+    located,
+    monitored,
+    origin,
+)
+from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, Condition, Extended, solve
+from workers.continuation.oscillator import Array, Family
+from workers.continuation.same import Reduction, is_minimal
+from workers.continuation.walk import PseudoArclength, Step
 
-Array = NDArray[np.float64]
+EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
+    "edge", "closed", "budget", "stalled", "inadmissible", "shorter_orbit",
+)  # fmt: skip
+"""How a direction ends if not at an event: at the window's edge; as a closed loop; its points are spent; no step
+converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
 
-RESOLUTION, BUDGET = 0.02, 2000
-"""The longest step as a share of the window; points of either way after which it ends and says so."""
+RESOLUTION, MOST_POINTS = 0.02, 2000
+"""The longest step as a share of the window; points of either direction after which it ends and says so."""
+
+SHORTEST = 1e-3
+"""Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
+
+DOUBT = 1e-4
+"""Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
+
+
+class BranchRun(NamedTuple):
+    """Points in order, those of events among them; events in order; how it ends at either end; Newton steps taken."""
+
+    points: list[Point]
+    events: list[Event]
+    ends: tuple[str, str]
+    newton_steps: int
+
+
+def bounds_of(free: tuple[str, ...], window: Mapping[str, tuple[float, float]]) -> Array:
+    """The bounds (2, free), low and high, of these parameters; ValueError where one has none or none between them."""
+    for name in free:
+        if name not in window or not window[name][0] < window[name][1]:
+            raise ValueError(f"window of {name}: found {window.get(name)}; give (low, high) with low < high")
+    return np.array([window[name] for name in free], dtype=np.float64).T
+
+
+Until = Callable[[Event], bool]
+"""Whether a run ends at an event."""
 
 
 class Start(NamedTuple):
@@ -31,22 +81,21 @@ def branch(
     window: tuple[float, float],
     *,
     resolution: float = RESOLUTION,
-    budget: int = BUDGET,
-    until: Until = never,
+    budget: int = MOST_POINTS,
+    until: Until | None = None,
 ) -> BranchRun:
-    """The branch of an orbit of a family with one free parameter, both ways from ``value``.
+    """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
     Pseudo-arclength in times, speeds and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
-    Either way ends at the first event of which ``until`` is true.
+    Either direction ends at the first event of which ``until`` is true.
     Raises ValueError, in one line, for R = 0, for a start that no orbit is near, that is not admissible, or that is a
     shorter or symmetric orbit repeated.
     """
-    bounds = window_of(family.free, dict.fromkeys(family.free, window))
+    bounds = bounds_of(family.free, dict.fromkeys(family.free, window))
     values = np.array([value])
-    equations = Extended(family, orbit, (), values, bounds.width)
-    row = np.zeros(equations.states + 1)
-    row[-1] = 1.0 / equations.scale[-1]
+    equations = Extended(family, orbit, (), values, bounds[1] - bounds[0])
+    row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
     found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
     if not found.converged:
         raise ValueError(f"Newton's method finds no orbit at {family.free[0]} = {value:g}")
@@ -62,26 +111,144 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     """
     if event.conditions != (Condition(MINUS_ONE),):
         raise ValueError(f"a branch leaves at symmetry_breaking and period_doubling, not at {event.kind}")
-    point, itinerary = event.point, event.point.orbit.itinerary
-    square = Extended(family, point.orbit, event.conditions, point.values, np.array([width]))
-    X = square.pack(point.orbit, np.zeros(0), point.values)
-    square.follow(X)
-    w = square.null_vector(0) * square.unit[: len(square.null_vector(0))]
-    m, sign = len(itinerary.sides), itinerary.sign
-    span = float(itinerary.span(square.model(point.values)[0])[0])
-    sides = itinerary.sides + tuple(sign * side for side in itinerary.sides)
-    periods = itinerary.periods if itinerary.symmetric else 2 * itinerary.periods
-    t, v = point.orbit.times, point.orbit.speeds
-    times, speeds = np.concatenate([t, t + span]), np.concatenate([v, sign * v])
-    ways = np.concatenate([w[:m], -w[:m], w[m : 2 * m], -sign * w[m : 2 * m], w[2 * m :]])
-    whole = Orbit(Itinerary(sides, periods), times, speeds, point.orbit.offset)
-    equations = Extended(family, whole, (), point.values, np.array([width]))
-    X = equations.pack(whole, np.zeros(0), point.values)
-    direction = np.zeros(len(X))
-    direction[: len(ways)] = ways
-    unit = direction / equations.scale
+    none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
+    square = Extended(family, orbit, event.conditions, values, widths)
+    _, critical = square.at(square.pack(orbit, none, values)).borders[0]
+    critical = critical * square.unit[: len(critical)] * np.copysign(1.0, critical[0])  # either sign is a null vector
+    w = unpacked(critical[None], square.m, len(critical) - 2 * square.m)
+    (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
+    span = float(orbit.itinerary.span(square.model(values))[0])
+    itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
+    times = np.concatenate([orbit.times, orbit.times + span])
+    whole = Orbit(itinerary, times, np.concatenate([orbit.speeds, sign * orbit.speeds]), orbit.offset)
+    equations = Extended(family, whole, (), values, widths)
+    change = Orbit(itinerary, np.append(w.t, -w.t), np.append(w.v, -sign * w.v), float(w.offset[0]))
+    unit = equations.pack(change, none, np.zeros(1)) / equations.scale
     unit /= np.linalg.norm(unit)
-    found = solve(equations, X + amplitude * unit * equations.scale, unit / equations.scale)
+    X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
+    found = solve(equations, X, unit / equations.scale)
     if not found.converged:
         raise ValueError(f"Newton's method finds no orbit beside the {event.kind}; try another amplitude")
     return Start(equations.orbit(found.X), float(equations.values(found.X)[0]))
+
+
+def follow(
+    equations: Extended, start: Array, bounds: Array, resolution: float, budget: int, until: Until | None
+) -> BranchRun:
+    """Both directions from a solution ``start`` (N,) of the equations within bounds (2, free) of the parameters,
+    at most ``budget`` points each.
+
+    ``resolution`` is the longest step, as a share of the window; either direction ends at the first event of which
+    ``until`` is true. ValueError where the orbit to start from is not admissible or another one repeated.
+    """
+    first = monitored(equations, start)
+    if first.fault is not None:
+        raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
+    if not is_minimal(*equations.motion(start)):
+        raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
+    direction = np.zeros(len(start))
+    direction[len(start) - equations.free :] = equations.width
+    walkers = (PseudoArclength(first.equations, start, resolution, sign * direction) for sign in (1.0, -1.0))
+    ahead = _one_direction(next(walkers), first, bounds, budget, until)
+    if CLOSED in ahead.ends:
+        return ahead
+    back = _one_direction(next(walkers), first, bounds, budget, until)
+    return BranchRun(
+        points=back.points[:0:-1] + ahead.points,
+        events=back.events[::-1] + ahead.events,
+        ends=(back.ends[1], ahead.ends[1]),
+        newton_steps=ahead.newton_steps + back.newton_steps,
+    )
+
+
+class _Passage(NamedTuple):
+    """What a step brings: events, points with those of events among them, how the direction ends there, if it does, and
+    the test functions at the last point.
+    """
+
+    end: str
+    events: tuple[Event, ...] = ()
+    points: tuple[Point, ...] = ()
+    after: TestFunctions | None = None
+
+
+def _one_direction(
+    walker: PseudoArclength, first: TestFunctions, bounds: Array, budget: int, until: Until | None
+) -> BranchRun:
+    """One of the two directions from a start, whose point comes first; how it ends is the second of both ends."""
+    points, events, end, seen = [first.point], list[Event](), "", first
+    while not end:
+        passage = _next(walker, seen, bounds, until) if len(points) <= budget else _Passage(BUDGET)
+        if passage is None:
+            walker.back()
+            continue
+        points += passage.points
+        events += passage.events
+        end, seen = passage.end, passage.after or seen
+        walker.equations = seen.equations
+    return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), walker.newton_steps)
+
+
+def _next(walker: PseudoArclength, seen: TestFunctions, bounds: Array, until: Until | None) -> _Passage | None:
+    """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
+    eq, here = walker.equations, walker.X
+    if not walker.advance():  # where a branch meets the orbit that it left the equations are singular
+        stalled = Step(eq, here, here)
+        to = halves_met(stalled)
+        return _Passage(STALLED) if to is None else _meeting(stalled, to)
+    there, end, values = walker.X, "", eq.values(walker.X)
+    outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
+    if len(outside):
+        edge = Step(eq, here, there).at_value(outside[0], np.clip(values, *bounds)[outside[0]])
+        if not edge.converged:
+            return _Passage(EDGE)
+        there, end = edge.X, EDGE
+    elif walker.closes():
+        there, end = walker.start[0], CLOSED
+    after = monitored(eq, there)
+    step, slid = Step(after.equations, here, there), not is_minimal(*eq.motion(there))
+    if (slid or _went_too_far(seen, after)) and walker.length > SHORTEST * walker.longest:
+        return None
+    to = halves_met(step)
+    if to is not None:
+        return _meeting(step, to)
+    return _Passage(SHORTER) if slid else _passage(step, seen, after, end, until)
+
+
+def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
+    """Whether stability changed on a branch although no test function changed its sign."""
+    if after.equations.conditions or after.fault is not None or changed(before, after):
+        return False
+    one, other = np.abs(before.point.multipliers), np.abs(after.point.multipliers)
+    gained = np.sum(other > 1.0 + DOUBT) > np.sum(one > 1.0 - DOUBT)
+    return bool(gained or np.sum(other > 1.0 - DOUBT) < np.sum(one > 1.0 + DOUBT))
+
+
+def _meeting(step: Step, to: Reduction) -> _Passage:
+    """The end where a branch meets the orbit that it left."""
+    found = origin(step, to)
+    return _Passage(SHORTER) if found is None else _Passage(found.event.kind, (found.event,), (found.event.point,))
+
+
+def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, until: Until | None) -> _Passage:
+    """The events of a step and its last point, at which the direction has this ``end``, unless it ends before that."""
+    found, limit, last = list[LocatedEvent](), math.inf, after.point
+    if after.fault is not None:
+        ceases = leaving(step, after.fault)
+        if ceases is None:
+            return _Passage(INADMISSIBLE)
+        found, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
+    for name in changed(before, after):
+        met = located(step, before, after, name)
+        if met is not None and met.share <= limit:
+            found.append(met)
+            if _ends_pair(step.equations, met.event) or (until and until(met.event)):
+                limit, end, last = met.share, met.event.kind, met.event.point
+    passed = tuple(met.event for met in sorted(found, key=lambda met: met.share) if met.share <= limit)
+    return _Passage(end, passed, (*(event.point for event in passed if event.point is not last), last), after)
+
+
+def _ends_pair(equations: Extended, event: Event) -> bool:
+    """Whether a curve of pairs on the unit circle ends: beyond kappa = 1 or -1 they are real."""
+    pair = bool(equations.conditions) and equations.conditions[0].kind == PAIR
+    return pair and any(c.kind == ANGLE and abs(c.kappa) == 1.0 for c in event.conditions)

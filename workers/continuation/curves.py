@@ -1,16 +1,12 @@
 """Curves of bifurcations and grazes in two parameters."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.branches import BUDGET, RESOLUTION
+from workers.continuation.branches import MOST_POINTS, RESOLUTION, BranchRun, bounds_of, follow
 from workers.continuation.equations import Orbit
 from workers.continuation.events import Event
 from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
-from workers.continuation.follow import BranchRun, follow, window_of
-from workers.continuation.linear import Family
-
-Array = NDArray[np.float64]
+from workers.continuation.oscillator import Array, Family
 
 
 def curve(
@@ -20,38 +16,37 @@ def curve(
     window: dict[str, tuple[float, float]],
     *,
     resolution: float = RESOLUTION,
-    budget: int = BUDGET,
+    budget: int = MOST_POINTS,
 ) -> BranchRun:
-    """The curve of an event in the plane of the two free parameters of a family, both ways from ``values`` (2,).
+    """The curve of an event in the plane of a family's two free parameters, in both directions from ``values`` (2,).
 
     event    one located on a branch, or any Event with conditions, orbit, contact times and kappa near a solution
     window   bounds of both parameters by name
     Where an impact is lost the orbit without it grazes: that is the orbit which is followed, since its multipliers
     stay finite.
-    The way's events are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
+    Its events are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
     graze_fold and the like, double_graze. It goes on through those where the event itself goes on; it ends at the
     window's edge, where it closes, where its orbits cease to be admissible (at another graze), at kappa = 1 or -1, or
-    after ``budget`` points a way, and says which. Raises as ``branch``.
+    after ``budget`` points a direction, and says which. Raises as ``branch``.
     """
     if len(family.free) != 2 or len(event.conditions) != 1:
         raise ValueError(f"a curve needs two free parameters and one condition, found {family.free}, {event.kind}")
-    bounds = window_of(family.free, window)
+    bounds = bounds_of(family.free, window)
     condition = event.conditions[0]
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     orbit, contacts = event.point.orbit, event.point.contacts
     if condition.kind == SPEED:
         orbit, condition, contacts = without_impact(orbit, condition.impact)
-    equations = Extended(family, orbit, (condition,), values, bounds.width)
+    equations = Extended(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
-    equations.follow(X)
+    equations = equations.at(X)
     # the nearest point of the curve: across its tangent as it is known there
-    J = equations.with_jacobian(X)[1] * equations.scale
-    tangent = np.linalg.svd(J)[2][-1]
+    tangent = np.linalg.svd(equations.with_jacobian(X[None])[1][0] * equations.scale)[2][-1]
     found = solve(equations, X, tangent / equations.scale)
     if not found.converged:
         raise ValueError(f"Newton's method finds no {event.kind} there")
-    return follow(equations, found.X, bounds, resolution, budget)
+    return follow(equations, found.X, bounds, resolution, budget, None)
 
 
 def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.linear import ModalOscillator, rigid_mode
-from workers.continuation.pulses import before_impacts, between_impacts, blocks_between, linearised_table
+from workers.continuation.oscillator import Array, ModalOscillator, rigid_mode
+from workers.continuation.pulses import answers, before_impacts, forced_motion, green, jacobian
+from workers.model.oscillator import COLUMN
 
-Array = NDArray[np.float64]
 Table = NDArray[Any]
 """Real numbers, complex ones where z is."""
 
@@ -63,11 +63,28 @@ class Impacts(NamedTuple):
     v: Array
     offset: Array
 
+    def orbit(self, itinerary: Itinerary, k: int = 0) -> Orbit:
+        """One of them."""
+        return Orbit(itinerary, self.t[k].copy(), self.v[k].copy(), float(self.offset[k]))
+
+
+Motion = tuple[ModalOscillator, Itinerary, Impacts]
+"""N orbits of one itinerary with their oscillators."""
+
+
+def impacts_of(*orbits: Orbit) -> Impacts:
+    """The impacts of orbits of one itinerary."""
+    times, speeds, offset = (np.array([orbit[k] for orbit in orbits]) for k in (1, 2, 3))
+    return Impacts(times, speeds, offset)
+
+
+def unpacked(X: Array, m: int, shift: int) -> Impacts:
+    """The impacts of unknowns X (N, ...): m times, m speeds and, where ``shift`` is 1, the offset come first."""
+    return Impacts(X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
+
 
 def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
-    if not len(orbit.times):
-        return orbit
     turns = np.floor(orbit.times / span)
     flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
     times = orbit.times - turns * span
@@ -75,11 +92,6 @@ def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     sides = (flips * np.array(orbit.itinerary.sides))[order]
     itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
     return Orbit(itinerary, times[order], (flips * orbit.speeds)[order], orbit.offset)
-
-
-def impacts_of(orbit: Orbit) -> Impacts:
-    """One orbit as one of many."""
-    return Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))
 
 
 def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
@@ -97,8 +109,8 @@ def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
         return
     if itinerary.periods % 2 == 0:
         raise ValueError(f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}")
-    even = np.any(lin.sin_part[:, 1::2]) or np.any(lin.cos_part[:, 1::2])
-    if even or np.any(lin.load) or not np.array_equal(lin.upper, lin.lower):
+    even = np.any(lin.gap.sin_part[:, 1::2]) or np.any(lin.gap.cos_part[:, 1::2])
+    if even or np.any(lin.gap.blocks[..., COLUMN.load]) or not np.array_equal(lin.upper, lin.lower):
         raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
@@ -107,26 +119,62 @@ def unknown_offset(lin: ModalOscillator, itinerary: Itinerary) -> bool:
     return not itinerary.symmetric and rigid_mode(lin) is not None
 
 
-def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple[Array, Array, Array]:
-    """y, y' and y'' (N, m) just before each impact."""
-    y, v, a = before_impacts(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points))
-    return y, v, a
+def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+    """y and its first three derivatives (4, N, m) just before each impact."""
+    found: Array = before_impacts(lin.gap, *_plain(lin, itinerary, points))
+    return found
+
+
+def _plain(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple[Any, ...]:
+    """Phase, 1 + R, span and sign, times, speeds and offsets as kernels take them."""
+    plain = (np.ascontiguousarray(field) for field in points)
+    return lin.tau, 1.0 + lin.R, itinerary.span(lin), float(itinerary.sign), *plain
+
+
+def motion_at(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
+    """y and its first three derivatives (4, N, K) at times s (N, K), any times but those of impacts."""
+    since, kicks = _latest_kicks(lin, itinerary, points, s)
+    answer = green(lin.gap, itinerary.span(lin), float(itinerary.sign), since)
+    found: Array = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(s)) - np.sum(kicks * answer, axis=3)
+    found[0] += points.offset[:, None]
+    return found
+
+
+def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
+    """Block coordinates h, h' (2, N, n, K) at times s (N, K), forced response and rest position taken off."""
+    since, kicks = _latest_kicks(lin, itinerary, points, s)
+    u = answers(lin.gap.blocks, itinerary.span(lin), float(itinerary.sign), since)
+    found: Array = -np.sum(kicks[:, None] * u, axis=4)
+    rigid = rigid_mode(lin)
+    if rigid is not None:
+        found[0, :, rigid] += (points.offset / lin.gap.row[:, rigid, 0])[:, None]
+    return found
+
+
+def _latest_kicks(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
+    """Of each impact the time (N, K, m) since its latest kick before times s (N, K), and what that kick is."""
+    start, span = points.t[:, :1] if itinerary.sides else 0.0, itinerary.span(lin)[:, None]
+    turns = np.floor((s - start) / span)
+    since = (s - turns * span)[..., None] - points.t[:, None]
+    earlier = since < 0.0
+    flips = np.where((turns[..., None] + earlier) % 2.0 == 0.0, 1.0, float(itinerary.sign))
+    return since + earlier * span[..., None], (1.0 + lin.R)[:, None, None] * points.v[:, None] * flips
 
 
 def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
     """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
-    y, v, _ = at_impacts(lin, itinerary, points)
+    y, v, _, _ = at_impacts(lin, itinerary, points)
     parts = [y - stops(lin, itinerary), v - points.v]
-    if unknown_offset(lin, itinerary):
-        parts.append(_balance(lin, itinerary, points)[:, None])
+    if unknown_offset(lin, itinerary):  # (1 + R) k sum_i v_i - load span of the rigid mode
+        j = rigid_mode(lin)
+        kicks = (1.0 + lin.R) * lin.gap.blocks[:, j, COLUMN.k1] * points.v.sum(1)
+        parts.append((kicks - lin.gap.blocks[:, j, COLUMN.load] * itinerary.span(lin))[:, None])
     return np.concatenate(parts, axis=1)
 
 
 def stops(lin: ModalOscillator, itinerary: Itinerary) -> Array:
     """Positions (N, m) of the stops of the impacts."""
-    if not itinerary.sides:
-        return np.zeros((len(lin.omega), 0))
-    return np.stack([lin.upper if side > 0 else -lin.lower for side in itinerary.sides], axis=1)
+    return np.where(np.array(itinerary.sides) > 0, lin.upper[:, None], -lin.lower[:, None])
 
 
 def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: complex = 1) -> Table:
@@ -139,35 +187,7 @@ def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: c
 
     zero where z is a multiplier, and without poles.
     """
-    given = lin, itinerary.span(lin), float(itinerary.sign), z if isinstance(z, complex) else float(z)
     rigid = rigid_mode(lin) if itinerary.sign * z == 1 else None
-    found: Table = linearised_table(*given, *_plain(points), -1 if rigid is None else rigid)
+    given = *_plain(lin, itinerary, points), z if isinstance(z, complex) else float(z)
+    found: Table = jacobian(lin.gap, *given, -1 if rigid is None else rigid)
     return found
-
-
-def _balance(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """(1 + R) k sum_i v_i - load span of the rigid mode."""
-    j = rigid_mode(lin)
-    kicks = (1.0 + lin.R) * lin.k[:, j, 1] * points.v.sum(1)
-    return np.asarray(kicks - lin.load[:, j] * itinerary.span(lin))
-
-
-def motion_at(
-    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array
-) -> tuple[Array, Array, Array, Array]:
-    """y and its first three derivatives at times s (N, K), any times but those of impacts."""
-    y, v, a, j = between_impacts(
-        lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s)
-    )
-    return y, v, a, j
-
-
-def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
-    """Block coordinates h, h' (N, n, K) at times s (N, K), forced response and rest position taken off."""
-    h, rate = blocks_between(lin, itinerary.span(lin), float(itinerary.sign), *_plain(points), np.ascontiguousarray(s))
-    return h, rate
-
-
-def _plain(points: Impacts) -> tuple[Array, Array, Array]:
-    """Times, speeds and offsets as kernels take them."""
-    return np.ascontiguousarray(points.t), np.ascontiguousarray(points.v), np.ascontiguousarray(points.offset)

@@ -1,4 +1,6 @@
-"""Events between two points of a branch or curve, located as solutions of square systems."""
+"""What is known at a point of a branch or curve: stability, test functions of events, whether it is admissible; and
+events between two points, located as solutions of square systems.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,32 +8,39 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.admissible import LOST, ORDER, Fault
-from workers.continuation.equations import Orbit, motion_at
-from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, SPEED, Condition, Extended, solve
-from workers.continuation.linear import NoOscillatorError
-from workers.continuation.minimal import Reduction, difference, is_minimal, reduced, reductions
-from workers.continuation.stability import multipliers
-from workers.continuation.view import TestFunctions, fault, name_of, view, without_own
-from workers.continuation.walk import between
+from workers.continuation.admissible import LOST, ORDER, Fault, first_fault
+from workers.continuation.equations import Orbit, linearised, motion_at
+from workers.continuation.extended import ANGLE, CUSP, GRAZE, MINUS_ONE, PAIR, SPEED, UNIT, Condition, Extended, solve
+from workers.continuation.oscillator import Array, NoOscillatorError
+from workers.continuation.same import Reduction, difference, is_minimal, reduced, reductions
+from workers.continuation.stability import multipliers, pair_near
+from workers.continuation.walk import Step
 
-Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker",
+)  # fmt: skip
+GRAZING, IMPACT_LOST = "graze", "impact_lost"
+"""Kinds of events with one condition."""
+
+ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
+"""Strong resonances by cos theta."""
+
 
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
-
-TINY = 1e-300
 
 NEAR_HALVES = 1e-2
 """Difference of both halves, in radians of the force and relative speeds, below which a branch that stalls meets the
 orbit of half the turn."""
 
 TRIES = 4
-"""Halvings of a step that help to locate what is watched."""
+"""Halvings of a step that help to locate where a test function is zero."""
 
 
 class Point(NamedTuple):
-    """One orbit on the way, at parameters (free,).
+    """One orbit of a branch or curve, at parameters (free,).
 
     contacts (G,)      times at which it grazes
     multipliers (2n,)  of a turn, which is half the orbit where it is symmetric; unstable: how many have modulus above
@@ -41,8 +50,116 @@ class Point(NamedTuple):
     values: Array
     orbit: Orbit
     contacts: Array
-    multipliers: NDArray[np.complex128]
+    multipliers: Complex
     unstable: int
+
+
+class TestFunction(NamedTuple):
+    """A number that changes sign at an event, as its sign and the logarithm of its modulus; the event's conditions."""
+
+    sign: float
+    log: float
+    conditions: tuple[Condition, ...]
+
+
+class TestFunctions(NamedTuple):
+    """The test functions at a point, by name; the equations as they are bordered there; why it is not admissible."""
+
+    equations: Extended
+    point: Point
+    functions: dict[str, TestFunction]
+    fault: Fault | None
+
+
+def point_of(equations: Extended, X: Array) -> Point:
+    """The point of unknowns X (N,)."""
+    mu = multipliers(*equations.motion(X))[0]
+    unstable = int(np.sum(np.abs(_others(mu, equations)) > 1.0))
+    return Point(equations.values(X).copy(), equations.orbit(X), equations.contacts(X).copy(), mu, unstable)
+
+
+def monitored(equations: Extended, X: Array) -> TestFunctions:
+    """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
+    equations = equations.at(X)
+    point, motion, own = point_of(equations, X), equations.motion(X), equations.conditions
+    kind = own[0].kind if own else None
+    found = {}
+    for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
+        if kind != name:
+            sign, log = np.linalg.slogdet(linearised(*motion, z)[0])
+            own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
+            found[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
+    others = _others(point.multipliers, equations)
+    if kind == UNIT:
+        found[CUSP] = _function(float(equations.curvature(motion)[0]), (*own, Condition(CUSP)))
+        found["double"] = _function(float(np.prod(1.0 - others).real), _resonance(1.0))
+    if kind == MINUS_ONE:
+        found["double"] = _function(float(np.prod(1.0 + others).real), _resonance(-1.0))
+    if kind == PAIR:
+        kappa = 0.5 * equations.totals[0]
+        found |= {name: _function(kappa - angle, _resonance(angle)) for angle, name in ANGLES.items()}
+    else:
+        found[PAIR] = _pairs(others, own)
+    return TestFunctions(equations, point, found, fault(equations, X))
+
+
+def fault(equations: Extended, X: Array) -> Fault | None:
+    """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
+    if not equations.family.certified:
+        return None
+    lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
+    return first_fault(*equations.motion(X), equations.contacts(X), lost)
+
+
+def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
+    """The name of an event with these conditions, one or two."""
+    kinds = [condition.kind for condition in conditions]
+    if ANGLE in kinds:
+        return ANGLES[conditions[kinds.index(ANGLE)].kappa]
+    if CUSP in kinds:
+        return "cusp"
+    flip = SYMMETRY_BREAKING if symmetric else PERIOD_DOUBLING
+    names = {UNIT: FOLD, MINUS_ONE: flip, PAIR: NEIMARK_SACKER, GRAZE: GRAZING, SPEED: IMPACT_LOST}
+    if len(kinds) == 1:
+        return names[kinds[0]]
+    if set(kinds) == {UNIT, MINUS_ONE}:
+        return "fold_flip"
+    other = [names[kind] for kind in kinds if kind not in (GRAZE, SPEED)]
+    if not other:
+        return "double_graze"
+    return f"graze_{other[0]}" if len(other) == 1 else "_".join(sorted(other))
+
+
+def _others(mu: Complex, equations: Extended) -> Complex:
+    """The finite multipliers besides those that the conditions fix."""
+    left = mu[np.isfinite(mu)]
+    for condition, total in zip(equations.conditions, equations.totals, strict=True):
+        if condition.kind in (UNIT, MINUS_ONE) and len(left):
+            left = np.delete(left, np.argmin(np.abs(left - (1.0 if condition.kind == UNIT else -1.0))))
+        if condition.kind == PAIR and len(left) > 1:
+            left = np.delete(left, pair_near(left[None], np.array([total]))[2][0])
+    return left
+
+
+def _pairs(others: Complex, own: tuple[Condition, ...]) -> TestFunction:
+    """prod (mu_i mu_j - 1) over all pairs of multipliers: zero where one lies on the unit circle."""
+    i, j = np.triu_indices(len(others), 1)
+    with np.errstate(all="ignore"):
+        products = others[i] * others[j]
+        value = float(np.prod(products - 1.0).real)
+    nearest = np.argmin(np.abs(products.real - 1.0)) if len(products) else None
+    kappa = 0.0 if nearest is None else 0.5 * float((others[i] + others[j])[nearest].real)
+    return _function(value, (*own, Condition(PAIR, kappa=kappa)))
+
+
+def _resonance(kappa: float) -> tuple[Condition, ...]:
+    return Condition(PAIR, kappa=kappa), Condition(ANGLE, kappa=kappa)
+
+
+def _function(value: float, conditions: tuple[Condition, ...]) -> TestFunction:
+    if not math.isfinite(value):
+        return TestFunction(0.0, math.inf, conditions)
+    return TestFunction(float(np.sign(value)), math.log(abs(value)) if value else -math.inf, conditions)
 
 
 class Event(NamedTuple):
@@ -55,113 +172,48 @@ class Event(NamedTuple):
 
 
 class LocatedEvent(NamedTuple):
-    """An event at a share of the way between two points."""
+    """An event at a share of a step; whether its orbit is admissible, the event's own grazes allowed."""
 
     share: float
     event: Event
+    admissible: bool
 
 
-class Change(NamedTuple):
-    """What changed its sign between two views, by name; the share of the way at which it is zero, about."""
-
-    name: str
-    share: float
-    conditions: tuple[Condition, ...]
+def changed(before: TestFunctions, after: TestFunctions) -> list[str]:
+    """The test functions that changed their sign."""
+    return [name for name, b in after.functions.items() if before.functions[name].sign * b.sign < 0.0]
 
 
-def point_of(equations: Extended, X: Array, seen: TestFunctions) -> Point:
-    """The point of unknowns X (N,) and their view."""
-    contacts = equations.contacts(X[None])[0].copy()
-    return Point(equations.values(X).copy(), equations.orbit(X), contacts, seen.multipliers, seen.unstable)
-
-
-def _event_point(equations: Extended, X: Array) -> Point:
-    """The point of unknowns X (N,) that solve the conditions of an event."""
-    lin = equations.model(equations.values(X))[0]
-    mu = multipliers(lin, equations.itinerary, equations.points(X[None]))[0]
-    others = without_own(mu, equations.conditions, equations.totals)
-    unstable = int(np.sum(np.abs(others) > 1.0))
-    return Point(equations.values(X).copy(), equations.orbit(X), equations.contacts(X[None])[0].copy(), mu, unstable)
-
-
-def turn_of(equations: Extended, X: Array) -> tuple[float, float]:
-    """The length of a turn and the forcing frequency at unknowns X (N,)."""
-    lin = equations.model(equations.values(X))[0]
-    return float(equations.itinerary.span(lin)[0]), float(lin.omega[0])
-
-
-def changes(before: TestFunctions, after: TestFunctions) -> list[Change]:
-    """What changed its sign."""
-    found = []
-    for name, b in after.watched.items():
-        a = before.watched[name]
-        if a.sign * b.sign < 0.0:
-            found.append(Change(name, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0))), b.conditions))
-    return found
-
-
-def located(equations: Extended, here: Array, there: Array, change: Change) -> LocatedEvent | None:
-    """The event at which something watched changed its sign; None at a pole, at a real pair of product 1."""
-    low, high, guess, end = 0.0, 1.0, change.share, view(equations, there).watched[change.name].sign
+def located(step: Step, before: TestFunctions, after: TestFunctions, name: str) -> LocatedEvent | None:
+    """The event at which a test function changed its sign; None at a pole, at a real pair of product 1."""
+    a, b = before.functions[name], after.functions[name]
+    low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
     for _ in range(TRIES):
-        found = solved(equations, here + guess * (there - here), change.conditions, None, here, there)
+        found = _solved(step, step.guess(guess), b.conditions)
         if found is not None:
             return found
         guess = 0.5 * (low + high)
-        middle = between(equations, here, there, guess)
+        middle = step.solution(guess)
         if not middle.converged:
             return None
-        low, high = (guess, high) if view(equations, middle.X).watched[change.name].sign != end else (low, guess)
+        passed = monitored(step.equations, middle.X).functions[name].sign == b.sign
+        low, high = (low, guess) if passed else (guess, high)
         guess = 0.5 * (low + high)
     return None
 
 
-def solved(
-    equations: Extended,
-    guess: Array,
-    conditions: tuple[Condition, ...],
-    contact: float | None,
-    here: Array,
-    there: Array,
-) -> LocatedEvent | None:
-    """The event with these conditions near a guess, if between two points; ``contact`` is a new contact time."""
-    values = equations.values(guess)
-    square = Extended(equations.family, equations.orbit(guess), conditions, values, _width(equations))
-    kept = equations.contacts(guess[None])[0] if square.grazes >= equations.grazes else np.zeros(0)
-    X = square.pack(equations.orbit(guess), np.append(kept, [] if contact is None else contact), values)
-    try:
-        square.follow(X)
-        found = solve(square, X)
-    except (NoOscillatorError, np.linalg.LinAlgError):
-        return None
-    share = _share(equations, square, found.X, here, there) if found.converged else None
-    if share is None:
-        return None
-    if not is_minimal(square.itinerary, square.points(found.X[None]), *turn_of(square, found.X)):
-        return None
-    square.follow(found.X)
-    kappa = math.nan
-    for condition, total in zip(conditions, square.totals, strict=True):
-        if condition.kind == PAIR:
-            kappa = 0.5 * total
-    if (len(conditions) == 1 and abs(kappa) >= 1.0) or abs(kappa) > 1.0 + 1e-9:
-        return None
-    kind = name_of(conditions, square.itinerary.symmetric)
-    return LocatedEvent(share, Event(kind, conditions, _event_point(square, found.X), kappa))
-
-
-def leaving(equations: Extended, here: Array, there: Array, why: Fault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible between two points, the first on the way."""
-    low, high, X = 0.0, 1.0, there
+def leaving(step: Step, why: Fault) -> LocatedEvent | None:
+    """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
+    low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
-        found = _of_fault(equations, X, why, here, there)
-        if found is not None and _is_admissible(equations, found.event):
+        found = _of_fault(step, X, why)
+        if found is not None and found.admissible:
             return found
         half = 0.5 * (low + high)
-        middle = between(equations, here, there, half)
+        middle = step.solution(half)
         if not middle.converged:
             return None
-        seen = fault(equations, middle.X)
+        seen = fault(step.equations, middle.X)
         if seen is None:
             low = half
         else:
@@ -169,95 +221,89 @@ def leaving(equations: Extended, here: Array, there: Array, why: Fault) -> Locat
     return None
 
 
-def halves_between(equations: Extended, here: Array, there: Array) -> Reduction | None:
-    """The orbit of half the turn that is passed between two points: both halves exchange their parts there."""
-    for to in reductions(equations.itinerary):
+def origin(step: Step, to: Reduction) -> LocatedEvent | None:
+    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
+    grazes too. None on other curves, and where it is not found.
+    """
+    eq = step.equations
+    own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
+    if own != eq.conditions:
+        return None
+    a, b = (float(np.linalg.norm(difference(*eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
+    share = a / (a + b)
+    guess = step.guess(share)
+    found = _solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
+    return None if found is None else _event(*found, share)
+
+
+def halves_met(step: Step) -> Reduction | None:
+    """The orbit of half the turn that is passed on a step: both halves exchange their parts there. Where no step
+    converged, ``here`` and ``there`` being one, that which it nearly is.
+    """
+    for to in reductions(step.equations.itinerary):
         if to.parts == 2:
-            a, b = (_difference(equations, X, to) for X in (here, there))
-            if a @ b <= 0.0:
+            a, b = (difference(*step.equations.motion(X), to) for X in (step.here, step.there))
+            if a @ b <= 0.0 or (step.here is step.there and np.max(np.abs(a)) < NEAR_HALVES):
                 return to
     return None
 
 
-def nearly_halves(equations: Extended, X: Array) -> Reduction | None:
-    """The orbit of half the turn that unknowns X (N,) nearly are."""
-    for to in reductions(equations.itinerary):
-        if to.parts == 2 and np.max(np.abs(_difference(equations, X, to))) < NEAR_HALVES:
-            return to
-    return None
-
-
-def origin(equations: Extended, here: Array, there: Array, to: Reduction) -> LocatedEvent | None:
-    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
-    grazes too. None on other curves, and where it is not found.
-    """
-    own = tuple(condition for condition in equations.conditions if condition.kind == GRAZE)
-    if own != equations.conditions:
+def _solved(
+    step: Step, guess: Array, conditions: tuple[Condition, ...], contact: tuple[float, ...] = ()
+) -> LocatedEvent | None:
+    """The event with these conditions near a guess, if on the step; ``contact``: the time of a new graze."""
+    eq = step.equations
+    found = _solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
+    share = None if found is None else step.share_of(found[1])
+    if found is None or share is None or not is_minimal(*found[0].motion(found[1])):
         return None
-    a, b = (float(np.linalg.norm(_difference(equations, X, to))) + TINY for X in (here, there))
-    share = a / (a + b)
-    guess = here + share * (there - here)
-    orbit, values = reduced(equations.orbit(guess), to), equations.values(guess)
-    square = Extended(equations.family, orbit, (*own, Condition(MINUS_ONE)), values, _width(equations))
-    X = square.pack(orbit, equations.contacts(guess[None])[0], values)
-    square.follow(X)
-    found = solve(square, X)
-    if not found.converged:
+    met = _event(*found, share)
+    kappa = abs(met.event.kappa)
+    return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else met
+
+
+def _solution(
+    equations: Extended, orbit: Orbit, conditions: tuple[Condition, ...], contacts: Array, guess: Array
+) -> tuple[Extended, Array] | None:
+    """The square system of these conditions and its solution near an orbit and the parameters of a guess."""
+    values = equations.values(guess)
+    square = Extended(equations.family, orbit, conditions, values, equations.width)
+    X = square.pack(orbit, contacts, values)
+    try:
+        square = square.at(X)
+        found = solve(square, X)
+    except (NoOscillatorError, np.linalg.LinAlgError):
         return None
-    kind = name_of(square.conditions, orbit.itinerary.symmetric)
-    return LocatedEvent(share, Event(kind, square.conditions, _event_point(square, found.X)))
+    return (square.at(found.X), found.X) if found.converged else None
 
 
-def _difference(equations: Extended, X: Array, to: Reduction) -> Array:
-    span, omega = turn_of(equations, X)
-    return difference(equations.itinerary, equations.points(X[None]), span, omega, to)
+def _event(square: Extended, X: Array, share: float) -> LocatedEvent:
+    """The event that unknowns X of a square system are."""
+    totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
+    kind = name_of(square.conditions, square.itinerary.symmetric)
+    event = Event(kind, square.conditions, point_of(square, X), 0.5 * next(totals, math.nan))
+    return LocatedEvent(share, event, fault(square, X) is None)
 
 
-def _width(equations: Extended) -> Array:
-    """The scale of the free parameters."""
-    return equations.scale[len(equations.scale) - equations.free :]
-
-
-def _share(equations: Extended, square: Extended, X: Array, here: Array, there: Array) -> float | None:
-    """At which share of the way from here to there X lies, contact times left out; None where it is not near it."""
-    ours = np.concatenate([np.arange(equations.states), len(here) - equations.free + np.arange(equations.free)])
-    theirs = np.concatenate([np.arange(equations.states), len(X) - equations.free + np.arange(equations.free)])
-    chord = (there - here)[ours] / equations.scale[ours]
-    off = (X[theirs] - here[ours]) / equations.scale[ours]
-    length = float(np.linalg.norm(chord))
-    share = float(off @ chord) / length**2
-    near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
-    return share if near else None
-
-
-def _of_fault(equations: Extended, X: Array, why: Fault, here: Array, there: Array) -> LocatedEvent | None:
+def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """The graze or the lost impact that a fault at X comes from."""
-    own = equations.conditions
+    own = step.equations.conditions
     if why.reason == ORDER:
         return None
     if why.reason == LOST:
-        return solved(equations, X, (*own, Condition(SPEED, impact=why.impact)), None, here, there)
-    peak = _peak(equations, X, why)
-    if peak is None:
-        return None
-    return solved(equations, X, (*own, Condition(GRAZE, side=why.side)), peak, here, there)
-
-
-def _is_admissible(equations: Extended, event: Event) -> bool:
-    point = event.point
-    square = Extended(equations.family, point.orbit, event.conditions, point.values, _width(equations))
-    return fault(square, square.pack(point.orbit, point.contacts, point.values)) is None
+        return _solved(step, X, (*own, Condition(SPEED, impact=why.impact)))
+    peak = _peak(step.equations, X, why)
+    return None if peak is None else _solved(step, X, (*own, Condition(GRAZE, side=why.side)), (peak,))
 
 
 def _peak(equations: Extended, X: Array, why: Fault) -> float | None:
     """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
-    lin = equations.model(equations.values(X))[0]
-    points, itinerary = equations.points(X[None]), equations.itinerary
+    lin, itinerary, points = equations.motion(X)
     span = float(itinerary.span(lin)[0])
     ends = [t + k * span for t in points.t[0] for k in (0, 1, 2)]
     limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
     s = np.linspace(why.time, limit, 402)[1:-1]
-    speed = why.side * motion_at(lin, itinerary, points, s[None])[1][0]
+    speed = why.side * motion_at(lin, itinerary, points, s[None])[1, 0]
     turned = np.flatnonzero(speed <= 0.0)
     if not len(turned):
         return None

@@ -1,11 +1,11 @@
-"""Whether two orbits are one: the same motion, begun later by some forcing periods, or its mirror image."""
+"""Whether two orbits are one: begun later by some forcing periods, or mirror images; or a shorter orbit repeated."""
+
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.equations import Orbit
-
-Array = NDArray[np.float64]
+from workers.continuation.equations import Impacts, Itinerary, Orbit
+from workers.continuation.oscillator import Array, ModalOscillator
 
 SAME = 1e-7
 """Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""
@@ -22,14 +22,13 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
         return np.inf
     if not a.sides:
         return 0.0
-    sides_a, times_a, speeds_a = whole(one, omega)
-    sides_b, times_b, speeds_b = whole(other, omega)
+    sides_a, times_a, speeds_a = _whole(one, omega)
+    sides_b, times_b, speeds_b = _whole(other, omega)
     length, fastest = 2.0 * np.pi * a.periods, np.max(np.abs(speeds_a))
     best = np.inf
     for mirror in (1, -1):
         for turn in range(len(sides_b)):
-            sides = mirror * np.roll(sides_b, -turn)
-            if not np.array_equal(sides, sides_a):
+            if not np.array_equal(mirror * np.roll(sides_b, -turn), sides_a):
                 continue
             later = np.roll(times_b + length * (np.arange(len(times_b)) < turn), -turn) - times_a
             # whole forcing periods apart, an image half a period more
@@ -45,7 +44,7 @@ def same_orbit(one: Orbit, other: Orbit, omega: float, tolerance: float = SAME) 
     return distance(one, other, omega) < tolerance
 
 
-def whole(orbit: Orbit, omega: float) -> tuple[Array, Array, Array]:
+def _whole(orbit: Orbit, omega: float) -> tuple[Array, Array, Array]:
     """Sides, times in radians of the force and speeds of all impacts of an orbit, in order from the first one given."""
     sides, times, speeds = np.array(orbit.itinerary.sides), orbit.times * omega, orbit.speeds
     if orbit.itinerary.symmetric:
@@ -53,3 +52,43 @@ def whole(orbit: Orbit, omega: float) -> tuple[Array, Array, Array]:
         sides, speeds = np.concatenate([sides, -sides]), np.concatenate([speeds, -speeds])
         times = np.concatenate([times, times + half])
     return sides, times, speeds
+
+
+class Reduction(NamedTuple):
+    """A turn that may be ``parts`` turns of an orbit of a shorter or symmetric itinerary."""
+
+    parts: int
+    itinerary: Itinerary
+
+
+def reductions(itinerary: Itinerary) -> list[Reduction]:
+    """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
+    sides, m, found = itinerary.sides, len(itinerary.sides), []
+    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn
+    for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
+        k, length = m // parts, halves // parts
+        for sign in (1, -1):
+            closes = sign**parts == itinerary.sign and length % 2 == (sign < 0)
+            if closes and all(sides[i + k] == sign * sides[i] for i in range(m - k)):
+                found.append(Reduction(parts, Itinerary(sides[:k], length if sign < 0 else length // 2, sign < 0)))
+    return found
+
+
+def difference(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, to: Reduction) -> Array:
+    """How one orbit differs from that orbit repeated: (m,) times in radians of the force, (m,) speeds, relative."""
+    t, v, span = points.t[0], points.v[0], itinerary.span(lin)[0]
+    k = len(t) // to.parts
+    later = np.concatenate([t[k:], t[:k] + span]) - t - span / to.parts
+    kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
+    return np.concatenate([later * lin.omega[0], (kicks - to.itinerary.sign * v) / np.max(np.abs(v))])
+
+
+def is_minimal(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> bool:
+    """Whether one orbit is none of those repeated that its itinerary allows."""
+    return all(np.max(np.abs(difference(lin, itinerary, points, to))) > SAME for to in reductions(itinerary))
+
+
+def reduced(orbit: Orbit, to: Reduction) -> Orbit:
+    """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
+    k, offset = len(to.itinerary.sides), 0.0 if to.itinerary.symmetric else orbit.offset
+    return Orbit(to.itinerary, orbit.times[:k].copy(), orbit.speeds[:k].copy(), offset)

@@ -1,13 +1,13 @@
-"""Stability of an orbit: the map of one turn as flights and saltations, its multipliers and exponents."""
+"""Stability of an orbit: the map of one turn as flights and saltations, its multipliers."""
+
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.equations import Impacts, Itinerary, at_impacts
-from workers.continuation.linear import ModalOscillator
+from workers.continuation.oscillator import Array, ModalOscillator
 from workers.continuation.pulses import flights
-
-Array = NDArray[np.float64]
 
 
 def saltations(lin: ModalOscillator, v: Array, a: Array) -> Array:
@@ -15,12 +15,8 @@ def saltations(lin: ModalOscillator, v: Array, a: Array) -> Array:
 
     S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
     """
-    N, n = lin.eta.shape
-    row = lin.c.reshape(N, 1, 2 * n)
-    kick = lin.k.reshape(N, 1, 2 * n)
-    row1 = np.stack([-lin.lam * lin.c[..., 1], lin.c[..., 0] - 2.0 * lin.eta * lin.c[..., 1]], -1).reshape(N, 1, 2 * n)
-    kick1 = np.stack([lin.k[..., 1], -lin.lam * lin.k[..., 0] - 2.0 * lin.eta * lin.k[..., 1]], -1)
-    kick1 = kick1.reshape(N, 1, 2 * n)
+    gap, (N, n) = lin.gap, lin.gap.metric.shape
+    row, row1, kick, kick1 = (field.reshape(N, 1, 2 * n) for field in (gap.row, gap.row1, gap.kick, gap.kick1))
     bent = row1 - (a / v)[..., None] * row
     outer = kick[..., :, None] * bent[..., None, :] + kick1[..., :, None] * row[..., None, :]
     return np.eye(2 * n) - (1.0 + lin.R)[:, None, None, None] * outer
@@ -33,21 +29,17 @@ def pieces(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array
     """
     span = itinerary.span(lin)[:, None]
     if not itinerary.sides:
-        return itinerary.sign * flights(lin, span)
-    _, v, a = at_impacts(lin, itinerary, points)
+        return itinerary.sign * flights(lin.gap, span)
+    _, v, a, _ = at_impacts(lin, itinerary, points)
     following = np.concatenate([points.t[:, 1:], points.t[:, :1] + span], axis=1)
-    factors = np.roll(saltations(lin, v, a), -1, axis=1) @ flights(lin, following - points.t)
+    factors = np.roll(saltations(lin, v, a), -1, axis=1) @ flights(lin.gap, following - points.t)
     factors[:, -1] *= itinerary.sign
     return factors
 
 
 def turn_map(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
     """DP (N, 2n, 2n) over a turn; of symmetric orbits D_G = -DP over half the orbit: its square is DP."""
-    factors = pieces(lin, itinerary, points)
-    total = factors[:, 0]
-    for i in range(1, factors.shape[1]):
-        total = factors[:, i] @ total
-    return total
+    return reduce(lambda total, factor: factor @ total, np.moveaxis(pieces(lin, itinerary, points), 1, 0))
 
 
 def multipliers(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> NDArray[np.complex128]:
@@ -60,33 +52,16 @@ def multipliers(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> 
     return np.take_along_axis(found, np.argsort(-np.abs(found), axis=1, kind="stable"), axis=1)
 
 
-def exponents(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """Lyapunov exponents (N, 2n) per forcing period, largest first: ln|multipliers|, whatever their spread.
-
-    The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
-    beside another as in the product of the factors.
-    """
-    factors = pieces(lin, itinerary, points)
-    N, m, size = factors.shape[:3]
-    cyclic = np.zeros((N, m * size, m * size))
-    for i in range(m):
-        after = (i + 1) % m
-        cyclic[:, after * size : (after + 1) * size, i * size : (i + 1) * size] = factors[:, i]
-    with np.errstate(divide="ignore"):
-        logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))), axis=1)
-    periods = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
-    return np.asarray(logs.reshape(N, size, m).sum(2) / periods)
-
-
-def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Array]:
+def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     """Sum and product (N,) of that pair of multipliers (N, 2n) whose sum is next to ``total`` (N,), its product to 1.
 
-    Both are smooth where the pair is real and double too, unlike the multipliers themselves.
+    Both are smooth where the pair is real and double too, unlike the multipliers themselves. And the places (N, 2) of
+    the pair.
     """
-    i, j = np.triu_indices(values.shape[1], 1)
+    pairs = np.stack(np.triu_indices(values.shape[1], 1), axis=1)
     with np.errstate(invalid="ignore"):  # infinite ones, where an impact has no speed
-        sums, products = values[:, i] + values[:, j], values[:, i] * values[:, j]
+        sums, products = np.sum(values[:, pairs], axis=2), np.prod(values[:, pairs], axis=2)
     distance = np.abs(sums - total[:, None]) + np.abs(products - 1.0)
-    pick = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=1)[:, None]
-    sums, products = np.take_along_axis(sums, pick, 1), np.take_along_axis(products, pick, 1)
-    return sums[:, 0].real, products[:, 0].real
+    pick = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=1)
+    each = np.arange(len(pick))
+    return sums[each, pick].real, products[each, pick].real, pairs[pick]

@@ -1,13 +1,12 @@
 """Pseudo-arclength continuation: from one solution of an extended system with one unknown too many to the next."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.extended import Extended, Solved, solve
-
-Array = NDArray[np.float64]
+from workers.continuation.extended import Extended, solve
+from workers.continuation.newton import Array, Solved
 
 TURN, MOST_TURN = 0.1, 0.35
 """Angle in radians that the tangent may turn by in a step: wanted, and at most."""
@@ -23,31 +22,30 @@ class PseudoArclength:
     """A place on a curve of solutions: unknowns X, unit tangent in units of the scale, length of the next step.
 
     ``advance`` goes one step on; ``back`` returns to where the last one began, so that a shorter one can be tried.
+    ``equations`` may be bordered anew between steps.
     """
 
     def __init__(self, equations: Extended, X: Array, longest: float, direction: Array) -> None:
         self.equations, self.longest, self.length = equations, longest, 0.2 * longest
-        self.X, self.tangent = X, tangent_at(equations, equations.with_jacobian(X)[1], direction / equations.scale)
+        _, J = equations.with_jacobian(X[None])
+        self.X, self.tangent = self.start = X, tangent_at(equations, J[0], direction / equations.scale)
         self.former: tuple[Array, Array, float] | None = None
         self.newton_steps = 0
 
     def advance(self) -> bool:
         """One step on, as long as the last one suggests, shorter where it does not converge or turns too much."""
-        eq = self.equations
         while self.length >= LEAST * self.longest:
-            guess = self._predicted()
-            found = solve(eq, guess, self.tangent / eq.scale)
+            found = solve(self.equations, self._predicted(), self.tangent / self.equations.scale)
             self.newton_steps += found.steps
             if found.converged:
-                tangent = tangent_at(eq, found.jacobian, self.tangent)
+                tangent = tangent_at(self.equations, found.jacobian, self.tangent)
                 angle = math.acos(min(1.0, float(tangent @ self.tangent)))
                 if angle < MOST_TURN:
                     self.former = (self.X, self.tangent, self.length)
                     self.X, self.tangent = found.X, tangent
                     grow = min(2.0, max(0.5, TURN / max(angle, 1e-6)))
-                    self.length = min(
-                        self.length * (grow if found.steps <= FEW_STEPS else min(grow, 0.7)), self.longest
-                    )
+                    grow = grow if found.steps <= FEW_STEPS else min(grow, 0.7)
+                    self.length = min(self.length * grow, self.longest)
                     return True
             self.length *= 0.5
         return False
@@ -58,6 +56,14 @@ class PseudoArclength:
         self.X, self.tangent, length = self.former
         self.former = None
         self.length = 0.5 * length
+
+    def closes(self) -> bool:
+        """Whether the last step passed the start in the direction in which the walk left it."""
+        assert self.former is not None
+        start, leaving = self.start
+        before, after = ((X - start) / self.equations.scale for X in (self.former[0], self.X))
+        passes = float(before @ leaving) < 0.0 <= float(after @ leaving)
+        return passes and bool(max(np.linalg.norm(before), np.linalg.norm(after)) < 1.5 * self.longest)
 
     def _predicted(self) -> Array:
         """The next solution as the tangent has it, or the cubic through the last two solutions and their tangents."""
@@ -88,18 +94,39 @@ def tangent_at(equations: Extended, jacobian: Array, direction: Array) -> Array:
     return np.asarray(tangent / np.linalg.norm(tangent))
 
 
-def between(equations: Extended, here: Array, there: Array, share: float) -> Solved:
-    """The solution this share of the way from one to the next one near it, on the plane across the way."""
-    chord = (there - here) / equations.scale
-    return solve(equations, here + share * (there - here), chord / equations.scale / np.linalg.norm(chord))
+class Step(NamedTuple):
+    """A step along the solutions of equations with one unknown too many, from unknowns ``here`` (N,) to ``there``."""
 
+    equations: Extended
+    here: Array
+    there: Array
 
-def at_value(equations: Extended, here: Array, there: Array, index: int, value: float) -> Solved:
-    """The solution between two near ones at which parameter ``index`` has this value."""
-    place = len(here) - equations.free + index
-    share = (value - here[place]) / (there[place] - here[place])
-    guess = here + share * (there - here)
-    guess[place] = value
-    row = np.zeros(len(here))
-    row[place] = 1.0 / equations.scale[place]
-    return solve(equations, guess, row)
+    def guess(self, share: float) -> Array:
+        """About the unknowns (N,) this share of the way on."""
+        return self.here + share * (self.there - self.here)
+
+    def solution(self, share: float) -> Solved:
+        """The solution this share of the way on, on the plane across the step."""
+        eq = self.equations
+        chord = (self.there - self.here) / eq.scale
+        return solve(eq, self.guess(share), chord / eq.scale / np.linalg.norm(chord))
+
+    def at_value(self, index: int, value: float) -> Solved:
+        """The solution at which parameter ``index`` has this value."""
+        eq, place = self.equations, len(self.here) - self.equations.free + index
+        guess = self.guess((value - self.here[place]) / (self.there[place] - self.here[place]))
+        guess[place] = value
+        return solve(eq, guess, np.eye(1, len(guess), place)[0] / eq.scale)
+
+    def share_of(self, X: Array) -> float | None:
+        """At which share of the way a solution X of other equations lies, contact times left out; None if not near."""
+        eq = self.equations
+        here, there, found, scale = (
+            np.concatenate([field[: eq.states], field[len(field) - eq.free :]])
+            for field in (self.here, self.there, X, eq.scale)
+        )
+        chord, off = (there - here) / scale, (found - here) / scale
+        length = float(np.linalg.norm(chord))
+        share = float(off @ chord) / length**2
+        near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
+        return share if near else None

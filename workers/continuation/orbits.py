@@ -1,42 +1,126 @@
-"""Orbits to start from: of a cell's section state on a periodic attractor; and back to section states."""
+"""Orbits to start from: of a cell's section state, many at once near others, and back to section states."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.continuation.admissible import first_fault
 from workers.continuation.equations import (
     Impacts,
     Itinerary,
+    Motion,
     Orbit,
     at_impacts,
     block_state,
+    check_orbits,
     impacts_of,
     in_one_turn,
+    linearised,
+    residual,
     stops,
     unknown_offset,
+    unpacked,
 )
-from workers.continuation.extended import Extended, solve
-from workers.continuation.linear import Family, family_of, linear_of
+from workers.continuation.newton import Rows, newton
+from workers.continuation.oscillator import Array, Family, family_of, modal
+from workers.continuation.same import is_minimal
+from workers.continuation.stability import multipliers
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
 from workers.kernel.stroboscopic import propagate
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section
 
-Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FARTHEST = 0.5
+"""Newton's first step at most, in radians of the force and relative to the fastest impact."""
 
 RECORD = 256
 """Impacts of one period that an orbit may have."""
 
 
+class Many(NamedTuple):
+    """Orbits (N,) of one itinerary at parameters (N, free); where ``found`` is not set Newton's method found none."""
+
+    itinerary: Itinerary
+    values: Array
+    impacts: Impacts
+    found: Mask
+
+    def orbit(self, k: int) -> Orbit:
+        """One of them."""
+        return self.impacts.orbit(self.itinerary, k)
+
+
+def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
+    """The places of equal keys, in the order in which they are met; none of None."""
+    found: dict[Hashable, list[int]] = {}
+    for place, key in enumerate(keys):
+        if key is not None:
+            found.setdefault(key, []).append(place)
+    return [np.array(places, dtype=np.int64) for places in found.values()]
+
+
+def many_of(orbits: list[Orbit], values: Array) -> Many:
+    """Orbits of one itinerary as one record."""
+    return Many(orbits[0].itinerary, values, impacts_of(*orbits), np.ones(len(orbits), dtype=bool))
+
+
+def moved(family: Family, orbits: Many, values: Array) -> Many:
+    """The orbits near these at other parameters (N, free), by Newton's method on each.
+
+    It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
+    """
+    lin, itinerary, before = family.model(values), orbits.itinerary, orbits.impacts
+    check_orbits(lin, itinerary)
+    m, shift = len(itinerary.sides), int(unknown_offset(lin, itinerary))
+    if m == 0 or not orbits.found.any():
+        return orbits._replace(values=values)
+    fastest, time = np.max(np.abs(before.v), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
+    scale = np.repeat(np.concatenate([time, fastest, fastest * time], axis=1), [m, m, shift], axis=1)
+
+    def motion(X: Array, rows: Rows) -> Motion:
+        return taken(lin, known[rows]), itinerary, unpacked(X, m, shift)
+
+    known = np.flatnonzero(orbits.found)
+    X = np.concatenate([before.t, before.v, before.offset[:, None][:, :shift]], axis=1)
+    found = newton(
+        lambda X, rows: residual(*motion(X, rows)),
+        lambda X, rows: (residual(*motion(X, rows)), linearised(*motion(X, rows))),
+        X[known],
+        scale[known],
+        farthest=FARTHEST,
+    )
+    X[known] = found.X
+    return Many(itinerary, values, unpacked(X, m, shift), np.isin(np.arange(len(X)), known[found.converged]))
+
+
+def attract(family: Family, orbits: Many) -> Mask:
+    """Which of the orbits found attract: all multipliers inside the unit circle, admissible, and no shorter one."""
+    good = orbits.found.copy()
+    rows = np.flatnonzero(good)
+    if not len(rows):
+        return good
+    motion = family.model(orbits.values[rows]), orbits.itinerary, taken(orbits.impacts, rows)
+    with np.errstate(all="ignore"):
+        good[rows] = np.all(np.abs(multipliers(*motion)) < 1.0, axis=1)
+    for k in np.flatnonzero(good[rows])[:, None]:
+        one = taken(motion[0], k), orbits.itinerary, taken(motion[2], k)
+        good[rows[k]] = is_minimal(*one) and not (family.certified and first_fault(*one))
+    return good
+
+
 def orbit_from_state(
     system: System, values: Mapping[str, float], state: Array, periods: int, symmetric: bool = False
 ) -> Orbit:
-    """The periodic orbit through (or next to) a physical section state, so many periods long, by Newton's method.
+    """The periodic orbit through (or next to) a physical section state, by Newton's method.
 
     values   parameters by name; those left out have their defaults
+    periods  of the force in the whole orbit
     Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
     """
     osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
@@ -46,7 +130,11 @@ def orbit_from_state(
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The same where the oscillator is built, of a family at parameters (free,)."""
     orbit = recorded(osc, state, periods, symmetric)
-    return refined(family, orbit._replace(offset=_offset(family, orbit, values)), values)
+    lin = family.model(values[None])
+    if orbit.itinerary.sides and unknown_offset(lin, orbit.itinerary):  # about what impacts miss their stops by
+        y = at_impacts(lin, orbit.itinerary, impacts_of(orbit))[0]
+        orbit = orbit._replace(offset=float(np.mean(stops(lin, orbit.itinerary) - y)))
+    return refined(family, orbit, values)
 
 
 def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
@@ -74,22 +162,12 @@ def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Or
     return in_one_turn(Orbit(itinerary, impacts[:, 0] + shift * osc.period, sides * impacts[:, 2]), span)
 
 
-def _offset(family: Family, orbit: Orbit, values: Array) -> float:
-    """About the offset of y of a rigid mode: by how much the impacts of the orbit without it miss their stops."""
-    lin, points = family.model(values[None])[0], impacts_of(orbit)
-    if not unknown_offset(lin, orbit.itinerary) or not orbit.itinerary.sides:
-        return 0.0
-    return float(np.mean(stops(lin, orbit.itinerary) - at_impacts(lin, orbit.itinerary, points)[0]))
-
-
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
-    fixed = Family((), lambda rows: family.model(np.repeat(values[None], len(rows), axis=0)))
-    equations = Extended(fixed, orbit, (), np.zeros(0), np.zeros(0))
-    found = solve(equations, equations.pack(orbit, np.zeros(0), np.zeros(0)))
-    if not found.converged:
+    found = moved(family, many_of([orbit], values[None]), values[None])
+    if not found.found[0]:
         raise ValueError("Newton's method finds no orbit there")
-    return equations.orbit(found.X)
+    return found.orbit(0)
 
 
 def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:
@@ -108,12 +186,7 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     count, itinerary = len(orbits), orbits[0].itinerary
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
     oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
-    lin = linear_of(oscillators)
-    points = Impacts(
-        np.array([orbit.times for orbit in orbits]),
-        np.array([orbit.speeds for orbit in orbits]),
-        np.array([orbit.offset for orbit in orbits]),
-    )
+    lin, points = modal(oscillators), impacts_of(*orbits)
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(points.t / period - shift, 1.0)
     points = points._replace(t=np.where(since <= AT_SECTION, points.t - AT_SECTION * period, points.t))
@@ -121,6 +194,6 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.gap.forced.shape[3] + 1.0)
     waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, None, None]
     still = oscillators.rest + np.sum(oscillators.gap.forced * waves, axis=(3, 4))
-    blocks = np.stack([np.moveaxis(part, 1, 2) for part in parts], axis=-1) + still[:, None]
+    blocks = np.moveaxis(parts, (0, 3), (3, 1)) + still[:, None]
     flat = blocks.reshape(count, itinerary.periods, -1)
     return np.asarray(np.einsum("nij,nkj->nki", oscillators.to_physical, flat))

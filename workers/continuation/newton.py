@@ -1,0 +1,80 @@
+"""Newton's method on a stack of N problems of one kind; one problem is N = 1."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.modes import stacked
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+NEWTON_STEPS = 12
+
+DONE, ROUNDING = 1e-14, 1e-10
+"""Expected distance from the solution at which Newton's method ends; largest step that may be rounding. In units of the
+scale, as all lengths here."""
+
+KEPT = 1e-4
+"""Step after which the Jacobian is kept."""
+
+
+class Solved(NamedTuple):
+    """What Newton's method found: unknowns (N, U), their Jacobians near there (N, E, U), steps taken, and which of the
+    problems converged (N,). Of one problem without the first axis.
+    """
+
+    X: Array
+    jacobian: Array
+    steps: int
+    converged: Any
+
+
+def newton(
+    values: Callable[[Array, Rows], Array],
+    with_jacobian: Callable[[Array, Rows], tuple[Array, Array]],
+    X: Array,
+    scale: Array,
+    row: Array | None = None,
+    farthest: float = 1.0,
+) -> Solved:
+    """Newton's method from X (N, U).
+
+    values, with_jacobian  what is to vanish (B, E) at unknowns (B, U) of problems (B,), and its derivatives (B, E, U)
+    scale (N, U)           of the unknowns
+    row (U,)               a direction in which nothing changes, where there is one unknown more than equations
+    farthest               first step from which on no solution is looked for: it would hardly be the one near X
+    A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
+    below DONE, and fails where steps do not shrink and at a singular matrix.
+    """
+    X, last, converged = X.copy(), np.full(len(X), np.inf), np.zeros(len(X), dtype=np.bool_)
+    rows, step = np.arange(len(X)), 0
+    known, J = with_jacobian(X, rows)
+    while len(rows) and step < NEWTON_STEPS:
+        step += 1
+        change = _solved(J[rows] * scale[rows, None], -known, row, scale[rows])
+        size, before = np.max(np.abs(change), axis=1, initial=0.0), last[rows]
+        good = size < np.minimum(farthest, 2.0 * before)
+        X[rows[good]] += (change * scale[rows])[good]
+        ratio = np.minimum(size / before, 1.0) if step > 1 else np.sqrt(size)
+        rounding = (step > 1) & (size > 0.3 * before) & (size < ROUNDING)
+        done = good & ((size * np.maximum(ratio, 1e-7) < DONE) | rounding)
+        converged[rows[done]], last[rows] = True, size
+        on = good & ~done
+        stale = (size > KEPT) & ((step == 1) | (size > 1e-2 * before))
+        rows = rows[on]
+        if np.any(stale[on]):
+            known, J[rows] = with_jacobian(X[rows], rows)
+        elif len(rows):
+            known = values(X[rows], rows)
+    return Solved(X, J, step, converged)
+
+
+def _solved(J: Array, right: Array, row: Array | None, scale: Array) -> Array:
+    """The steps (N, U) of each system, in units of the scale; NaN where it is singular."""
+    if row is not None:
+        J = np.concatenate([J, (row * scale)[:, None]], axis=1)
+        right = np.concatenate([right, np.zeros((len(right), 1))], axis=1)
+    return np.asarray(stacked(np.linalg.solve, (*right.shape, 1), J, right[..., None])[..., 0])
