@@ -213,7 +213,7 @@ def test_the_cells_of_one_batch_know_their_attractors_apart() -> None:
     both = Coexistence(record, values, Settings(), Starts(8))
     both.solve()
     assert all(len(cell.attractors) >= 1 for cell in both.cells)
-    assert sum(len(a.starts) for cell in both.cells for a in cell.attractors) == sum(c.tried for c in both.cells)
+    assert sum(len(a.starts) for cell in both.cells for a in cell.attractors) == both.tried.sum()
 
 
 def test_motions_are_compared_with_the_orbits_of_their_own_cell_by_the_contraction_of_a_turn() -> None:

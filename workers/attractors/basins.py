@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from workers.attractors.cell import attractor_of_orbit
 from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
-from workers.attractors.search import Known, Search, motions_at_once
+from workers.attractors.search import motions_at_once
 from workers.attractors.starts import Starts
 from workers.attractors.waves import Coexistence
 from workers.cell.cells import Array
@@ -33,9 +33,10 @@ class Table:
     """The attractors that the reference set of one machine reaches, those of larger share first."""
 
     def __init__(self, record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> None:
-        machine = Coexistence(record, {name: np.array([value]) for name, value in values.items()}, settings, starts)
-        machine.solve()
-        self.settings, self.starts, self.reasons, self.cell = settings, starts, machine.reasons, machine.cells[0]
+        self.machine = Coexistence(record, {k: np.array([value]) for k, value in values.items()}, settings, starts)
+        self.machine.solve()
+        (self.cell,) = self.machine.cells
+        self.settings, self.starts = settings, starts
         self.attractors.sort(key=lambda each: each.order)
 
     @property
@@ -50,24 +51,14 @@ class Table:
 
     def mirrors(self) -> NDArray[np.int64]:
         """The label of the mirror image of each attractor, -1 where none is known; of a symmetric one its own."""
-        return np.array([self._label(each.image(self.cell.symmetric)) for each in self.attractors], dtype=np.int64)
+        return np.array([self.label(each.image(self.cell.symmetric)) for each in self.attractors], dtype=np.int64)
 
     def search(self, states: Array, references: bool) -> Found:
         """What motions from physical states (N, 2n) come to, compared with the attractors of the table."""
-        one, known = np.zeros(len(states), dtype=np.int64), Known(self.oscillator, [self.attractors])
-        motions = Search(taken(self.oscillator, one), self.reasons[one], states, self.settings, known, one)
-        return motions.solve(references)
+        return self.machine.search(np.zeros(len(states), dtype=np.int64), states).solve(references)
 
-    def label(self, found: Found, r: int) -> int:
-        """The label of the orbit, or motion without impact, that motion r is proved to fall into; -1 if it has none."""
-        return self._label(self.cell.same(attractor_of_orbit(self.oscillator, found, r)))
-
-    def add(self, start: int, found: Found, r: int) -> int:
-        """The label of what motion r reaches; the table gets it where it has it not. -1 where it is on none."""
-        known = int(found.label[r])
-        return known if known >= 0 else self._label(self.cell.put(start, found, r))
-
-    def _label(self, attractor: Attractor | None) -> int:
+    def label(self, attractor: Attractor | None) -> int:
+        """The label of an attractor of the table."""
         return UNKNOWN_LABEL if attractor is None else self.attractors.index(attractor)
 
 
@@ -118,7 +109,7 @@ def _solve_part(table: Table, states: Array, arrays: dict[str, NDArray[Any]]) ->
     found = table.search(states, references=False)
     label, regime = found.label.copy(), found.regime
     for r in np.flatnonzero((label < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
-        label[r] = table.label(found, r)
+        label[r] = table.label(table.cell.same(attractor_of_orbit(table.oscillator, found, r)))
     for name, values in found.cells.found.items():
         arrays[name][:] = values
     for k, each in enumerate(table.attractors):
@@ -135,9 +126,12 @@ def added(table: Table, states: Array) -> NDArray[np.int64]:
 
     The order of the states decides the order of new labels. UNKNOWN_LABEL where a state turns out to be on none.
     """
-    first, every = table.starts.count, range(len(states))
-    found = [table.add(first + k, table.search(states[k : k + 1], references=True), 0) for k in every]
-    return np.array(found, dtype=np.int64)
+    labels = np.full(len(states), UNKNOWN_LABEL, dtype=np.int64)
+    for k in range(len(states)):
+        found = table.search(states[k : k + 1], references=True)
+        known = int(found.label[0])
+        labels[k] = known if known >= 0 else table.label(table.cell.put(table.starts.count + k, found, 0))
+    return labels
 
 
 def section_points(table: Table, count: int) -> Array:

@@ -1,7 +1,5 @@
 """The attractors of one cell, each motion put to one that is known or to a new one."""
 
-from typing import Any
-
 import numpy as np
 
 from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
@@ -15,11 +13,9 @@ LONGEST_KNOWN = 32
 
 
 class CellAttractors:
-    """What is known of one cell, whose oscillator is a record of many: its attractors.
+    """The attractors that are known of one cell, whose oscillator is a record of many.
 
-    used         forcing periods; tried: how many initial states have a motion
-    undecided    initial states whose attractor is not known
-    first        results of the cell's own initial state
+    undecided    initial states, by number, whose attractor is not known
     """
 
     def __init__(self, oscillator: Oscillator) -> None:
@@ -27,8 +23,6 @@ class CellAttractors:
         self.symmetric = bool(oscillator.symmetric[0] > 0.0)
         self.attractors: list[Attractor] = []
         self.undecided: list[int] = []
-        self.first: dict[str, Any] = {}
-        self.used = self.tried = 0
 
     def put(self, start: int, found: Found, r: int) -> Attractor | None:
         """The attractor, known or new, that motion r reaches, which was solved in full from an initial state.
@@ -41,7 +35,7 @@ class CellAttractors:
             known = self.same(new)
         elif regime in STATISTICAL and reference is not None:
             new = Attractor(regime, found.result(r), int(found.cells.contact[r]), reference=reference)
-            new.last, new.seen = [found.last_of(r)], int(new.result["survived"]) + int(found.compared[r])
+            new.last, new.seen = [found.last[r]], int(new.result["survived"]) + int(found.compared[r])
             place, found.distance[r] = nearest(self.alike(new), reference)
             known = self.alike(new)[place] if found.distance[r] <= DIFFERENT else None
         else:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from workers.cell.cells import Array, Cells, Rows
 from workers.kernel.cells import physical_states
+from workers.kernel.motion import FREE
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 STABLE = (NO_IMPACT, PERIODIC)
@@ -23,7 +24,7 @@ class Found:
     distance     in standard errors from the attractor that it was put to by statistics
     reference    batches of a new chaos or torus, of others None
     compared     periods on the attractor after its class was known
-    last         (N, 2n) the physical state at which the motion was left, last_contact its contact
+    last         the physical state at which the motion was left, and its contact
     """
 
     def __init__(self, cells: Cells) -> None:
@@ -32,8 +33,8 @@ class Found:
         self.label, self.arrival = np.full((2, N), -1)
         self.distance = np.full(N, np.nan)
         self.reference: list[Array | None] = [None] * N
-        self.compared, self.last_contact = np.zeros((2, N), dtype=np.int64)
-        self.last = np.full((N, cells.directions), np.nan)
+        self.compared = np.zeros(N, dtype=np.int64)
+        self.last: list[tuple[Array, int]] = [(np.full(cells.directions, np.nan), FREE)] * N
 
     @property
     def regime(self) -> NDArray[np.int8]:
@@ -52,12 +53,8 @@ class Found:
     def keep_last(self, rows: Rows) -> None:
         """Keep where these motions are, for those that go on from there."""
         motions = self.cells.batch.motions
-        self.last[rows] = physical_states(self.cells.oscillators, motions, rows)
-        self.last_contact[rows] = motions.contact[rows, 0]
-
-    def last_of(self, r: int) -> tuple[Array, int]:
-        """The physical state at which one motion was left, and its contact."""
-        return self.last[r], int(self.last_contact[r])
+        for r, state in zip(rows, physical_states(self.cells.oscillators, motions, rows), strict=True):
+            self.last[r] = state, int(motions.contact[r, 0])
 
 
 @dataclass(eq=False)
@@ -109,7 +106,7 @@ class Attractor:
         """Motion r, from this initial state, is on it: exactly, or by statistics, which count what was seen of it."""
         self.starts.append(start)
         if self.reference is not None:
-            self.last.append(found.last_of(r))
+            self.last.append(found.last[r])
             self.pooled += 1
             self.distance = max(self.distance, float(found.distance[r]))
             self.seen += int(found.compared[r])

@@ -166,7 +166,7 @@ def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Arr
 
 def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
     """Means (len(rows), 4n) over the last ``count`` sections of each motion: of block coordinates, of their squares."""
-    states = sections[rows, -count:].reshape(len(rows), count, -1)
+    states = sections[rows, -count:].reshape(len(rows), count, 2 * sections.shape[2])
     return np.concatenate([states, states * states], axis=2).mean(axis=1)
 
 

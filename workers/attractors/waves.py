@@ -10,14 +10,14 @@ cell's initial states has found one. The periods of all motions on one attractor
 it, it is a transient: each of them is where it ends, or undecided.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workers.attractors.cell import CellAttractors
-from workers.attractors.record import STABLE, Attractor, Found
+from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
 from workers.attractors.same import DIFFERENT, mirrored, nearest
 from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
@@ -64,7 +64,10 @@ def solve_attractors(
 
 
 class Coexistence:
-    """N cells of these parameters (N,) each, and the attractors that are known of them."""
+    """N cells of these parameters (N,) each, and the attractors that are known of them.
+
+    used (N,) forcing periods, tried (N,) initial states that have a motion; first: results of the cells' own
+    """
 
     def __init__(self, record: System, params: Mapping[str, Array], settings: Settings, starts: Starts) -> None:
         self.oscillators, self.reasons = record.build_many(params)
@@ -72,19 +75,19 @@ class Coexistence:
         with np.errstate(all="ignore"):
             self.states = initial_states(starts, self.oscillators, record.states, initial_state(record, params))
         self.cells = [CellAttractors(taken(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
+        self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
+        self.first: list[dict[str, Any]] = []
 
     def solve(self) -> None:
         """Solve the initial states wave by wave, then see whether what looks chaotic lasts."""
-        going = np.flatnonzero(self.reasons == NO_REASON)
+        going = np.arange(len(self.cells))
         for wave in self.starts.waves():
-            self._solve_wave(going if wave.start else np.arange(len(self.reasons)), wave)
-            going = going[[not self._is_done(self.cells[c], wave.stop) for c in going]]
+            self._solve_wave(going, wave)
+            enough = (self.tried >= self.starts.enough) & (wave.stop >= self.starts.enough)
+            one = np.array([len(cell.attractors) == 1 and not cell.undecided for cell in self.cells])
+            going = np.flatnonzero((self.reasons == NO_REASON) & ~(one & enough))
         self._watch()
         self._pair()
-
-    def _is_done(self, cell: CellAttractors, started: int) -> bool:
-        one = len(cell.attractors) == 1 and not cell.undecided
-        return one and started >= self.starts.enough and cell.tried >= self.starts.enough
 
     def _solve_wave(self, cells: Rows, wave: range) -> None:
         owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
@@ -92,31 +95,34 @@ class Coexistence:
         owner, number = owner[there], number[there]
         if not len(owner):
             return
-        known = Known(self.oscillators, [cell.attractors for cell in self.cells])
-        found = self._search(owner, self.states[owner, number], known).solve()
-        self._pay(owner, found.cells.used)
-        for r in np.flatnonzero(number == 0).tolist():
-            self.cells[owner[r]].first = found.result(r)
-        moving = np.flatnonzero((found.label >= 0) | (found.regime != INVALID)).tolist()
-        for r in moving:
-            self.cells[owner[r]].tried += 1
-        self._assign(owner, number, found, known, moving)
+        search = self.search(owner, self.states[owner, number])
+        found = search.solve()
+        np.add.at(self.used, owner, found.cells.used)
+        if wave.start == 0:
+            self.first = [found.result(r) for r in range(len(owner))]
+        moving = np.flatnonzero((found.label >= 0) | (found.regime != INVALID))
+        np.add.at(self.tried, owner[moving], 1)
+        self._assign(owner, number, search, moving)
 
-    def _search(self, owner: Rows, states: Array, known: Known, contact: Rows | None = None) -> Search:
-        oscillators = taken(self.oscillators, owner)
-        return Search(oscillators, self.reasons[owner], states, self.settings, known, owner, contact)
+    def search(
+        self, owner: Rows, states: Array, contact: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
+    ) -> Search:
+        """Motions of cells ``owner`` (N,) from physical states (N, 2n), compared with the attractors of these regimes.
 
-    def _pay(self, owner: Rows, used: Rows) -> None:
-        for c, periods in zip(owner.tolist(), used.tolist(), strict=True):
-            self.cells[c].used += periods
+        contact (N,) is that of motions that go on from there.
+        """
+        known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells])
+        oscillators, reasons = taken(self.oscillators, owner), self.reasons[owner]
+        return Search(oscillators, reasons, states, self.settings, known, owner, contact)
 
-    def _assign(self, owner: Rows, number: Rows, found: Found, known: Known, rows: Iterable[int]) -> None:
+    def _assign(self, owner: Rows, number: Rows, search: Search, rows: Rows) -> None:
         """Put each motion to its attractor, one that is known or a new one; in the order of the initial states."""
-        for r in rows:
-            if found.label[r] >= 0:
-                known.attractors[found.label[r]].add(int(number[r]), found, r)
+        for r in rows.tolist():
+            label, start = search.found.label[r], int(number[r])
+            if label >= 0:
+                search.known.attractors[label].add(start, search.found, r)
             else:
-                self.cells[owner[r]].put(int(number[r]), found, r)
+                self.cells[owner[r]].put(start, search.found, r)
 
     def _watch(self) -> None:
         """Watch what looks chaotic beside a stable orbit until it has survived, or ends.
@@ -133,15 +139,14 @@ class Coexistence:
             number = np.concatenate([each.starts for _, each, _ in suspects])
             states, contact = _stacked([state for _, each, _ in suspects for state in each.last])
             periods = np.repeat([-(-missing // len(each.starts)) for _, each, missing in suspects], counts)
-            known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in STABLE] for cell in self.cells])
-            found = self._search(owner, states, known, contact).watch(periods)
-            self._pay(owner, found.cells.used)
+            search = self.search(owner, states, contact, STABLE)
+            found = search.watch(periods)
+            np.add.at(self.used, owner, found.cells.used)
             ended = (found.label >= 0) | np.isin(found.regime, STABLE)
-            for (c, each, _), rows in zip(
-                suspects, np.split(np.arange(len(owner)), np.cumsum(counts)[:-1]), strict=True
-            ):
+            parts = np.split(np.arange(len(owner)), np.cumsum(counts)[:-1])
+            for (c, each, _), rows in zip(suspects, parts, strict=True):
                 self._part(self.cells[c], each, number, found, rows, rows[~ended[rows]], last=last)
-            self._assign(owner, number, found, known, np.flatnonzero(ended).tolist())
+            self._assign(owner, number, search, np.flatnonzero(ended))
 
     def _missing(self, cell: CellAttractors, each: Attractor, last: bool) -> int:
         """Periods for which an attractor is still to be watched."""
@@ -157,7 +162,7 @@ class Coexistence:
         """Take an attractor for a transient where not all of its motions stay; those that do may be nowhere at last."""
         each.seen += int(found.cells.flown[rows].sum())
         each.transient |= len(stay) < len(rows)
-        each.starts, each.last = number[stay].tolist(), [found.last_of(r) for r in stay.tolist()]
+        each.starts, each.last = number[stay].tolist(), [found.last[r] for r in stay]
         if each.transient and (last or not len(stay)):
             cell.attractors.remove(each)
             cell.undecided += each.starts
@@ -174,9 +179,9 @@ class Coexistence:
             return
         owner = np.array([c for c, _ in alone])
         states, contact = mirrored(taken(self.oscillators, owner), *_stacked([each.last[0] for _, each in alone]))
-        search = self._search(owner, states, Known(self.oscillators, [[] for _ in self.cells]), contact)
+        search = self.search(owner, states, contact, ())
         going, means = search.sample(search.cells.ready)
-        self._pay(owner, search.cells.used)
+        np.add.at(self.used, owner, search.cells.used)
         for r, of_image in zip(going, means, strict=True):
             c, each = alone[r]
             place, away = nearest(self.cells[c].alike(each), of_image)
@@ -191,15 +196,15 @@ class Coexistence:
         for c, cell in enumerate(self.cells):
             ranked = sorted(cell.attractors, key=lambda a: a.order)
             shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
-            found["periods_used"][c] = cell.used
-            found["attractors"][c], found["starts"][c] = len(ranked), cell.tried
+            found["periods_used"][c] = self.used[c]
+            found["attractors"][c], found["starts"][c] = len(ranked), self.tried[c]
             found["undecided"][c], found["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
-            if cell.tried:
-                found["unseen_share"][c] = unseen_share(cell.tried)
+            if self.tried[c]:
+                found["unseen_share"][c] = unseen_share(self.tried[c])
             if not shown:
-                _put(found, c, 0, cell.first)
+                _put(found, c, 0, self.first[c])
             for k, each in enumerate(shown):
-                _put(found, c, k, each.result | _of_share(len(each.starts), cell.tried))
+                _put(found, c, k, each.result | _of_share(len(each.starts), int(self.tried[c])))
                 found["exact"][c, k] = each.regime in STABLE
                 found["lumped"][c, k] = each.pooled
                 if each.pooled:

@@ -1,14 +1,7 @@
 """The adaptive schedule: each cell is followed until its class is certain, and what looks chaotic is watched.
 
-A cell goes through stages. In each, warming aside, it looks for a stable orbit at the end of every stretch of periods.
-
-SEARCHING  Its motion forgets where it began: some relaxation times, at least LEAST_TRANSIENT periods.
-WARMING    Tangent vectors turn into the right directions.
-AVERAGING  Their growth is averaged. Clearly positive, and known to half of the accuracy that is asked for (in periods):
-           chaotic so far. Zero on two stretches: a torus. Clearly negative: a long orbit is sought.
-WATCHING   What looks chaotic goes on without tangent vectors for most of the time that it has to survive.
-           Then it is averaged again: where the two averages agree they are one, otherwise the motion has changed, and
-           the later one takes the place of the earlier.
+A cell goes through stages: it is searching, warming, averaging, watching, and averaging once more. At the end of every
+stretch of periods, warming aside, it looks for a stable orbit.
 
 ``max_periods`` bounds what decides the class; a cell that looks chaotic may cost ``survival`` periods more. A tenth of
 max_periods is kept for the proof of an orbit.
@@ -92,6 +85,7 @@ class Course:
                those began that count
     watched    periods of watching
     weighted   the weighted average of its last stretch
+    half       standard error of an average over half of the periods that the tolerance takes
 
     is_known   which of some cells, at the end of a stretch, are done since their motion is recognised
     leaves     which of some cells, whose transients are over, leave the course to be judged elsewhere
@@ -108,6 +102,7 @@ class Course:
         N = len(cells.used)
         self.cells, self.settings = cells, cells.settings
         self.is_known, self.leaves, self.part = is_known, leaves, part
+        self.half = math.sqrt(2.0) * self.settings.tolerance
         self.stage = np.full(N, SEARCHING)
         self.stretch = np.full(N, FIRST_STRETCH)
         self.memory, self.weighted = np.full((2, N), math.nan)
@@ -134,8 +129,6 @@ class Course:
     def look(self, through: Rows) -> Rows:
         """See what the stretch has shown of each cell; those that have to go on."""
         cells = self.cells
-        watching = through[self.stage[through] == WATCHING]
-        self.watched[watching] += cells.batch.done[watching]
         through = outcome.end_stopped(cells, through)
         warming = self.stage[through] == WARMING
         near = np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
@@ -143,7 +136,7 @@ class Course:
         resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
         self._end_at_rest(rows[resting])
         rows = np.concatenate([through[warming], rows[~resting]])
-        stage, stages = self.stage[rows], (self.search, self.warm, self.average, self.watch)
+        stage, stages = self.stage[rows], (self.searching, self.warming, self.averaging, self.watching)
         return np.concatenate([act(rows[stage == k]) for k, act in enumerate(stages)])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
@@ -172,8 +165,8 @@ class Course:
 
     # Searching
 
-    def search(self, rows: Rows) -> Rows:
-        """Search on, or warm up where the motion has forgotten where it began."""
+    def searching(self, rows: Rows) -> Rows:
+        """The motion forgets where it began: some relaxation times, LEAST_TRANSIENT periods at least."""
         cells, flown = self.cells, self.cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
         hits = impact_count(cells.batch.motions.tally[new]) / cells.flown[new]
@@ -204,37 +197,39 @@ class Course:
         self.cells.framed[rows] = True
         self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
 
-    def warm(self, rows: Rows) -> Rows:
-        """Average from here on; a second average is to be as long as the first should have been."""
+    def warming(self, rows: Rows) -> Rows:
+        """Tangent vectors have turned into the right directions: average from here on.
+
+        A second average is to be as long as the first should have been.
+        """
         cells = self.cells
         averages.begin(cells, rows)
         self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
         earlier = cells.earlier.periods[rows]
         self.first[rows[earlier == 0.0]] = cells.flown[rows[earlier == 0.0]]
-        wanted = periods_for(earlier, cells.earlier.error[rows], self._half)
+        wanted = periods_for(earlier, cells.earlier.error[rows], self.half)
         self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
         return rows
 
     # Averaging
 
-    @property
-    def _half(self) -> float:
-        """Standard error of an average over half of the periods that the tolerance takes."""
-        return math.sqrt(2.0) * self.settings.tolerance
+    def averaging(self, rows: Rows) -> Rows:
+        """The growth of tangent vectors is averaged.
 
-    def average(self, rows: Rows) -> Rows:
-        """See what the average under way shows."""
+        Clearly positive, and known to half of the accuracy that is asked for (in periods): chaotic so far. Zero on two
+        stretches: a torus. Clearly negative: a long orbit is sought.
+        """
         second = self.cells.earlier.periods[rows] > 0.0
         return np.concatenate([self._judge_first(rows[~second]), self._judge_second(rows[second])])
 
     def _judge_first(self, rows: Rows) -> Rows:
-        """Half of the accuracy, in periods, is enough to call a cell chaotic; so is half of the budget."""
+        """Half of the budget is enough to call a cell chaotic, too."""
         now = under_way(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
-        chaotic = positive & ((now.error <= self._half) | half_spent)
+        chaotic = positive & ((now.error <= self.half) | half_spent)
         self._close(rows[chaotic])
-        missing = np.where(positive, periods_for(now.periods, now.error, self._half) - now.periods, math.inf)
+        missing = np.where(positive, periods_for(now.periods, now.error, self.half) - now.periods, math.inf)
         self._average_on(rows[~chaotic], missing[~chaotic])
         return np.concatenate([rows[chaotic], self._find_order(rows[~chaotic])])
 
@@ -246,7 +241,7 @@ class Course:
         whole, error = averages.whole_average(self.cells, rows), under_way(self.cells, rows).error
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
-        precise = (averages.has_changed(self.cells, rows) | (whole.error <= accuracy)) & (error <= 2.0 * self._half)
+        precise = (averages.has_changed(self.cells, rows) | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
@@ -282,7 +277,7 @@ class Course:
         """Close the average of these cells and watch them, or go on to the next average if there is no need to."""
         averages.close(self.cells, rows)
         missing = self._missing(rows) > 0
-        self.warm(rows[~missing])  # the frame is as it was
+        self.warming(rows[~missing])  # the frame is as it was
         rest = rows[missing]
         self.cells.framed[rest], self.cells.averaging[rest], self.stage[rest] = False, False, WATCHING
         self._aim_watch(rest)
@@ -307,8 +302,13 @@ class Course:
 
     # Watching
 
-    def watch(self, rows: Rows) -> Rows:
-        """Watch on, or average again; without exponents the motion is aperiodic."""
+    def watching(self, rows: Rows) -> Rows:
+        """What looks chaotic goes on without tangent vectors for most of the time that it has to survive.
+
+        Then it is averaged once more: where the two averages agree they are one, otherwise the motion has changed, and
+        the later one takes the place of the earlier. Without exponents it is aperiodic then.
+        """
+        self.watched[rows] += self.cells.batch.done[rows]
         missing = self._missing(rows) > 0
         self._aim_watch(rows[missing])
         if self.cells.vectors:

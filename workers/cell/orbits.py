@@ -36,13 +36,11 @@ def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
 
     Cells whose budget does not allow for that are not tried.
     """
-    proved = np.zeros(len(rows), dtype=np.bool_)
-    tried = np.flatnonzero(cells.budget()[rows] > LONG_PERIOD + 1)
-    for first in range(0, len(tried), LONG_AT_ONCE):
-        some = tried[first : first + LONG_AT_ONCE]
-        proved[some] = _prove_long(cells, rows[some])
-    put_periodic(cells, rows[proved])
-    return rows[~proved]
+    tried = cells.budget()[rows] > LONG_PERIOD + 1
+    parts = [rows[tried][first : first + LONG_AT_ONCE] for first in range(0, np.count_nonzero(tried), LONG_AT_ONCE)]
+    proved = np.concatenate([rows[:0], *(some[_prove_long(cells, some)] for some in parts)])
+    put_periodic(cells, proved)
+    return np.setdiff1d(rows, proved, assume_unique=True)
 
 
 def _prove_long(cells: Cells, rows: Rows) -> Mask:

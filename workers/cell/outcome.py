@@ -78,7 +78,7 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
         stuck_fraction=0.0,
         periods_used=cells.used[rows],
     )
-    put_states(cells, rows, oscillators, steady, np.zeros((len(rows), 1), np.int64), np.ones(len(rows), np.int64))
+    put_states(cells, rows, steady, np.zeros((len(rows), 1), np.int64), np.ones(len(rows), np.int64))
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
@@ -95,12 +95,8 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
     if not len(rows):
         return
-    oscillators, tally, period, exponents = (
-        taken(cells.oscillators, rows),
-        orbits.tally,
-        orbits.period,
-        orbits.exponents,
-    )
+    oscillators, exponents = taken(cells.oscillators, rows), orbits.exponents
+    tally, period = orbits.tally, orbits.period
     hits = impact_count(tally) / period
     defect = _defect(oscillators, np.sum(exponents, axis=1), tally, hits)
     put(
@@ -118,7 +114,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         periods_used=cells.used[rows],
     )
     put_contacts(cells, rows, tally, period, hits)
-    put_states(cells, rows, oscillators, orbits.h, orbits.contact, period)
+    put_states(cells, rows, orbits.h, orbits.contact, period)
 
 
 def orbit_error(largest: Array, rounding: Array, defect: Array, sticks: Array) -> Array:
@@ -144,19 +140,15 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     counted = np.flatnonzero(average.periods > 0.0)
     some, average = rows[counted], taken(average, counted)
     tally, periods = counts(cells, some)
-    oscillators = taken(cells.oscillators, some)
+    oscillators, followed = taken(cells.oscillators, some), np.full(len(some), FOLLOWED)
     if cells.vectors:
         put_growth(cells, some, tally, average)
-    followed = np.full(len(some), FOLLOWED)
-    put(
-        cells,
-        some,
-        peak_to_peak=impact_range(oscillators, tally, motions.h[some], motions.contact[some], followed),
-    )
+    reach = impact_range(oscillators, tally, motions.h[some], motions.contact[some], followed)
+    put(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
     put(cells, rows, periods_used=cells.used[rows])
     no_period = np.zeros(len(rows), dtype=np.int64)
-    put_states(cells, rows, taken(cells.oscillators, rows), motions.h[rows], motions.contact[rows], no_period)
+    put_states(cells, rows, motions.h[rows], motions.contact[rows], no_period)
 
 
 def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
@@ -233,12 +225,12 @@ def put_by_average(
     put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear)
 
 
-def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:
+def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the sections from it on.
 
     The next K states, those of an orbit of known ``period`` repeated. NaN from where the motion cannot be followed.
     """
-    motions, every = motion.motions_at(h, contact), np.arange(len(rows))
+    oscillators, motions, every = taken(cells.oscillators, rows), motion.motions_at(h, contact), np.arange(len(rows))
     cells.contact[rows] = contact[:, 0]
     put(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples

@@ -37,7 +37,7 @@ def begin(
 
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
-    """Why each of these motions cannot go on, results.NO_REASON where it can."""
+    """Why each of these motions cannot go on, NO_REASON where it can."""
     tally, finite = motions.tally[cells], np.isfinite(motions.h[cells]).all(axis=(1, 2))
     running = np.where(
         finite, np.where(tally[:, WORK] < 0.0, np.int8(results.WORK_SPENT), results.NO_REASON), results.NOT_FINITE
@@ -48,13 +48,10 @@ def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
 def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
     """A batch of many motions that have nowhere to go yet, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
-    head, blocks, harmonics = constants(oscillators)
     return Batch(
-        head=head,
-        blocks=blocks,
-        harmonics=harmonics,
-        oscillators=oscillators,
-        motions=motions,
+        *constants(oscillators),
+        oscillators,
+        motions,
         periods=np.zeros(N, dtype=np.int64),
         done=np.zeros(N, dtype=np.int64),
         levels=np.zeros((N, LEVELS, 4)),
