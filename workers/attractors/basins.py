@@ -7,7 +7,7 @@ in which they were solved nor on their order.
 
 import json
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ class Table:
         self.machine = Coexistence(record, {k: np.array([value]) for k, value in values.items()}, settings, starts)
         self.machine.solve()
         (self.cell,) = self.machine.cells
-        self.settings, self.starts = settings, starts
+        self.record, self.settings, self.starts = record, settings, starts
         self.attractors.sort(key=lambda each: each.order)
 
     @property
@@ -79,13 +79,10 @@ def solve_basins(
     for name, value in params.items():
         if name not in record.states and np.size(value) and np.ptp(value) > 0.0:
             raise ValueError(f"{name}: found {np.min(value):g} to {np.max(value):g}, basins are of one machine")
-    table = reference_table(record, fixed_values(record, params), settings, starts)
-
-    def solve_part(params: dict[str, Array], found: dict[str, NDArray[Any]]) -> None:
-        _solve_part(table, initial_state(record, params), found)
-
-    variables = result_variables(settings, basins=True)
-    return solve_parts(record, params, settings, variables, motions_at_once(settings, len(record.states)), solve_part)
+    machine = tuple(fixed_values(record, params).items())
+    table = reference_table(json.dumps(record.resolved()), machine, settings, starts)
+    variables, at_once = result_variables(settings, basins=True), motions_at_once(settings, len(record.states))
+    return solve_parts(record, params, settings, variables, at_once, partial(_solve_part, table))
 
 
 def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
@@ -94,19 +91,15 @@ def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
     return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in record.parameters} | at_rest
 
 
-def reference_table(record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> Table:
-    """The table of a machine. One that was made is kept, for the other tiles that this process solves."""
-    return _table(json.dumps(record.resolved()), tuple(values.items()), settings, starts)
-
-
 @lru_cache(maxsize=4)
-def _table(system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts) -> Table:
+def reference_table(system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts) -> Table:
+    """The table of a machine, kept for other tiles that this process solves; ``system`` is System.resolved as JSON."""
     return Table(System.from_resolved(json.loads(system)), dict(values), settings, starts)
 
 
-def _solve_part(table: Table, states: Array, arrays: dict[str, NDArray[Any]]) -> None:
-    """Write the results of these initial states (N, 2n)."""
-    found = table.search(states, references=False)
+def _solve_part(table: Table, params: Mapping[str, Array], arrays: dict[str, NDArray[Any]]) -> None:
+    """Write the results of the initial states among these parameters (N,)."""
+    found = table.search(initial_state(table.record, params), references=False)
     label, regime = found.label.copy(), found.regime
     for r in np.flatnonzero((label < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
         label[r] = table.label(table.cell.same(attractor_of_orbit(table.oscillator, found, r)))

@@ -181,21 +181,18 @@ class Course:
         return np.setdiff1d(rows, over[leaves], assume_unique=True)
 
     def observe(self, rows: Rows) -> None:
-        """Average these cells from here on, whose transients are over, or watch them where there are no exponents."""
+        """Warm these cells up, whose transients are over, or watch them where there are no exponents."""
         cells = self.cells
         if cells.vectors:
-            self._warm_up(rows)
+            averages.restart(cells, rows)
+            cells.framed[rows] = True
+            self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
         else:
             averages.begin(cells, rows)
             self.stage[rows] = WATCHING
             self._aim_watch(rows)
 
     # Warming
-
-    def _warm_up(self, rows: Rows) -> None:
-        averages.restart(self.cells, rows)
-        self.cells.framed[rows] = True
-        self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
 
     def warming(self, rows: Rows) -> Rows:
         """Tangent vectors have turned into the right directions: average from here on.
@@ -312,7 +309,7 @@ class Course:
         missing = self._missing(rows) > 0
         self._aim_watch(rows[missing])
         if self.cells.vectors:
-            self._warm_up(rows[~missing])
+            self.observe(rows[~missing])
             return rows
         outcome.put_chaotic(self.cells, rows[~missing])
         return rows[missing]
