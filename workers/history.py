@@ -85,10 +85,10 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
 
 def _a_period_later(osc: Oscillator, motions: Motion) -> Motion:
     """The one motion a period later, with room for all of its impacts."""
+    room, before = motions.impacts, motions._replace(impacts=motions.impacts[:, :0])
     while True:
-        later: Motion = each(motions, np.copy)
+        later: Motion = each(before, np.copy)._replace(impacts=room)
         run_periods(osc, each(later, lambda field: field[0]), 1)
-        room = later.impacts.shape[1]
-        if later.tally[0, RECORDED] < room:
+        if later.tally[0, RECORDED] < room.shape[1]:
             return later
-        motions = motions._replace(impacts=np.empty((1, 2 * room, 3)))
+        room = np.empty((1, 2 * room.shape[1], 3))

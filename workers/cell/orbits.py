@@ -72,11 +72,12 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
     can hold at some phase of the force has another: what follows a release repeats with the next rest.
     """
-    o = taken(cells.oscillators, rows)
-    block, load = o.gap.block, o.held.release.amplitude
+    o, gap, held = cells.oscillators, cells.oscillators.gap, cells.oscillators.held
+    b_upper, b_lower, block = o.b_upper[rows], o.b_lower[rows], gap.block[rows]
+    load, push = held.release.amplitude[rows], held.push[rows]
     damped = np.all((block[..., COLUMN.eta] > 0.0) & (block[..., COLUMN.load] == 0.0), axis=-1)
-    stays_inside = o.gap.amplitude < np.minimum(o.b_upper, o.b_lower)
-    upper = np.isfinite(o.b_upper) & (load + o.held.push[:, 0] > 0.0)
-    lower = np.isfinite(o.b_lower) & (load - o.held.push[:, 1] > 0.0)
-    can_rest = (cells.directions == 2) & (upper | lower) & (o.R < 1.0)
+    stays_inside = gap.amplitude[rows] < np.minimum(b_upper, b_lower)
+    upper = np.isfinite(b_upper) & (load + push[:, 0] > 0.0)
+    lower = np.isfinite(b_lower) & (load - push[:, 1] > 0.0)
+    can_rest = (cells.directions == 2) & (upper | lower) & (o.R[rows] < 1.0)
     return np.asarray(cells.orbits.near[rows] | (damped & stays_inside) | can_rest)
