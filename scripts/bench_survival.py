@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from workers import Settings, solve_tile
 from workers.attractors.starts import wilson
-from workers.cell.cells import Rows
+from workers.cell.cells import Cells
 from workers.cell.course import RELAXATIONS, Course
-from workers.cell.solve import begun
 from workers.model.system import find_system
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, empty_results, result_variables
 
@@ -69,13 +68,6 @@ def solved(
     return arrays, sum(seconds for _, seconds in found)
 
 
-class Patient(Course):
-    """Watches whatever looks chaotic for all of ``survival``."""
-
-    def _required(self, rows: Rows) -> Rows:
-        return np.full(len(rows), self.settings.survival)
-
-
 def _follow(work: tuple[dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]]:
     params, periods = work
     record, settings = find_system("two-mass"), Settings(exponents="none", survival=periods)
@@ -84,10 +76,10 @@ def _follow(work: tuple[dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]
     oscillators, reasons = record.build_many(flat)
     found = empty_results(result_variables(settings), (count,), {"exponent": 4, "state": 4, "sample": 0})
     starts = np.stack([flat[name] for name in record.states], axis=-1)
-    cells, ready = begun(oscillators, reasons, starts, settings, found)
-    course = Patient(cells)
+    cells = Cells(oscillators, reasons, starts, settings, found)
+    course = Course(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
     with np.errstate(all="ignore"):
-        course.take(ready)
+        course.take(cells.ready)
     return found | {"relaxation": course.memory / RELAXATIONS}
 
 

@@ -24,10 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.attractors.basins import Table, added
-from workers.attractors.known import mirrored
-from workers.attractors.same import distance
+from workers.attractors.record import STATISTICAL
+from workers.attractors.same import distance, mirrored
 from workers.attractors.starts import Starts, wilson
-from workers.attractors.waves import STATISTICAL
 from workers.model.system import find_system
 from workers.settings import Settings
 from workers.tile import solve_tile

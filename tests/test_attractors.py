@@ -5,8 +5,9 @@ import pytest
 
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
-from workers.attractors.known import LONGEST_KNOWN, Known
+from workers.attractors.cell import LONGEST_KNOWN
 from workers.attractors.same import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, distance, periods_to_settle
+from workers.attractors.search import Known
 from workers.attractors.starts import Starts, initial_states
 from workers.attractors.waves import Coexistence, solve_attractors
 from workers.model.system import find_system
@@ -209,11 +210,10 @@ def test_the_cells_of_one_batch_know_their_attractors_apart() -> None:
     cells = [FIG3 | {"b": b} for b in (0.1, 0.193)]
     cells = [FIG3, FIG3 | {"b": 0.193}]
     values = {p.name: np.array([cell.get(p.name, p.default) for cell in cells]) for p in record.parameters}
-    oscillators, reasons = record.build_many(values)
-    both = Coexistence(oscillators, reasons, np.zeros((2, 4)), Settings(), Starts(8), record.states)
+    both = Coexistence(record, values, Settings(), Starts(8))
     both.solve()
-    assert all(len(tally.attractors) >= 1 for tally in both.tallies)
-    assert sum(len(a.starts) for tally in both.tallies for a in tally.attractors) == sum(t.tried for t in both.tallies)
+    assert all(len(cell.attractors) >= 1 for cell in both.cells)
+    assert sum(len(a.starts) for cell in both.cells for a in cell.attractors) == both.tried.sum()
 
 
 def test_motions_are_compared_with_the_orbits_of_their_own_cell_by_the_contraction_of_a_turn() -> None:
@@ -222,11 +222,10 @@ def test_motions_are_compared_with_the_orbits_of_their_own_cell_by_the_contracti
     values = {
         p.name: np.array([(FIG3 | {"b": b}).get(p.name, p.default) for b in (0.1, 0.193)]) for p in record.parameters
     }
-    oscillators, reasons = record.build_many(values)
-    both = Coexistence(oscillators, reasons, np.zeros((2, 4)), Settings(), Starts(32), record.states)
+    both = Coexistence(record, values, Settings(), Starts(32))
     both.solve()
-    of_cells = [tally.attractors for tally in both.tallies]
-    known = Known(oscillators, of_cells)
+    of_cells = [cell.attractors for cell in both.cells]
+    known = Known(both.oscillators, of_cells)
     assert {a.regime for a in known.attractors} == {PERIODIC, NO_IMPACT}
     for c, attractors in enumerate(of_cells):
         compared = known.places[known.orbits.first[c] : known.orbits.last[c]]

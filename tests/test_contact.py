@@ -8,10 +8,10 @@ from tests import naive
 from tests.oscillators import mass_spring
 from workers import Settings, solve_tile
 from workers.attractors.basins import Table, section_points
-from workers.attractors.known import mirrored
+from workers.attractors.same import mirrored
 from workers.attractors.starts import Starts
-from workers.cell.outcome import put_stopped
-from workers.cell.solve import begun
+from workers.cell.cells import Cells
+from workers.cell.outcome import end_stopped
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, STARTED_BEYOND, STATUS, motion_at, motions_at
@@ -123,11 +123,11 @@ def test_a_motion_beyond_a_stop_goes_nowhere_and_is_invalid_for_that_reason(side
     np.testing.assert_array_equal(motion.h, h)
     settings = Settings()
     found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
-    cells, ready = begun(many_of(osc), np.array([NO_REASON], dtype=np.int8), np.zeros((1, 4)), settings, found)
+    cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), np.zeros((1, 4)), settings, found)
     cells.batch.motions.contact[0, 0] = side * BEYOND
-    cells.aim(ready, 1)
-    cells.run(ready)
-    assert put_stopped(cells, ready).all()
+    cells.aim(cells.ready, 1)
+    cells.run(cells.ready)
+    assert cells.ready.size == 1 and end_stopped(cells, cells.ready).size == 0
     assert (found["regime"][0], found["reason"][0]) == (INVALID, BEYOND_STOP)
 
 
@@ -139,7 +139,7 @@ def test_a_motion_that_goes_on_has_the_contact_that_it_had() -> None:
     other = AT_REST if shown == HELD else HELD
     for contact, expected in ((None, shown), (np.array([other]), other)):
         found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
-        cells, _ = begun(many_of(osc), np.array([NO_REASON], dtype=np.int8), state, settings, found, contact)
+        cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), state, settings, found, contact)
         assert cells.batch.motions.contact[0, 0] == expected
 
 

@@ -9,7 +9,7 @@ from tests import naive
 from tests.test_survival import cells_of
 from workers import Settings
 from workers.cell.cells import Cells
-from workers.cell.outcome import put_averaged, put_periodic, put_stopped
+from workers.cell.outcome import end_stopped, put_averaged, put_periodic
 from workers.kernel.averages import COUNT, add_to_blocks
 from workers.kernel.motion import MARCH_GAVE_UP, NOT_FINITE, OUT_OF_WORK, RUNNING, STATUS, STUCK, UPPER, WORK
 from workers.results import CHAOTIC, COSTLY_PERIOD, FAILED, GAVE_UP, NO_REASON, PENDING, UNDETERMINED, WORK_SPENT
@@ -42,7 +42,7 @@ def test_a_motion_that_cannot_go_on_has_a_regime_and_a_reason(
     motions.h[0, 0, 0], motions.tally[0, STATUS], motions.tally[0, WORK] = h, status, work
     cells.used[0] = 17
     with np.errstate(all="ignore"):
-        assert put_stopped(cells, ONE).tolist() == [True]
+        assert end_stopped(cells, ONE).tolist() == []
     assert (cells.found["regime"][0], cells.found["reason"][0]) == (regime, reason)
     assert cells.found["periods_used"][0] == 17
 
@@ -50,7 +50,7 @@ def test_a_motion_that_cannot_go_on_has_a_regime_and_a_reason(
 def test_a_motion_whose_work_is_just_spent_goes_on() -> None:
     cells = one_cell()
     cells.batch.motions.tally[0, WORK] = 0.0
-    assert put_stopped(cells, ONE).tolist() == [False]
+    assert end_stopped(cells, ONE).tolist() == [0]
     assert cells.found["regime"][0] == PENDING
 
 
@@ -64,7 +64,7 @@ def test_a_motion_whose_work_is_spent_is_chaotic_where_its_average_is_clearly_po
         add_to_blocks(cells.batch.levels[0], growth)
     cells.averaging[0], cells.batch.motions.tally[0, WORK] = True, -1.0
     with np.errstate(all="ignore"):
-        assert put_stopped(cells, ONE).tolist() == [True]
+        assert end_stopped(cells, ONE).tolist() == []
     assert (cells.found["regime"][0], cells.found["reason"][0]) == (regime, reason)
     assert math.isnan(cells.found["error"][0]) == (regime == UNDETERMINED)
 

@@ -24,7 +24,7 @@ from atlas.task.retry import Retry
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
 from workers import solve_tile
-from workers.cell import solve
+from workers.cell import cells
 from workers.results import (
     BEYOND_STOP,
     CHAOTIC,
@@ -96,8 +96,8 @@ def test_a_cell_says_by_its_code_why_it_is_invalid(params: dict[str, float], rea
 
 
 def test_a_cell_given_up_for_its_cost_is_undetermined_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(solve, "LEAST_WORK", 1)
-    monkeypatch.setattr(solve, "WORK_PER_PERIOD", 0)
+    monkeypatch.setattr(cells, "LEAST_WORK", 1)
+    monkeypatch.setattr(cells, "WORK_PER_PERIOD", 0)
     found = solve_tile("two-mass", {})
     assert (found["regime"], found["reason"]) == (UNDETERMINED, WORK_SPENT)
 

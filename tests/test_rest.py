@@ -10,6 +10,7 @@ from tests.oracle.machines import bouncing_ball
 from tests.oracle.simulate import simulate
 from tests.test_survival import cells_of
 from workers import Settings, solve_tile
+from workers.cell.averages import restart
 from workers.cell.outcome import put_averaged
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
@@ -81,12 +82,11 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     cells, one = cells_of(params, Settings(exponents="spectrum")), np.arange(1)
     cells.flown[0] = 200
     cells.batch.motions.tally[0, LOST], cells.batch.motions.tally[0, STUCK] = 2.0, 3.0
-    cells.restart(one)
+    restart(cells, one)
     cells.averaging[0] = True
     cells.aim(one, 50)
     cells.framed[0] = True
-    while len(cells.run(one)) == 0:
-        pass
+    cells.run(one, to_end=True)
     with np.errstate(all="ignore"):
         put_averaged(cells, one)
     found = {name: values[0] for name, values in cells.found.items()}

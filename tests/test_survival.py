@@ -9,10 +9,11 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.cell.cells import RETURNS, Cells, clearly_positive
+from workers.cell.averages import clearly_positive
+from workers.cell.cells import RETURNS, Cells
 from workers.cell.course import RELAXATIONS, TORUS_RETURN, relaxation_periods
 from workers.cell.exponents import impact_count
-from workers.kernel.cells import start_motions
+from workers.cell.orbits import has_coexisting_orbit
 from workers.model.system import find_system
 from workers.orbit.newton import far_from_closing
 from workers.results import (
@@ -56,11 +57,9 @@ def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = 
     record = find_system("two-mass")
     count = max(np.size(value) for value in params.values())
     flat = {p.name: np.broadcast_to(np.asarray(params.get(p.name, p.default), float), count) for p in record.parameters}
-    oscillators, _ = record.build_many({name: values.copy() for name, values in flat.items()})
+    oscillators, reasons = record.build_many({name: values.copy() for name, values in flat.items()})
     found = empty_results(result_variables(settings), (count,), {"exponent": 4, "state": 4, "sample": 0})
-    cells = Cells(oscillators, settings, found, RETURNS + 1)
-    start_motions(oscillators, cells.batch.motions, np.zeros((count, 4)), np.arange(count))
-    return cells
+    return Cells(oscillators, reasons, np.zeros((count, 4)), settings, found)
 
 
 # Survival
@@ -77,9 +76,7 @@ def relaxation_of(params: dict[str, float | np.ndarray]) -> np.ndarray:
     cells = cells_of(params)
     every = np.arange(len(cells.used))
     cells.aim(every, 256)
-    waiting = every
-    while len(waiting):
-        waiting = np.setdiff1d(waiting, cells.run(waiting))
+    cells.run(every, to_end=True)
     return relaxation(cells)
 
 
@@ -92,7 +89,7 @@ def test_chaos_is_watched_for_a_part_that_grows_as_the_square_of_its_relaxation(
     """Chaotic cells of a line to which no other stable orbit is known."""
     survival, params = 80_000, {"omega": np.linspace(1.8, 2.4, 40), "b": 0.1, "zeta": zeta, "R": R}
     found = solve_tile("two-mass", params, Settings(tolerance=0.1, survival=survival))
-    beside = cells_of(params).has_coexisting_orbit(np.arange(40))
+    beside = has_coexisting_orbit(cells_of(params), np.arange(40))
     alone = (found["regime"] == CHAOTIC) & (found["reason"] == NO_REASON) & ~beside
     part = np.clip((relaxation_of(params)[alone] / 5.0) ** 2, 1.0 / 32.0, 1.0)
     survived = found["survived"][alone]
@@ -209,8 +206,7 @@ def test_energy_relaxes_at_the_rate_of_the_slowest_mode_without_impact() -> None
 def test_impacts_shorten_the_memory() -> None:
     cells = cells_of({"omega": 2.0, "b": 0.1, "R": np.array([1.0, 0.9, 0.5])})
     cells.aim(np.arange(3), 200)
-    for _ in range(3):
-        cells.run(np.arange(3))
+    cells.run(np.arange(3), to_end=True)
     memory = relaxation(cells)
     assert np.all(np.diff(memory) < 0.0)
     assert RELAXATIONS * memory[2] < 256  # the transient that every cell has

@@ -21,7 +21,7 @@ from tests.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile
 from workers.attractors import same
 from workers.attractors.basins import solve_basins
-from workers.attractors.same import batch_moments, orbits_reached, periods_to_settle, turn
+from workers.attractors.same import orbits_reached, periods_to_settle, turn
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.continuation import admissible, branch, curve, equations, orbits, pulses, stability
@@ -113,7 +113,7 @@ def test_no_attractor_has_kernels_of_its_own() -> None:
         solve_attractors("two-mass", cell, brief, Starts(8))
     solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
     assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
-    assert all(before[kernel] for kernel in (orbits_reached, periods_to_settle, turn, batch_moments))
+    assert all(before[kernel] for kernel in (orbits_reached, periods_to_settle, turn))
 
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:

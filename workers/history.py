@@ -6,16 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.outcome import REASON_OF
-from workers.cell.solve import work_allowed
-from workers.cell.stretch import run_periods
-from workers.kernel.cells import physical_states, reset_frames, start_motions
-from workers.kernel.motion import BEYOND, RECORDED, RUNNING, STATUS, WORK, Motion, motions_at
+from workers.cell.cells import work_allowed
+from workers.cell.stretch import begin, run_periods, stop_reasons
+from workers.kernel.cells import physical_states, reset_frames
+from workers.kernel.motion import RECORDED, WORK, Motion, motions_at
 from workers.kernel.stroboscopic import OVERDRAFT
 from workers.model.oscillator import Oscillator, each, many_of
 from workers.model.system import System, find_system
-from workers.results import BEYOND_STOP, ENERGY_OUT_OF_DOUBLES, REASONS, WORK_SPENT, InvalidError
+from workers.results import NO_REASON, REASONS, InvalidError
 from workers.settings import Settings, check_whole
+from workers.tile import broadcast, initial_state
 
 Array = NDArray[np.float64]
 
@@ -42,63 +42,53 @@ class Trace(NamedTuple):
 
 
 def trace(system: str | System, params: Mapping[str, float], periods: int, settings: Settings | None = None) -> Trace:
-    """The history of one cell from its initial state over so many forcing periods, 0 to a million, nothing dropped.
+    """The history of one cell from its initial state over 0 to a million forcing periods, nothing dropped.
 
     Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
-    without a motion and where it costs more evaluations than a cell may at most that is solved over so many.
+    without a motion and where it costs more evaluations than any cell may that is solved over this many periods.
     """
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
     settings = settings or Settings()
-    values = {p.name: p.default for p in record.parameters}
-    for name, value in params.items():
-        parameter = record.parameter(name)
-        if not parameter.admits(float(value)):
-            raise ValueError(f"{name} = {value}: must satisfy {parameter.range}")
-        values[name] = float(value)
-    osc = record.build(values)
-    start = np.array([values[name] for name in record.states])
+    values = broadcast(record, {name: float(value) for name, value in params.items()})
+    for parameter in record.parameters:
+        if not parameter.admits(values[parameter.name]):
+            raise ValueError(f"{parameter.name} = {values[parameter.name]}: must satisfy {parameter.range}")
+    osc = record.build({name: float(value) for name, value in values.items()})
+    start = initial_state(record, values)
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
     oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
     motions = motions_at(np.zeros((1, *osc.gap.kick.shape)), vectors=vectors, record=RECORD)
-    scale = start_motions(oscillators, motions, start[None], cell)
-    motion = each(motions, lambda field: field[0])
-    if motion.contact[0] == BEYOND:
-        raise InvalidError(BEYOND_STOP)
-    if not np.isfinite(scale).all():
-        raise InvalidError(ENERGY_OUT_OF_DOUBLES)
-    motion.tally[WORK] = work_allowed(periods) + OVERDRAFT
+    (reason,) = begin(oscillators, np.array([NO_REASON], dtype=np.int8), motions, start[None])
+    if reason != NO_REASON:
+        raise InvalidError(int(reason))
+    motions.tally[:, WORK] = work_allowed(periods) + OVERDRAFT
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
-        motion = _through_a_period(osc, motion)
-        status = int(motion.tally[STATUS])
-        if status != RUNNING or motion.tally[WORK] < 0.0:
-            reason = WORK_SPENT if status == RUNNING else REASON_OF[status]
+        motions = _a_period_later(osc, motions)
+        (reason,) = stop_reasons(motions, cell)
+        if reason != NO_REASON:
             raise ValueError(f"period {k}: {REASONS[reason].text}")
         reset_frames(oscillators.gap.metric, motions, cell)
-        found = motion.impacts[: int(motion.tally[RECORDED])].copy()
-        found[:, 0] += k * osc.period
-        motion.tally[RECORDED] = 0.0
+        found = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * osc.period, 0.0, 0.0]
+        motions.tally[0, RECORDED] = 0.0
         states.append(physical_states(oscillators, motions, cell)[0])
         impacts.append(found)
-        exponents.append(motion.growth / (k + 1))
+        exponents.append(motions.growth[0] / (k + 1))
     return Trace(
         times=osc.period * np.arange(periods + 1.0),
         states=np.array(states),
         impacts=np.concatenate(impacts),
-        exponents=np.array(exponents).reshape(periods, motion.growth.size),
+        exponents=np.array(exponents).reshape(periods, vectors),
     )
 
 
-def _through_a_period(osc: Oscillator, motion: Motion) -> Motion:
-    """The motion a period later, in place but for the record of impacts, which has room for all of them."""
-    record = motion.impacts
-    before = each(motion._replace(impacts=record[:0]), lambda field: field.copy())
+def _a_period_later(osc: Oscillator, motions: Motion) -> Motion:
+    """The one motion a period later, with room for all of its impacts."""
+    room, before = motions.impacts, motions._replace(impacts=motions.impacts[:, :0])
     while True:
-        run_periods(osc, motion, 1)
-        if motion.tally[RECORDED] < len(record):
-            return motion
-        for field, old in zip(motion._replace(impacts=before.impacts), before, strict=True):
-            field[...] = old
-        record = np.empty((2 * len(record), 3))
-        motion = motion._replace(impacts=record)
+        later: Motion = each(before, np.copy)._replace(impacts=room)
+        run_periods(osc, each(later, lambda field: field[0]), 1)
+        if later.tally[0, RECORDED] < room.shape[1]:
+            return later
+        room = np.empty((1, 2 * room.shape[1], 3))

@@ -1,6 +1,7 @@
 """``solve_lines``, continuation: lines of cells, each cell started from the attractor of the one before it."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,7 +10,7 @@ from workers.kernel.cells import put_inside
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
 from workers.settings import Settings
-from workers.tile import Solution, solve_cells
+from workers.tile import Solution, broadcast, initial_state, solve_cells
 
 Array = NDArray[np.float64]
 
@@ -34,30 +35,25 @@ def solve_lines(
     axis that does not exist.
     """
     record = find_system(system)
-    for name in params:
-        record.parameter(name)
-    grids = np.broadcast_arrays(*(np.asarray(params.get(p.name, p.default), np.float64) for p in record.parameters))
-    shape = grids[0].shape
+    grids = broadcast(record, params)
+    shape = next(iter(grids.values())).shape
     if not -len(shape) <= axis < len(shape):
         raise ValueError(f"axis: found {axis}, the cells have {len(shape)} axes")
     if shape[axis] == 0:
         return solve_cells(system, params, settings)
-    values = {p.name: np.moveaxis(g, axis, 0) for p, g in zip(record.parameters, grids, strict=True)}
+    values = {name: np.moveaxis(grid, axis, 0) for name, grid in grids.items()}
     last: Array | None = None  # per line, the newest state on an attractor; NaN before the first
-    solved: list[Solution] = []
+    solved: dict[int, dict[str, NDArray[Any]]] = {}
     positions = range(shape[axis])
     for i in reversed(positions) if backward else positions:
         here = {name: grid[i] for name, grid in values.items()}
         if last is not None:
             here |= _starts(record, here, last)
-        solved.append(solve_cells(system, here, settings))
-        states = solved[-1].arrays["state"]
+        solved[i] = solve_cells(system, here, settings).arrays
+        states = solved[i]["state"]
         last = states if last is None else np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
-    if backward:
-        solved.reverse()
     along = axis % len(shape)
-    arrays = {name: np.stack([s.arrays[name] for s in solved], axis=along) for name in solved[0].arrays}
-    return Solution(arrays)
+    return Solution({name: np.stack([solved[i][name] for i in positions], axis=along) for name in solved[0]})
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
@@ -66,7 +62,7 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     The gap coordinate is moved onto the stop that it lies beyond, if it does. Without velocity it rests there then, see
     kernel.coordinates.placed.
     """
-    states = np.stack([here[name] for name in record.states], axis=-1)
+    states = initial_state(record, here)
     known = np.isfinite(last).all(axis=-1)
     oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
     moved = last[known].copy()

@@ -1,19 +1,22 @@
 """``solve_tile``: every cell of a tile, from arrays of parameters to arrays of results."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.cell.cells import Cells
 from workers.cell.solve import solve
 from workers.model.system import System, find_system
-from workers.results import REASON, empty_results, reason_counts, result_variables
+from workers.results import ATTRACTOR, REASON, Variable, empty_results, reason_counts, result_variables
 from workers.settings import Settings
 
+Array = NDArray[np.float64]
+
 MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
-"""Bytes of section states that cells under way may take together; so many cells are under way all the same."""
+"""Bytes of section states that cells under way may take together; cells that are under way together all the same."""
 
 
 class Solution(NamedTuple):
@@ -52,21 +55,56 @@ def solve_tile(
 
 def solve_cells(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Solution:
     """As solve_tile, as a Solution."""
-    record = find_system(system)
-    settings = settings or Settings()
-    for name in params:
-        record.parameter(name)
-    values = [np.asarray(params.get(p.name, p.default), dtype=np.float64) for p in record.parameters]
-    shape = np.broadcast_shapes(*(value.shape for value in values))
-    flat = {p.name: np.broadcast_to(v, shape).flatten() for p, v in zip(record.parameters, values, strict=True)}
-    count, size = math.prod(shape), len(record.states)
-    variables = result_variables(settings)
-    found = empty_results(variables, (count,), {"exponent": size, "state": size, "sample": settings.section_samples})
-    at_once = max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * size * (settings.max_period + settings.section_samples)))
+    record, settings = find_system(system), settings or Settings()
+
+    def solve_part(params: dict[str, Array], found: dict[str, NDArray[Any]]) -> None:
+        solve(Cells(*record.build_many(params), initial_state(record, params), settings, found))
+
+    kept = settings.max_period + settings.section_samples
+    at_once = max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * len(record.states) * kept))
+    return solve_parts(record, params, settings, result_variables(settings), at_once, solve_part)
+
+
+def solve_parts(
+    record: System,
+    params: Mapping[str, ArrayLike],
+    settings: Settings,
+    variables: tuple[Variable, ...],
+    at_once: int,
+    solve_part: Callable[[dict[str, Array], dict[str, NDArray[Any]]], None],
+    attractors: int = 0,
+) -> Solution:
+    """Arrays of these variables, written part by part: of ``at_once`` cells, from their parameters (N,)."""
+    grids = broadcast(record, params)
+    shape = next(iter(grids.values())).shape
+    flat = {name: grid.flatten() for name, grid in grids.items()}
+    count = math.prod(shape)
+    found = result_arrays(variables, settings, count, len(record.states), attractors)
     for begin in range(0, count, at_once):
         part = slice(begin, begin + at_once)
-        here = {name: column[part] for name, column in flat.items()}
-        oscillators, reasons = record.build_many(here)
-        starts = np.stack([here[name] for name in record.states], axis=-1)
-        solve(oscillators, reasons, starts, settings, {name: array[part] for name, array in found.items()})
+        solve_part(*({name: array[part] for name, array in arrays.items()} for arrays in (flat, found)))
     return Solution({name: array.reshape(shape + array.shape[1:]) for name, array in found.items()})
+
+
+def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Every parameter, by default where it is not given, as arrays of one shape.
+
+    Raises KeyError for an unknown name and ValueError for shapes that do not broadcast.
+    """
+    for name in params:
+        record.parameter(name)
+    grids = np.broadcast_arrays(*(np.asarray(params.get(p.name, p.default), np.float64) for p in record.parameters))
+    return {p.name: grid for p, grid in zip(record.parameters, grids, strict=True)}
+
+
+def initial_state(record: System, params: Mapping[str, Array]) -> Array:
+    """The physical initial states (..., 2n) among the parameters (...)."""
+    return np.stack([params[name] for name in record.states], axis=-1)
+
+
+def result_arrays(
+    variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0
+) -> dict[str, NDArray[Any]]:
+    """Arrays of cells without a result, with states of ``size`` components and room for some attractors each."""
+    sizes = {ATTRACTOR: attractors, "exponent": size, "state": size, "sample": settings.section_samples}
+    return empty_results(variables, (count,), sizes)

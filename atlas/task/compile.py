@@ -124,21 +124,19 @@ def main() -> None:
 def warm_up(*parts: str) -> None:
     """Compile the kernels of cells, or load them, by one period of the default cell: every kernel is called.
 
-    Those of attractors by all of a cell with one orbit, by means over a section state, which chaos alone has, and by
-    the scale that twins are compared at; those of orbits by a short branch. What a kernel is compiled for depends
-    neither on the system nor on the settings: they make arrays longer or empty.
+    Those of attractors by all of a cell with one orbit, and by the scale that twins are compared at; those of orbits
+    by a short branch. What a kernel is compiled for depends neither on the system nor on the settings: they make
+    arrays longer or empty.
     """
     from workers.tile import solve_cells
 
     solve_cells(DEFAULT, {}, Settings(max_periods=1))
     if ATTRACTORS in parts:
-        from workers.attractors.same import batch_moments
         from workers.attractors.starts import Starts
         from workers.attractors.waves import solve_attractors
         from workers.kernel.cells import scale_at
 
         solve_attractors(DEFAULT, ONE_ORBIT, Settings(exponents="none", survival=0), Starts(4))
-        batch_moments(np.zeros((1, 1, 1, 2)), np.zeros(1, dtype=np.int64), 1)
         scale_at(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))
     if ORBITS in parts:
         _follow_an_orbit()

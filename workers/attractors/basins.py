@@ -7,71 +7,59 @@ in which they were solved nor on their order.
 
 import json
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.attractors.known import Attractor, Known, attractor_of_orbit
-from workers.attractors.search import Found, motions_at_once, search
+from workers.attractors.cell import attractor_of_orbit
+from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
+from workers.attractors.search import motions_at_once
 from workers.attractors.starts import Starts
-from workers.attractors.waves import STABLE, STATISTICAL, Coexistence
+from workers.attractors.waves import Coexistence
 from workers.cell.cells import Array
-from workers.cell.stretch import batch_of, run
-from workers.kernel.cells import physical_states, start_motions
+from workers.cell.stretch import sections_from
+from workers.kernel.cells import start_motions
 from workers.kernel.motion import motions_at
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System, find_system
-from workers.results import (
-    BEYOND_TABLE,
-    LABEL,
-    REGIME,
-    SETTLED,
-    UNKNOWN_LABEL,
-    empty_results,
-    result_variables,
-)
+from workers.results import BEYOND_TABLE, LABEL, SETTLED, UNKNOWN_LABEL, result_variables
 from workers.settings import Settings
-from workers.tile import Solution
+from workers.tile import Solution, initial_state, solve_parts
 
 
 class Table:
-    """The attractors that the reference set of one machine reaches, those of larger share first.
-
-    cells     the machine as a cell, whose only entry of ``tallies`` has them
-    """
+    """The attractors that the reference set of one machine reaches, those of larger share first."""
 
     def __init__(self, record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> None:
-        here = {name: np.array([value]) for name, value in values.items()}
-        oscillators, reasons = record.build_many(here)
-        own = np.array([[values[name] for name in record.states]])
-        self.record, self.settings, self.values = record, settings, dict(values)
-        self.cells = Coexistence(oscillators, reasons, own, settings, starts, record.states)
-        self.cells.solve()
-        tally = self.cells.tallies[0]
-        tally.attractors.sort(key=lambda each: each.order)
+        self.machine = Coexistence(record, {k: np.array([value]) for k, value in values.items()}, settings, starts)
+        self.machine.solve()
+        (self.cell,) = self.machine.cells
+        self.record, self.settings, self.starts = record, settings, starts
+        self.attractors.sort(key=lambda each: each.order)
 
     @property
     def attractors(self) -> list[Attractor]:
         """All of them; a label is a place in this list."""
-        return self.cells.tallies[0].attractors
+        return self.cell.attractors
 
     @property
     def oscillator(self) -> Oscillator:
         """The machine, as a record of many."""
-        return self.cells.oscillators
+        return self.cell.oscillator
 
     def mirrors(self) -> NDArray[np.int64]:
         """The label of the mirror image of each attractor, -1 where none is known; of a symmetric one its own."""
-        symmetric = bool(self.oscillator.symmetric[0] > 0.0)
-        images = [each.image(symmetric) for each in self.attractors]
-        places = [next((k for k, other in enumerate(self.attractors) if other is image), -1) for image in images]
-        return np.array(places, dtype=np.int64)
+        return np.array([self.label(each.image(self.cell.symmetric)) for each in self.attractors], dtype=np.int64)
 
-    def known(self) -> Known:
-        """The attractors as motions are compared with them."""
-        return Known(self.oscillator, [self.attractors])
+    def search(self, states: Array, references: bool) -> Found:
+        """What motions from physical states (N, 2n) come to, compared with the attractors of the table."""
+        return self.machine.search(np.zeros(len(states), dtype=np.int64), states).solve(references)
+
+    def label(self, attractor: Attractor | None) -> int:
+        """The label of an attractor of the table."""
+        return UNKNOWN_LABEL if attractor is None else self.attractors.index(attractor)
 
 
 def solve_basins(
@@ -88,69 +76,42 @@ def solve_basins(
     Raises ValueError for a parameter, other than an initial state, of several values.
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
-    given = {p.name: np.asarray(params.get(p.name, p.default), dtype=np.float64) for p in record.parameters}
-    for name, value in given.items():
-        if name not in record.states and value.size and np.ptp(value) > 0.0:
-            raise ValueError(f"{name}: found {value.min():g} to {value.max():g}, basins are of one machine")
-    shape = np.broadcast_shapes(*(value.shape for value in given.values()))
-    states = np.stack([np.broadcast_to(given[name], shape).ravel() for name in record.states], axis=-1)
-    table = reference_table(record, fixed_values(record, given), settings, starts)
-    variables = result_variables(settings, basins=True)
-    size = len(record.states)
-    sizes = {"exponent": size, "state": size, "sample": settings.section_samples}
-    found = empty_results(variables, (len(states),), sizes)
-    at_once = motions_at_once(settings, size)
-    for begin in range(0, len(states), at_once):
-        part = slice(begin, begin + at_once)
-        _label(table, states[part], {name: array[part] for name, array in found.items()})
-    return Solution({name: array.reshape(shape + array.shape[1:]) for name, array in found.items()})
+    for name, value in params.items():
+        if name not in record.states and np.size(value) and np.ptp(value) > 0.0:
+            raise ValueError(f"{name}: found {np.min(value):g} to {np.max(value):g}, basins are of one machine")
+    machine = tuple(fixed_values(record, params).items())
+    table = reference_table(json.dumps(record.resolved()), machine, settings, starts)
+    variables, at_once = result_variables(settings, basins=True), motions_at_once(settings, len(record.states))
+    return solve_parts(record, params, settings, variables, at_once, partial(_solve_part, table))
 
 
 def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
     """The parameters of the one machine; its initial state is at rest, whatever the plane is of."""
     at_rest = {name: record.parameter(name).default for name in record.states}
-    return {p.name: float(np.ravel(given[p.name])[0]) for p in record.parameters} | at_rest
-
-
-def reference_table(record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> Table:
-    """The table of a machine. One that was made is kept, for the other tiles that this process solves."""
-    return _table(json.dumps(record.resolved()), tuple(values.items()), settings, starts)
+    return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in record.parameters} | at_rest
 
 
 @lru_cache(maxsize=4)
-def _table(system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts) -> "Table":
+def reference_table(system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts) -> Table:
+    """The table of a machine, kept for other tiles that this process solves; ``system`` is System.resolved as JSON."""
     return Table(System.from_resolved(json.loads(system)), dict(values), settings, starts)
 
 
-def _label(table: Table, states: Array, found: dict[str, NDArray[Any]]) -> None:
-    """Write the results of these initial states (N, 2n)."""
-    N = len(states)
-    all_one = np.zeros(N, dtype=np.int64)
-    reached = search(
-        taken(table.oscillator, all_one),
-        table.cells.reasons[all_one],
-        states,
-        table.settings,
-        table.known(),
-        all_one,
-        references=False,
-    )
-    for name, values in reached.arrays.items():
-        found[name][:] = values
-    for r in np.flatnonzero((reached.label < 0) & np.isin(found[REGIME.name], STABLE)):  # proved anew
-        known = table.cells.same(0, attractor_of_orbit(table.oscillator, 0, reached, int(r)))
-        if known is not None:
-            reached.label[r] = table.attractors.index(known)
-    for label, each in enumerate(table.attractors):
-        rows = np.flatnonzero(reached.label == label)
+def _solve_part(table: Table, params: Mapping[str, Array], arrays: dict[str, NDArray[Any]]) -> None:
+    """Write the results of the initial states among these parameters (N,)."""
+    found = table.search(initial_state(table.record, params), references=False)
+    label, regime = found.label.copy(), found.regime
+    for r in np.flatnonzero((label < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
+        label[r] = table.label(table.cell.same(attractor_of_orbit(table.oscillator, found, r)))
+    for name, values in found.cells.found.items():
+        arrays[name][:] = values
+    for k, each in enumerate(table.attractors):
         for name, value in each.result.items():
-            found[name][rows] = value
-    on_attractor = np.isin(found[REGIME.name], (*STABLE, *STATISTICAL))
-    found["periods_used"][:] = reached.used
-    found[SETTLED.name][on_attractor] = reached.settled[on_attractor]
-    found[LABEL.name][:] = np.where(
-        reached.label >= 0, reached.label, np.where(on_attractor, BEYOND_TABLE, UNKNOWN_LABEL)
-    )
+            arrays[name][label == k] = value
+    on_attractor = (label >= 0) | np.isin(regime, (*STABLE, *STATISTICAL))
+    arrays["periods_used"][:] = found.cells.used
+    arrays[SETTLED.name][on_attractor] = found.settled[on_attractor]
+    arrays[LABEL.name][:] = np.where(label >= 0, label, np.where(on_attractor, BEYOND_TABLE, UNKNOWN_LABEL))
 
 
 def added(table: Table, states: Array) -> NDArray[np.int64]:
@@ -158,40 +119,23 @@ def added(table: Table, states: Array) -> NDArray[np.int64]:
 
     The order of the states decides the order of new labels. UNKNOWN_LABEL where a state turns out to be on none.
     """
-    alone, found = np.zeros(1, dtype=np.int64), []
-    for k, state in enumerate(states):
-        reached = search(
-            table.oscillator, table.cells.reasons, state[None], table.settings, table.known(), alone, references=True
-        )
-        found.append(_place(table, reached, table.cells.starts.count + k))
-    return np.array(found, dtype=np.int64)
+    labels = np.full(len(states), UNKNOWN_LABEL, dtype=np.int64)
+    for k in range(len(states)):
+        found = table.search(states[k : k + 1], references=True)
+        known = int(found.label[0])
+        labels[k] = known if known >= 0 else table.label(table.cell.put(table.starts.count + k, found, 0))
+    return labels
 
 
 def section_points(table: Table, count: int) -> Array:
     """Physical section states (A, count, 2n) of every attractor: of an orbit each once, the rest NaN."""
     N, size = len(table.attractors), table.oscillator.to_physical.shape[1]
-    found = np.full((N, count, size), np.nan)
-    if not N:
-        return found
-    rows = np.arange(N)
-    oscillators = taken(table.oscillator, np.zeros(N, dtype=np.int64))
-    motions = motions_at(np.zeros((N, size // 2, 2)))
-    start_motions(oscillators, motions, np.stack([each.result["state"] for each in table.attractors]), rows)
+    oscillators, motions = taken(table.oscillator, np.zeros(N, dtype=np.int64)), motions_at(np.zeros((N, size // 2, 2)))
+    states = np.array([each.result["state"] for each in table.attractors]).reshape(N, size)
+    start_motions(oscillators, motions, states, np.arange(N))
     motions.contact[:, 0] = [each.contact for each in table.attractors]
-    batch = batch_of(oscillators, motions)
-    for k in range(count):
-        found[:, k] = physical_states(oscillators, batch.motions, rows)
-        batch.periods[:], batch.done[:] = 1, 0
-        run(batch, rows)
-    for each, points in zip(table.attractors, found, strict=True):
-        if each.period:
-            points[each.period :] = np.nan
+    found = np.full((N, count, size), np.nan)
+    counts = np.array([min(each.period or count, count) for each in table.attractors], dtype=np.int64)
+    points = sections_from(oscillators, motions, counts)
+    found[:, : points.shape[1]] = points
     return found
-
-
-def _place(table: Table, reached: Found, start: int) -> int:
-    """The label of what a motion has reached; the table gets it where it has it not."""
-    if reached.label[0] >= 0:
-        return int(reached.label[0])
-    table.cells.put(0, start, reached, 0)
-    return next((k for k, each in enumerate(table.attractors) if start in each.starts), UNKNOWN_LABEL)

@@ -10,20 +10,22 @@ squares. Two motions are told apart where one of these 4n means differs by more 
 pooled variance of the batches.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.kernel.cells import scale_at
+from workers.attractors.record import Attractor
+from workers.cell.cells import Array, Rows
+from workers.kernel.cells import physical_states, scale_at, start_motions
 from workers.kernel.jit import kernel
-from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, oscillator_of
+from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, motions_at, oscillator_of
 from workers.kernel.stroboscopic import step
+from workers.model.oscillator import Oscillator, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import jacobian_of, separation
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+from workers.orbit.section import moved
+from workers.results import NO_IMPACT
 
 NEAR_ORBIT = 1e-2
 """Distance from a known orbit, relative to the motion's scale, from which on a motion may be falling into it."""
@@ -115,7 +117,7 @@ def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
 
 @kernel
 def turn(oscillators, r, h, contact, steps, half):
-    """So many steps of the map from a block state h (n, 2) of oscillator r.
+    """Some steps of the map from a block state h (n, 2) of oscillator r.
 
     Returns each state, h the first, NaN from where the motion cannot be followed; the last one's contact; the Jacobian.
     """
@@ -131,26 +133,41 @@ def turn(oscillators, r, h, contact, steps, half):
     return states, motion.contact[0], jacobian_of(motion.V)
 
 
-def on_orbit(metric: Array, states: Array, h: Array, scale: float) -> bool:
-    """Whether a block state h (n, 2) is one of those of an orbit, states (p, n, 2)."""
-    away = metric * (states[..., 0] - h[:, 0]) ** 2 + (states[..., 1] - h[:, 1]) ** 2
-    return bool(np.sqrt(away.sum(axis=-1)).min() < SAME_ORBIT * scale)
+def states_of_turn(oscillator: Oscillator, orbit: Attractor, shift: float, steps: int, half: bool = False) -> Array:
+    """Block states (steps + 1, n, 2) of an orbit at t = shift T, and after each step of the map from there."""
+    osc = one_of(oscillator, 0)
+    first = moved(osc, orbit.h, orbit.contact, shift)
+    there = many_of(osc._replace(tau=osc.tau + 2.0 * np.pi * shift))
+    states: Array = turn(there, 0, first.h, int(first.contact[0]), steps, np.bool_(half))[0]
+    return states
 
 
-@kernel
-def batch_moments(sections, rows, count):
+def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
+    """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
+    if (old.regime, old.period) != (new.regime, new.period):
+        return False
+    if old.regime == NO_IMPACT and not half:
+        return True
+    h, metric = states_of_turn(oscillator, new, old.shift, int(half), half)[-1], oscillator.gap.metric[0]
+    away = metric * (old.orbit[..., 0] - h[:, 0]) ** 2 + (old.orbit[..., 1] - h[:, 1]) ** 2
+    return bool(np.sqrt(away.sum(axis=-1)).min() < SAME_ORBIT * scale_at(metric, oscillator.swing[0], h))
+
+
+def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) on the mirror images of N motions through these ones, with their contacts (N,)."""
+    N, n = oscillators.gap_row.shape
+    motions, rows = motions_at(np.zeros((N, n, 2))), np.arange(N)
+    start_motions(oscillators, motions, states, rows)
+    for r in range(N):
+        after, motions.contact[r, 0], _ = turn(oscillators, r, motions.h[r], int(contact[r]), 1, np.bool_(True))
+        motions.h[r] = after[1]
+    return np.asarray(physical_states(oscillators, motions, rows)), motions.contact[:, 0]
+
+
+def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
     """Means (len(rows), 4n) over the last ``count`` sections of each motion: of block coordinates, of their squares."""
-    n = sections.shape[2]
-    found = np.zeros((len(rows), 4 * n))
-    last = sections.shape[1]
-    for e in range(len(rows)):
-        for k in range(last - count, last):
-            for j in range(n):
-                for i in range(2):
-                    value = sections[rows[e], k, j, i]
-                    found[e, 2 * j + i] += value
-                    found[e, 2 * n + 2 * j + i] += value * value
-    return found / count
+    states = sections[rows, -count:].reshape(len(rows), count, 2 * sections.shape[2])
+    return np.concatenate([states, states * states], axis=2).mean(axis=1)
 
 
 def distance(one: Array, other: Array) -> float:
@@ -166,3 +183,10 @@ def distance(one: Array, other: Array) -> float:
     error = np.sqrt((squares / (k + m - 2) + (LEAST_SPREAD * size) ** 2) * (1.0 / k + 1.0 / m))
     away = np.abs(one.mean(axis=0) - other.mean(axis=0))
     return float(np.max(np.where(away == 0.0, 0.0, away / np.where(error > 0.0, error, np.inf))))
+
+
+def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[int, float]:
+    """The place of that chaos or torus which batches (k, 4n) are nearest to, and their distance; (-1, inf) of none."""
+    apart = [np.inf if known.reference is None else distance(known.reference, batches) for known in attractors]
+    place = int(np.argmin(apart)) if apart else -1
+    return place, min(apart, default=np.inf)

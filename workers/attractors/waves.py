@@ -2,7 +2,7 @@
 
 A cell's own initial state is solved as ``solve_tile`` does it. The others follow in waves, each of as many as came
 before, so that what is known grows before most of them are spent: a motion that falls into a known attractor is done
-(see ``identity``), any other one is solved in full. A cell is done early where half of its initial states all reach
+(see ``same``), any other one is solved in full. A cell is done early where half of its initial states all reach
 one attractor.
 
 What looks chaotic has to survive for as long as beside a known stable orbit, see ``Settings``, wherever any of the
@@ -11,37 +11,22 @@ it, it is a transient: each of them is where it ends, or undecided.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.attractors.known import Attractor, Known, attractor_of_orbit, mirrored, states_at
-from workers.attractors.same import DIFFERENT, distance, on_orbit
-from workers.attractors.search import Found, motions_at_once, sampled, search, watch
+from workers.attractors.cell import CellAttractors
+from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
+from workers.attractors.same import DIFFERENT, mirrored, nearest
+from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
 from workers.cell.cells import Array, Rows
-from workers.kernel.cells import scale_at
-from workers.model.oscillator import Oscillator, taken
+from workers.model.oscillator import taken
 from workers.model.system import System, find_system
-from workers.results import (
-    APERIODIC,
-    ATTRACTOR,
-    CHAOTIC,
-    INVALID,
-    NO_IMPACT,
-    NO_REASON,
-    PERIODIC,
-    QUASIPERIODIC,
-    empty_results,
-    result_variables,
-)
+from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON, result_variables
 from workers.settings import Settings
-from workers.tile import Solution
-
-STABLE = (NO_IMPACT, PERIODIC)
-STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
+from workers.tile import Solution, initial_state, solve_parts
 
 WATCHED_AGAIN = 8
 """What is left of a transient is watched for this part of ``survival``, each motion of it."""
@@ -64,74 +49,45 @@ def solve_attractors(
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
     if settings.method == "fixed":
         raise ValueError('method: found "fixed", all attractors are found by the method "adaptive" only')
-    for name in params:
-        record.parameter(name)
     for name, _, _ in starts.box:
         if name not in record.states:
             raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")
-    values = [np.asarray(params.get(p.name, p.default), dtype=np.float64) for p in record.parameters]
-    shape = np.broadcast_shapes(*(value.shape for value in values))
-    flat = {p.name: np.broadcast_to(v, shape).flatten() for p, v in zip(record.parameters, values, strict=True)}
-    count, size = int(np.prod(shape)), len(record.states)
-    sizes = {ATTRACTOR: starts.keep, "exponent": size, "state": size, "sample": settings.section_samples}
-    found = empty_results(result_variables(settings, attractors=True), (count,), sizes)
-    at_once = max(1, motions_at_once(settings, size) // max(map(len, starts.waves())))
-    for begin in range(0, count, at_once):
-        part = slice(begin, begin + at_once)
-        here = {name: column[part] for name, column in flat.items()}
-        oscillators, reasons = record.build_many(here)
-        own = np.stack([here[name] for name in record.states], axis=-1)
-        cells = Coexistence(oscillators, reasons, own, settings, starts, record.states)
-        cells.solve()
-        cells.write({name: array[part] for name, array in found.items()})
-    return Solution({name: array.reshape(shape + array.shape[1:]) for name, array in found.items()})
 
+    def solve_part(params: dict[str, Array], found: dict[str, NDArray[Any]]) -> None:
+        coexistence = Coexistence(record, params, settings, starts)
+        coexistence.solve()
+        coexistence.write(found)
 
-@dataclass
-class Tally:
-    """What is known of one cell: its attractors, and what became of its initial states.
-
-    used       forcing periods; tried: initial states that have a motion; first: results of the cell's own
-    undecided  initial states whose attractor is not known
-    """
-
-    attractors: list[Attractor] = field(default_factory=list)
-    undecided: list[int] = field(default_factory=list)
-    used: int = 0
-    tried: int = 0
-    first: dict[str, Any] = field(default_factory=dict)
+    at_once = max(1, motions_at_once(settings, len(record.states)) // max(map(len, starts.waves())))
+    variables = result_variables(settings, attractors=True)
+    return solve_parts(record, params, settings, variables, at_once, solve_part, attractors=starts.keep)
 
 
 class Coexistence:
-    """N cells and the attractors that are known of each."""
+    """N cells of these parameters (N,) each, and the attractors that are known of them.
 
-    def __init__(
-        self,
-        oscillators: Oscillator,
-        reasons: NDArray[np.int8],
-        own: Array,
-        settings: Settings,
-        starts: Starts,
-        names: tuple[str, ...],
-    ) -> None:
-        self.oscillators, self.reasons, self.settings, self.starts = oscillators, reasons, settings, starts
+    used (N,) forcing periods, tried (N,) initial states that have a motion; first: results of the cells' own
+    """
+
+    def __init__(self, record: System, params: Mapping[str, Array], settings: Settings, starts: Starts) -> None:
+        self.oscillators, self.reasons = record.build_many(params)
+        self.settings, self.starts = settings, starts
         with np.errstate(all="ignore"):
-            self.states = initial_states(starts, oscillators, names, own)
-        self.tallies = [Tally() for _ in range(len(reasons))]
+            self.states = initial_states(starts, self.oscillators, record.states, initial_state(record, params))
+        self.cells = [CellAttractors(taken(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
+        self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
+        self.first: list[dict[str, Any]] = []
 
     def solve(self) -> None:
         """Solve the initial states wave by wave, then see whether what looks chaotic lasts."""
-        going = np.arange(len(self.reasons))
+        going = np.arange(len(self.cells))
         for wave in self.starts.waves():
             self._solve_wave(going, wave)
-            invalid = (self.reasons != NO_REASON)[going]
-            going = going[~invalid & ~np.array([self._is_done(self.tallies[c], wave.stop) for c in going], dtype=bool)]
+            enough = (self.tried >= self.starts.enough) & (wave.stop >= self.starts.enough)
+            one = np.array([len(cell.attractors) == 1 and not cell.undecided for cell in self.cells])
+            going = np.flatnonzero((self.reasons == NO_REASON) & ~(one & enough))
         self._watch()
         self._pair()
-
-    def _is_done(self, tally: Tally, started: int) -> bool:
-        one = len(tally.attractors) == 1 and not tally.undecided
-        return one and started >= self.starts.enough and tally.tried >= self.starts.enough
 
     def _solve_wave(self, cells: Rows, wave: range) -> None:
         owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
@@ -139,201 +95,132 @@ class Coexistence:
         owner, number = owner[there], number[there]
         if not len(owner):
             return
-        known = Known(self.oscillators, [tally.attractors for tally in self.tallies])
-        found = search(
-            taken(self.oscillators, owner), self.reasons[owner], self.states[owner, number], self.settings, known, owner
-        )
-        self._assign(owner, number, found, known)
+        search = self.search(owner, self.states[owner, number])
+        found = search.solve()
+        np.add.at(self.used, owner, found.cells.used)
+        if wave.start == 0:
+            self.first = [found.result(r) for r in range(len(owner))]
+        moving = np.flatnonzero((found.label >= 0) | (found.regime != INVALID))
+        np.add.at(self.tried, owner[moving], 1)
+        self._assign(owner, number, search, moving)
 
-    def _assign(self, owner: Rows, number: Rows, found: Found, known: Known) -> None:
+    def search(
+        self, owner: Rows, states: Array, contact: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
+    ) -> Search:
+        """Motions of cells ``owner`` (N,) from physical states (N, 2n), compared with the attractors of these regimes.
+
+        contact (N,) is that of motions that go on from there.
+        """
+        known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells])
+        oscillators, reasons = taken(self.oscillators, owner), self.reasons[owner]
+        return Search(oscillators, reasons, states, self.settings, known, owner, contact)
+
+    def _assign(self, owner: Rows, number: Rows, search: Search, rows: Rows) -> None:
         """Put each motion to its attractor, one that is known or a new one; in the order of the initial states."""
-        for r in range(len(owner)):
-            tally = self.tallies[owner[r]]
-            tally.used += int(found.used[r])
-            if number[r] == 0 and not tally.first:
-                tally.first = found.result(r)
-            regime = int(found.arrays["regime"][r])
-            if found.label[r] < 0 and regime == INVALID:
-                continue
-            if found.again is None or not found.again[r]:
-                tally.tried += 1
-            if found.label[r] >= 0:
-                known.attractors[found.label[r]].join(int(number[r]), found, r)
+        for r in rows.tolist():
+            label, start = search.found.label[r], int(number[r])
+            if label >= 0:
+                search.known.attractors[label].add(start, search.found, r)
             else:
-                self.put(int(owner[r]), int(number[r]), found, r)
-
-    def put(self, cell: int, start: int, found: Found, r: int) -> None:
-        """Put a motion that was solved in full to its attractor, the same as a known one or a new one."""
-        regime = int(found.arrays["regime"][r])
-        if regime in STABLE:
-            self._put_orbit(cell, start, found, r)
-        elif regime in STATISTICAL and found.reference[r] is not None:
-            self._put_statistical(self.tallies[cell], start, found, r)
-        else:
-            self.tallies[cell].undecided.append(start)
-
-    def _put_orbit(self, cell: int, start: int, found: Found, r: int) -> None:
-        new = attractor_of_orbit(self.oscillators, cell, found, r)
-        old = self.same(cell, new)
-        if old is not None:
-            old.starts.append(start)
-            return
-        tally = self.tallies[cell]
-        for each in tally.attractors if self.oscillators.symmetric[cell] > 0.0 else []:
-            if self._meets(cell, each, new, half=True):
-                each.mirror, new.mirror = new, each
-        new.starts.append(start)
-        tally.attractors.append(new)
-
-    def same(self, cell: int, new: Attractor) -> Attractor | None:
-        """The known attractor of a cell that an orbit, or motion without impact, is."""
-        known = self.tallies[cell].attractors
-        return next((each for each in known if self._meets(cell, each, new)), None)
-
-    def _meets(self, cell: int, old: Attractor, new: Attractor, half: bool = False) -> bool:
-        """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
-        if (old.regime, old.period) != (new.regime, new.period):
-            return False
-        if old.regime == NO_IMPACT and not half:
-            return True
-        state = states_at(self.oscillators, cell, new, old.shift, int(half), half)[-1]
-        metric = self.oscillators.gap.metric[cell]
-        return on_orbit(metric, old.orbit, state, float(scale_at(metric, self.oscillators.swing[cell], state)))
-
-    def _put_statistical(self, tally: Tally, start: int, found: Found, r: int) -> None:
-        reference = found.reference[r]
-        assert reference is not None
-        alike = [a for a in tally.attractors if a.regime == int(found.arrays["regime"][r])]
-        apart = [distance(a.reference, reference) for a in alike if a.reference is not None]
-        if apart and min(apart) <= DIFFERENT:
-            old = alike[int(np.argmin(apart))]
-            old.pool(start, min(apart), found, r)
-            return
-        new = Attractor(int(found.arrays["regime"][r]), found.result(r), int(found.contact[r]))
-        new.reference, new.last, new.pooled = reference, [found.left(r)], int(found.survived(r))
-        new.starts.append(start)
-        tally.attractors.append(new)
+                self.cells[owner[r]].put(start, search.found, r)
 
     def _watch(self) -> None:
-        """Watch what looks chaotic beside a stable orbit until it has survived, or ends."""
-        for chance in range(2):  # what is left of a transient is watched once more
-            owner: list[int] = []
-            number: list[int] = []
-            states: list[tuple[Array, int]] = []
-            periods: list[int] = []
-            suspects: list[tuple[int, Attractor]] = []
-            for c, tally in enumerate(self.tallies):
-                for each in tally.attractors:
-                    missing = self._missing(tally, each, chance)
-                    if missing > 0:
-                        suspects.append((c, each))
-                        owner += [c] * len(each.starts)
-                        number += each.starts
-                        states += each.last
-                        periods += [-(-missing // len(each.starts))] * len(each.starts)
+        """Watch what looks chaotic beside a stable orbit until it has survived, or ends.
+
+        What is left of a transient is watched once more.
+        """
+        for last in (False, True):
+            every = [(c, a, self._missing(cell, a, last)) for c, cell in enumerate(self.cells) for a in cell.attractors]
+            suspects = [(c, each, missing) for c, each, missing in every if missing > 0]
             if not suspects:
                 return
-            known = Known(self.oscillators, [[a for a in t.attractors if a.regime in STABLE] for t in self.tallies])
-            rows = np.array(owner)
-            found = watch(
-                taken(self.oscillators, rows), *_stacked(states), np.array(periods), self.settings, known, rows
-            )
-            self._settle_suspects(suspects, rows, np.array(number), found, known, last=chance == 1)
+            counts = [len(each.starts) for _, each, _ in suspects]
+            owner = np.repeat([c for c, _, _ in suspects], counts)
+            number = np.concatenate([each.starts for _, each, _ in suspects])
+            states, contact = _stacked([state for _, each, _ in suspects for state in each.last])
+            periods = np.repeat([-(-missing // len(each.starts)) for _, each, missing in suspects], counts)
+            search = self.search(owner, states, contact, STABLE)
+            found = search.watch(periods)
+            np.add.at(self.used, owner, found.cells.used)
+            ended = (found.label >= 0) | np.isin(found.regime, STABLE)
+            parts = np.split(np.arange(len(owner)), np.cumsum(counts)[:-1])
+            for (c, each, _), rows in zip(suspects, parts, strict=True):
+                self._part(self.cells[c], each, number, found, rows, rows[~ended[rows]], last=last)
+            self._assign(owner, number, search, np.flatnonzero(ended))
 
-    def _missing(self, tally: Tally, each: Attractor, chance: int) -> int:
+    def _missing(self, cell: CellAttractors, each: Attractor, last: bool) -> int:
         """Periods for which an attractor is still to be watched."""
-        if each.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in tally.attractors):
+        if each.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in cell.attractors):
             return 0
-        if chance:
+        if last:
             return self.settings.survival // WATCHED_AGAIN * len(each.starts) if each.transient else 0
-        return self.settings.survival - each.pooled
+        return self.settings.survival - each.seen
 
-    def _settle_suspects(
-        self, suspects: list[tuple[int, Attractor]], owner: Rows, number: Rows, found: Found, known: Known, last: bool
+    def _part(
+        self, cell: CellAttractors, each: Attractor, number: Rows, found: Found, rows: Rows, stay: Rows, last: bool
     ) -> None:
-        """Take what has ended for a transient, and its motions for what they have become."""
-        first = 0
-        gone: list[int] = []
-        for c, each in suspects:
-            rows = np.arange(first, first + len(each.starts))
-            first += len(rows)
-            regime = found.arrays["regime"][rows]
-            ended = (found.label[rows] >= 0) | np.isin(regime, STABLE)
-            each.pooled += int(found.flown[rows].sum())
-            if not ended.any() and not each.transient:
-                self.tallies[c].used += int(found.used[rows].sum())
-                each.last = [found.left(r) for r in rows.tolist()]
-                continue
-            each.transient = True
-            gone += rows[ended].tolist()
-            stay = rows[~ended]
-            self.tallies[c].used += int(found.used[stay].sum())
-            each.starts, each.last = number[stay].tolist(), [found.left(r) for r in stay.tolist()]
-            if last or not len(stay):
-                self.tallies[c].attractors.remove(each)
-                self.tallies[c].undecided += each.starts
-        chosen = np.array(gone, dtype=np.int64)
-        if len(chosen):
-            self._assign(owner[chosen], number[chosen], found.only(chosen), known)
+        """Take an attractor for a transient where not all of its motions stay; those that do may be nowhere at last."""
+        each.seen += int(found.cells.flown[rows].sum())
+        each.transient |= len(stay) < len(rows)
+        each.starts, each.last = number[stay].tolist(), [found.last[r] for r in stay]
+        if each.transient and (last or not len(stay)):
+            cell.attractors.remove(each)
+            cell.undecided += each.starts
 
     def _pair(self) -> None:
         """Pair chaos and tori with their mirror images: batches of each motion's mirror image tell them."""
         alone = [
             (c, each)
-            for c, tally in enumerate(self.tallies)
-            if self.oscillators.symmetric[c] > 0.0
-            for each in tally.attractors
-            if each.reference is not None and sum(other.regime == each.regime for other in tally.attractors) > 1
+            for c, cell in enumerate(self.cells)
+            for each in cell.attractors
+            if cell.symmetric and each.reference is not None and len(cell.alike(each)) > 1
         ]
         if not alone:
             return
         owner = np.array([c for c, _ in alone])
-        oscillators = taken(self.oscillators, owner)
-        states, contact = mirrored(oscillators, *_stacked([each.last[0] for _, each in alone]))
-        known = Known(self.oscillators, [[] for _ in self.tallies])
-        found, used = sampled(oscillators, states, contact, self.settings, known, owner)
-        for (c, each), batches, cost in zip(alone, found, used.tolist(), strict=True):
-            self.tallies[c].used += cost
-            alike = [other for other in self.tallies[c].attractors if other.regime == each.regime]
-            if batches is None:  # it has settled
-                continue
-            apart = [distance(other.reference, batches) for other in alike if other.reference is not None]
-            if min(apart) <= DIFFERENT:
-                each.mirror = alike[int(np.argmin(apart))]
+        states, contact = mirrored(taken(self.oscillators, owner), *_stacked([each.last[0] for _, each in alone]))
+        search = self.search(owner, states, contact, ())
+        going, means = search.sample(search.cells.ready)
+        np.add.at(self.used, owner, search.cells.used)
+        for r, of_image in zip(going, means, strict=True):
+            c, each = alone[r]
+            place, away = nearest(self.cells[c].alike(each), of_image)
+            if away <= DIFFERENT:
+                each.mirror = self.cells[c].alike(each)[place]
         for _, each in alone:
             if each.mirror is not None and each.mirror.mirror is not each:
                 each.mirror = None
 
     def write(self, found: dict[str, NDArray[Any]]) -> None:
         """Write the result arrays of these cells."""
-        for c, tally in enumerate(self.tallies):
-            kept = sorted(tally.attractors, key=lambda a: a.order)
-            shown, left = kept[: self.starts.keep], kept[self.starts.keep :]
-            found["periods_used"][c] = tally.used
-            found["attractors"][c], found["starts"][c] = len(kept), tally.tried
-            found["undecided"][c], found["left"][c] = len(tally.undecided), sum(len(a.starts) for a in left)
-            if tally.tried:
-                found["unseen_share"][c] = unseen_share(tally.tried)
+        for c, cell in enumerate(self.cells):
+            ranked = sorted(cell.attractors, key=lambda a: a.order)
+            shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
+            found["periods_used"][c] = self.used[c]
+            found["attractors"][c], found["starts"][c] = len(ranked), self.tried[c]
+            found["undecided"][c], found["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
+            if self.tried[c]:
+                found["unseen_share"][c] = unseen_share(self.tried[c])
             if not shown:
-                _put(found, c, 0, tally.first)
-                continue
+                _put(found, c, 0, self.first[c])
             for k, each in enumerate(shown):
-                _put(found, c, k, each.result)
-                hits = len(each.starts)
-                found["share"][c, k] = hits / tally.tried
-                low, high = wilson(hits, tally.tried, 1.0)
-                found["share_error"][c, k] = 0.5 * (high - low)
-                found["share_low"][c, k], found["share_high"][c, k] = wilson(hits, tally.tried)
+                _put(found, c, k, each.result | _of_share(len(each.starts), int(self.tried[c])))
                 found["exact"][c, k] = each.regime in STABLE
-                found["lumped"][c, k] = each.lumped
-                if each.lumped:
+                found["lumped"][c, k] = each.pooled
+                if each.pooled:
                     found["lumped_distance"][c, k] = each.distance
                 if each.regime in (CHAOTIC, APERIODIC):
-                    found["survived"][c, k] = each.pooled
-                mirror = each.image(bool(self.oscillators.symmetric[c] > 0.0))
+                    found["survived"][c, k] = each.seen
+                mirror = each.image(cell.symmetric)
                 found["mirror"][c, k] = next((i for i, a in enumerate(shown) if a is mirror), -1)
                 if 0 in each.starts:
                     found["own"][c] = k
+
+
+def _of_share(hits: int, tried: int) -> dict[str, Any]:
+    """The share of an attractor that this many of all initial states reach, with its error and its interval."""
+    (below, above), (low, high) = wilson(hits, tried, 1.0), wilson(hits, tried)
+    return {"share": hits / tried, "share_error": 0.5 * (above - below), "share_low": low, "share_high": high}
 
 
 def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:

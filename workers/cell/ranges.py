@@ -14,14 +14,14 @@ FOLLOWED = 64
 """Periods over which the range of a motion is looked for that neither closes nor reaches both stops."""
 
 WORK_PER_PERIOD, LEAST_WORK = 1000, 100_000
-"""Evaluations that this may cost: so many for each period, but not less than the second number."""
+"""Evaluations that this may cost for each period, and the least for all of them together."""
 
 
 def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows, periods: Rows) -> Array:
     """Greatest minus least y (N,) of motions with impacts, which have counted ``tally`` (N, TALLIES).
 
     It is the whole gap where impacts were counted at both stops; else y is followed from block states h (N, n, 2) with
-    contacts (N, 1) over so many periods (N,), through every turning point. NaN where it cannot be followed.
+    contacts (N, 1) over ``periods`` (N,), through every turning point. NaN where it cannot be followed.
     """
     both = (tally[:, UPPER] > 0.0) & (tally[:, LOWER] > 0.0)
     gap = np.where(both, oscillators.upper, 0.0) - np.where(both, oscillators.lower, 0.0)
@@ -49,3 +49,11 @@ def _followed(oscillators: Oscillator, h: Array, contact: Rows, periods: Rows, c
     allowance = np.maximum(LEAST_WORK, WORK_PER_PERIOD * periods)
     ends = excursions(oscillators, h, contact, periods, allowance, cells)
     return np.where(ends[:, 0] > ends[:, 1], 0.0, ends[:, 1] - ends[:, 0])
+
+
+def steady_state(oscillators: Oscillator, h: Array) -> Array:
+    """Where block states h (N, n, 2) go without impact: a damped rigid mode comes to rest, what is undamped goes on."""
+    eta, lam = oscillators.gap.eta, oscillators.gap.lam
+    with np.errstate(divide="ignore", invalid="ignore"):
+        end = np.where(lam == 0.0, h[..., 0] + h[..., 1] / (2.0 * eta), 0.0)
+    return np.where((eta > 0.0)[..., None], np.stack([end, np.zeros_like(end)], axis=-1), h)

@@ -1,35 +1,62 @@
-"""Motions along stretches of periods, any number of them side by side: each as if it were alone."""
+"""Motions along stretches of periods, any number of them side by side: how they begin, go on, and why they cannot."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workers import results
 from workers.kernel.averages import LEVELS, Averages, no_averages
+from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.lanes.layout import LANES
 from workers.kernel.lanes.run import Batch, run_batch
-from workers.kernel.motion import RUNNING, STATUS, WORK, Motion
+from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion
 from workers.model.oscillator import COLUMN, Oscillator, each, many_of
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Reasons = NDArray[np.int8]
+
+REASON_OF = np.array(
+    [results.NO_REASON, results.GAVE_UP, results.COSTLY_PERIOD, results.NOT_FINITE, results.BEYOND_STOP], dtype=np.int8
+)
+"""Why a motion cannot go on, by its status."""
+
+
+def begin(
+    oscillators: Oscillator, reasons: Reasons, motions: Motion, states: Array, contact: Rows | None = None
+) -> Reasons:
+    """Start N motions at physical section states (N, 2n), where their oscillator has no ``reasons`` against it.
+
+    Gives the reason of each that has no motion. contact (N,) is that of motions that go on from these states; without
+    it each state shows its own.
+    """
+    scales = start_motions(oscillators, motions, states, np.flatnonzero(reasons == results.NO_REASON))
+    if contact is not None:
+        motions.contact[:, 0] = contact
+    found = np.where(np.isfinite(scales), reasons, np.int8(results.ENERGY_OUT_OF_DOUBLES))
+    return np.where(motions.contact[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), found)
+
+
+def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
+    """Why each of these motions cannot go on, NO_REASON where it can."""
+    tally, finite = motions.tally[cells], np.isfinite(motions.h[cells]).all(axis=(1, 2))
+    running = np.where(
+        finite, np.where(tally[:, WORK] < 0.0, np.int8(results.WORK_SPENT), results.NO_REASON), results.NOT_FINITE
+    )
+    return np.where(tally[:, STATUS] == RUNNING, running, REASON_OF[tally[:, STATUS].astype(np.int64)])
 
 
 def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
     """A batch of many motions that have nowhere to go yet, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
     return Batch(
-        oscillators=oscillators,
-        motions=motions,
+        oscillators,
+        motions,
         periods=np.zeros(N, dtype=np.int64),
         done=np.zeros(N, dtype=np.int64),
         levels=np.zeros((N, LEVELS, 4)),
         weighted=np.zeros((N, 2)),
         sections=np.zeros((N, kept, n, 2)),
     )
-
-
-def without_frames(batch: Batch) -> Batch:
-    """The same batch without tangent vectors."""
-    N, _, n, _ = batch.motions.V.shape
-    return batch._replace(motions=batch.motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0))))
 
 
 def ended(batch: Batch) -> NDArray[np.bool_]:
@@ -51,6 +78,22 @@ def run(batch: Batch, cells: NDArray[np.int64], *, to_end: bool = True, lanes: i
             run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates)
 
 
+def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:
+    """Physical section states (N, K, 2n) of motions, taken along in place: the first ``counts`` (N,) <= K of each.
+
+    NaN beyond these, and from where a motion cannot be followed.
+    """
+    N, n = motions.h.shape[:2]
+    batch, every = batch_of(oscillators, motions), np.arange(N)
+    states = np.full((N, int(np.max(counts, initial=0)), 2 * n), np.nan)
+    for k in range(states.shape[1]):
+        going = every[(k < counts) & (motions.tally[:, STATUS] == RUNNING)]
+        states[going, k] = physical_states(oscillators, motions, going)
+        batch.periods[:], batch.done[:], motions.tally[:, WORK] = 1, 0, WORK_OF_A_TRIAL
+        run(batch, going)
+    return states
+
+
 def run_periods(
     osc: Oscillator,
     motion: Motion,
@@ -58,7 +101,7 @@ def run_periods(
     averages: Averages | None = None,
     sections: Array | None = None,
 ) -> int:
-    """Take a motion through so many periods, in place; the periods completed, fewer where it or its work ends.
+    """Take a motion through some periods, in place; the periods completed, fewer where it or its work ends.
 
     averages take the growth of its first tangent vector, sections (K, n, 2) its last K block states.
     """

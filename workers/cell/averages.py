@@ -1,0 +1,126 @@
+"""What is averaged and counted of cells: the average under way, the earlier one, and both as one."""
+
+import numpy as np
+
+from workers.cell.cells import Array, Average, Cells, Mask, Rows
+from workers.cell.exponents import impact_count
+from workers.kernel.cells import mean_growth, reset_frames, restart_counts
+from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED
+from workers.model.oscillator import taken
+
+CLEAR = 4.0
+"""Standard errors above zero from which an exponent is called positive."""
+
+GROWN = 15.0
+"""Total log-growth from which a positive exponent counts: a deviation of rounding has become visible."""
+
+CHANGED = 3.0
+"""Standard errors by which two averages of one motion do not differ."""
+
+FARTHEST = 1e9
+"""Ratio of error to tolerance above which its size does not matter: no budget has the periods."""
+
+
+def clearly_positive(mean: Array, error: Array, periods: Array) -> Mask:
+    """Which mean growths over this many periods are certainly positive."""
+    return (mean > CLEAR * error) & (mean * periods > GROWN)
+
+
+def periods_for(periods: Array, error: Array, wanted: Array | float) -> Array:
+    """Periods until an average that has this error after these periods is known to the wanted error."""
+    return np.asarray(periods * np.minimum(error / wanted, FARTHEST) ** 2)
+
+
+def under_way(cells: Cells, rows: Rows) -> Average:
+    """The average under way of these cells; of no periods where growth does not count.
+
+    Without tangent vectors it has the impacts alone. Where all directions are lost the mean is exact.
+    """
+    motions = cells.batch.motions
+    mean, error, periods = mean_growth(cells.batch.levels, rows)
+    lost = motions.tally[rows, LOST] >= cells.directions
+    return Average(
+        mean=np.where(lost, -np.inf, mean),
+        error=np.where(lost, 0.0, error),
+        periods=np.where(cells.averaging[rows], periods if cells.vectors else cells.survived(rows), 0.0),
+        growth=motions.growth[rows],
+        impacts=impact_count(motions.tally[rows]),
+    )
+
+
+def whole_average(cells: Cells, rows: Rows) -> Average:
+    """The earlier average of these cells and the one under way as one, with the error that results give.
+
+    It is at least the standard error by the difference of the two averages: far apart in time, each may be too short to
+    see how slowly the motion changes.
+    """
+    now, e = under_way(cells, rows), taken(cells.earlier, rows)
+    counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # or too short to have an error
+    mean, error, count, growth, impacts = (np.where(counts, field.T, 0.0).T for field in now)
+    total = e.periods + count
+    both = (count > 0.0) & (e.periods > 0.0)
+    apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0)
+    return Average(
+        mean=(e.mean * e.periods + mean * count) / total,
+        error=np.maximum(np.hypot(e.error * e.periods, error * count) / total, apart),
+        periods=total,
+        growth=growth + e.growth,
+        impacts=impacts + e.impacts,
+    )
+
+
+def has_changed(cells: Cells, rows: Rows) -> Mask:
+    """Of which of these cells the earlier average and the one under way differ."""
+    now, e = under_way(cells, rows), taken(cells.earlier, rows)
+    return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
+
+
+def close(cells: Cells, rows: Rows) -> None:
+    """Keep the average under way as the earlier one, in its place."""
+    reset_frames(cells.oscillators.gap.metric, cells.batch.motions, rows)
+    for earlier, now in zip(cells.earlier, under_way(cells, rows), strict=True):
+        earlier[rows] = now
+
+
+def forget(cells: Cells, rows: Rows) -> None:
+    """Take the earlier average of these cells for none."""
+    for field in cells.earlier:
+        field[rows] = 0.0
+    forget_counts(cells, rows)
+
+
+def lose_all(cells: Cells, rows: Rows) -> None:
+    """Take the averages of these cells for what follows when all directions are lost: -inf, all of them."""
+    close(cells, rows[cells.averaging[rows] & (cells.earlier.periods[rows] == 0.0)])
+    cells.averaging[rows] = False
+    cells.earlier.mean[rows], cells.earlier.error[rows], cells.earlier.growth[rows] = -np.inf, 0.0, -np.inf
+
+
+def counts(cells: Cells, rows: Rows) -> tuple[Array, Rows]:
+    """What was counted of these cells since forget_counts, (rows, TALLIES), and over how many periods (rows,)."""
+    before, now = cells.tallied[rows], cells.batch.motions.tally[rows]
+    both = before + now
+    both[:, MIN_SPEED] = np.minimum(before[:, MIN_SPEED], now[:, MIN_SPEED])
+    for column in (MAX_SPEED, LOST):
+        both[:, column] = np.maximum(before[:, column], now[:, column])
+    return both, cells.counted[rows] + cells.flown[rows] - cells.restarted[rows]
+
+
+def forget_counts(cells: Cells, rows: Rows) -> None:
+    """Forget what was counted before the counts under way."""
+    cells.tallied[rows], cells.tallied[rows, MIN_SPEED], cells.counted[rows] = 0.0, np.inf, 0
+
+
+def begin(cells: Cells, rows: Rows) -> None:
+    """The growth of these cells counts from here on; of those without an earlier average, all that is counted."""
+    restart(cells, rows)
+    cells.averaging[rows] = True
+    forget_counts(cells, rows[cells.earlier.periods[rows] == 0.0])
+
+
+def restart(cells: Cells, rows: Rows) -> None:
+    """Average these cells from here on, and count on."""
+    cells.tallied[rows], cells.counted[rows] = counts(cells, rows)
+    cells.restarted[rows] = cells.flown[rows]
+    restart_counts(cells.oscillators.gap.metric, cells.batch.motions, rows)
+    cells.batch.levels[rows], cells.batch.weighted[rows] = 0.0, 0.0

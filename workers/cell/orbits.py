@@ -1,0 +1,83 @@
+"""The stable orbits of cells: those that their motions are proved to fall into, and others known beside them."""
+
+import numpy as np
+
+from workers.cell.cells import Array, Cells, Mask, Rows
+from workers.cell.outcome import put_periodic
+from workers.cell.stretch import batch_of, run
+from workers.model.oscillator import COLUMN, taken
+from workers.orbit.newton import no_orbits, settle_each
+from workers.orbit.rest import rest_to_rest
+
+NEAR = 1e-2
+"""Distance of a return, relative to the motion's scale, from which on it may be one to a stable orbit."""
+
+LONG_PERIOD, LONG_AT_ONCE = 1000, 64
+"""Longest orbit looked for where an average says that there is one; cells whose sections are kept for that together."""
+
+
+def end_on_orbits(cells: Cells, rows: Rows, budget: Rows, near: Array) -> Rows:
+    """Write the results of cells that are proved to fall into a stable orbit; the others.
+
+    One is looked for where the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
+    """
+    spent = np.zeros_like(cells.used)
+    proved = settle_each(
+        cells.oscillators, cells.bare.motions, cells.batch.sections, cells.kept(), near, cells.settings.max_period,
+        budget, rows, cells.orbits, spent,
+    )  # fmt: skip
+    cells.used[rows] += spent[rows]
+    put_periodic(cells, rows[proved])
+    return rows[~proved]
+
+
+def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
+    """As ``end_on_orbits``, for orbits of up to LONG_PERIOD periods: the motions go on by as many to see them close.
+
+    Cells whose budget does not allow for that are not tried.
+    """
+    tried = cells.budget()[rows] > LONG_PERIOD + 1
+    parts = [rows[tried][first : first + LONG_AT_ONCE] for first in range(0, np.count_nonzero(tried), LONG_AT_ONCE)]
+    proved = np.concatenate([rows[:0], *(some[_prove_long(cells, some)] for some in parts)])
+    put_periodic(cells, proved)
+    return np.setdiff1d(rows, proved, assume_unique=True)
+
+
+def _prove_long(cells: Cells, rows: Rows) -> Mask:
+    """Motions at rest are looked at after a rest, where rounding has grown least."""
+    every, length, budget = np.arange(len(rows)), LONG_PERIOD + 1, cells.budget()[rows]
+    batch = batch_of(taken(cells.oscillators, rows), taken(cells.bare.motions, rows), length)
+    orbits, spent, proved = no_orbits(len(rows), batch.motions.h.shape[1]), 0 * every, np.zeros(len(rows), np.bool_)
+    batch.periods[:] = length
+    resting = cells.at_rest(rows)
+    run(batch, every[~resting])
+    kept = np.where(batch.done == length, length, 0)
+    flown = batch.done + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, kept)
+    through = every[kept > 0]
+    proved[through] = settle_each(
+        batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR), LONG_PERIOD,
+        budget - flown, through, orbits, spent,
+    )  # fmt: skip
+    cells.used[rows] += flown + spent
+    for mine, new in zip(cells.orbits, orbits, strict=True):
+        mine[rows[proved]] = new[proved]
+    cells.orbits.near[rows] |= orbits.near
+    return proved
+
+
+def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
+    """Of which of these cells a stable orbit is known beside the motion.
+
+    Where |Y| stays inside the stops, every mode is damped and no load moves a rigid one, motion without impact is
+    one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
+    can hold at some phase of the force has another: what follows a release repeats with the next rest.
+    """
+    o, gap, held = cells.oscillators, cells.oscillators.gap, cells.oscillators.held
+    b_upper, b_lower, block = o.b_upper[rows], o.b_lower[rows], gap.blocks[rows]
+    load, push = held.mode.amplitude[rows], held.push[rows]
+    damped = np.all((block[..., COLUMN.eta] > 0.0) & (block[..., COLUMN.load] == 0.0), axis=-1)
+    stays_inside = gap.amplitude[rows] < np.minimum(b_upper, b_lower)
+    upper = np.isfinite(b_upper) & (load + push[:, 0] > 0.0)
+    lower = np.isfinite(b_lower) & (load - push[:, 1] > 0.0)
+    can_rest = (cells.directions == 2) & (upper | lower) & (o.R[rows] < 1.0)
+    return np.asarray(cells.orbits.near[rows] | (damped & stays_inside) | can_rest)
