@@ -27,7 +27,6 @@ GRAZING, IMPACT_LOST = "graze", "impact_lost"
 ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
 """Strong resonances by cos theta."""
 
-
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
 
