@@ -106,7 +106,7 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     """The doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
     ``amplitude``: how far along the critical direction, in units of the scale of times and speeds; ``width``: that
-    of the parameter's window. The orbit's other half, or its mirror image, is the same branch the other way.
+    of the parameter's window. The orbit's other half, or its mirror image, is the same branch in the other direction.
     Raises ValueError for other events, and where Newton's method finds none.
     """
     if event.conditions != (Condition(MINUS_ONE),):
@@ -148,11 +148,11 @@ def follow(
         raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
     direction = np.zeros(len(start))
     direction[len(start) - equations.free :] = equations.width
-    walkers = (PseudoArclength(first.equations, start, resolution, sign * direction) for sign in (1.0, -1.0))
-    ahead = _one_direction(next(walkers), first, bounds, budget, until)
+    walks = (PseudoArclength(first.equations, start, resolution, sign * direction) for sign in (1.0, -1.0))
+    ahead = _one_direction(next(walks), first, bounds, budget, until)
     if CLOSED in ahead.ends:
         return ahead
-    back = _one_direction(next(walkers), first, bounds, budget, until)
+    back = _one_direction(next(walks), first, bounds, budget, until)
     return BranchRun(
         points=back.points[:0:-1] + ahead.points,
         events=back.events[::-1] + ahead.events,
@@ -173,41 +173,41 @@ class _Passage(NamedTuple):
 
 
 def _one_direction(
-    walker: PseudoArclength, first: TestFunctions, bounds: Array, budget: int, until: Until | None
+    walk: PseudoArclength, first: TestFunctions, bounds: Array, budget: int, until: Until | None
 ) -> BranchRun:
     """One of the two directions from a start, whose point comes first; how it ends is the second of both ends."""
     points, events, end, seen = [first.point], list[Event](), "", first
     while not end:
-        passage = _next(walker, seen, bounds, until) if len(points) <= budget else _Passage(BUDGET)
+        passage = _next(walk, seen, bounds, until) if len(points) <= budget else _Passage(BUDGET)
         if passage is None:
-            walker.back()
+            walk.back()
             continue
         points += passage.points
         events += passage.events
         end, seen = passage.end, passage.after or seen
-        walker.equations = seen.equations
-    return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), walker.newton_steps)
+        walk.equations = seen.equations
+    return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), walk.newton_steps)
 
 
-def _next(walker: PseudoArclength, seen: TestFunctions, bounds: Array, until: Until | None) -> _Passage | None:
+def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Until | None) -> _Passage | None:
     """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
-    eq, here = walker.equations, walker.X
-    if not walker.advance():  # where a branch meets the orbit that it left the equations are singular
+    eq, here = walk.equations, walk.X
+    if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
         stalled = Step(eq, here, here)
         to = halves_met(stalled)
         return _Passage(STALLED) if to is None else _meeting(stalled, to)
-    there, end, values = walker.X, "", eq.values(walker.X)
+    there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
         edge = Step(eq, here, there).at_value(outside[0], np.clip(values, *bounds)[outside[0]])
         if not edge.converged:
             return _Passage(EDGE)
         there, end = edge.X, EDGE
-    elif walker.closes():
-        there, end = walker.start[0], CLOSED
+    elif walk.closes():
+        there, end = walk.start[0], CLOSED
     after = monitored(eq, there)
     step, slid = Step(after.equations, here, there), not is_minimal(*eq.motion(there))
-    if (slid or _went_too_far(seen, after)) and walker.length > SHORTEST * walker.longest:
+    if (slid or _went_too_far(seen, after)) and walk.length > SHORTEST * walk.longest:
         return None
     to = halves_met(step)
     if to is not None:

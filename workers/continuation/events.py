@@ -27,7 +27,6 @@ GRAZING, IMPACT_LOST = "graze", "impact_lost"
 ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
 """Strong resonances by cos theta."""
 
-
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""
 
@@ -73,15 +72,27 @@ class TestFunctions(NamedTuple):
 
 def point_of(equations: Extended, X: Array) -> Point:
     """The point of unknowns X (N,)."""
+    return _with_others(equations, X)[0]
+
+
+def _with_others(equations: Extended, X: Array) -> tuple[Point, Complex]:
+    """The point of unknowns X (N,), and its finite multipliers besides those that the conditions fix."""
     mu = multipliers(*equations.motion(X))[0]
-    unstable = int(np.sum(np.abs(_others(mu, equations)) > 1.0))
-    return Point(equations.values(X).copy(), equations.orbit(X), equations.contacts(X).copy(), mu, unstable)
+    left = mu[np.isfinite(mu)]
+    for condition, total in zip(equations.conditions, equations.totals, strict=True):
+        if condition.kind in (UNIT, MINUS_ONE) and len(left):
+            own = np.argmin(np.abs(left - (1.0 if condition.kind == UNIT else -1.0)))
+            left = left[np.arange(len(left)) != own]
+        if condition.kind == PAIR and len(left) > 1:
+            left = np.delete(left, pair_near(left[None], np.array([total]))[2][0])
+    unstable, contacts = int(np.sum(np.abs(left) > 1.0)), equations.contacts(X).copy()
+    return Point(equations.values(X).copy(), equations.orbit(X), contacts, mu, unstable), left
 
 
 def monitored(equations: Extended, X: Array) -> TestFunctions:
     """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
     equations = equations.at(X)
-    point, motion, own = point_of(equations, X), equations.motion(X), equations.conditions
+    (point, others), motion, own = _with_others(equations, X), equations.motion(X), equations.conditions
     kind = own[0].kind if own else None
     found = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
@@ -89,7 +100,6 @@ def monitored(equations: Extended, X: Array) -> TestFunctions:
             sign, log = np.linalg.slogdet(linearised(*motion, z)[0])
             own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
             found[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
-    others = _others(point.multipliers, equations)
     if kind == UNIT:
         found[CUSP] = _function(float(equations.curvature(motion)[0]), (*own, Condition(CUSP)))
         found["double"] = _function(float(np.prod(1.0 - others).real), _resonance(1.0))
@@ -128,17 +138,6 @@ def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
     if not other:
         return "double_graze"
     return f"graze_{other[0]}" if len(other) == 1 else "_".join(sorted(other))
-
-
-def _others(mu: Complex, equations: Extended) -> Complex:
-    """The finite multipliers besides those that the conditions fix."""
-    left = mu[np.isfinite(mu)]
-    for condition, total in zip(equations.conditions, equations.totals, strict=True):
-        if condition.kind in (UNIT, MINUS_ONE) and len(left):
-            left = np.delete(left, np.argmin(np.abs(left - (1.0 if condition.kind == UNIT else -1.0))))
-        if condition.kind == PAIR and len(left) > 1:
-            left = np.delete(left, pair_near(left[None], np.array([total]))[2][0])
-    return left
 
 
 def _pairs(others: Complex, own: tuple[Condition, ...]) -> TestFunction:

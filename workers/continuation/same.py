@@ -1,5 +1,6 @@
 """Whether two orbits are one: begun later by some forcing periods, or mirror images; or a shorter orbit repeated."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -61,9 +62,10 @@ class Reduction(NamedTuple):
     itinerary: Itinerary
 
 
-def reductions(itinerary: Itinerary) -> list[Reduction]:
+@cache
+def reductions(itinerary: Itinerary) -> tuple[Reduction, ...]:
     """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
-    sides, m, found = itinerary.sides, len(itinerary.sides), []
+    sides, m, found = itinerary.sides, len(itinerary.sides), list[Reduction]()
     halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
         k, length = m // parts, halves // parts
@@ -71,7 +73,7 @@ def reductions(itinerary: Itinerary) -> list[Reduction]:
             closes = sign**parts == itinerary.sign and length % 2 == (sign < 0)
             if closes and all(sides[i + k] == sign * sides[i] for i in range(m - k)):
                 found.append(Reduction(parts, Itinerary(sides[:k], length if sign < 0 else length // 2, sign < 0)))
-    return found
+    return tuple(found)
 
 
 def difference(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, to: Reduction) -> Array:
