@@ -14,7 +14,7 @@ from tests.oracle.model import machine_of, model
 from tests.oracle.simulate import first_hit
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import LOWER, RECORDED, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
-from workers.kernel.stroboscopic import advance, propagate
+from workers.kernel.period import advance, propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.orbit.map import map_with_jacobian

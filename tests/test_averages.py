@@ -16,8 +16,8 @@ from workers.kernel.averages import (
     standard_error,
 )
 from workers.kernel.coordinates import motion_from
-from workers.kernel.frame import reset_frame
 from workers.kernel.motion import SPREAD
+from workers.kernel.tangent import reset_frame
 
 
 def blocking(values: np.ndarray) -> np.ndarray:

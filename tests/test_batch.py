@@ -12,7 +12,7 @@ from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.lanes.layout import VECTOR_WIDTH, room_for_vectors
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
-from workers.kernel.stroboscopic import advance
+from workers.kernel.period import advance
 from workers.model.oscillator import Oscillator, each
 from workers.model.system import find_system
 from workers.results import NO_REASON, UNDETERMINED

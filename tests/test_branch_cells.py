@@ -17,7 +17,7 @@ from workers import Settings
 from workers.continuation import section_states
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import RUNNING, STATUS
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from workers.cell.outcome import end_stopped
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, STARTED_BEYOND, STATUS, motion_at, motions_at
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
 from workers.model.oscillator import Oscillator, many_of, taken
 from workers.model.system import find_system, system_names
 from workers.results import BEYOND_STOP, INVALID, NO_REASON, InvalidError, empty_results, result_variables

@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp
 
 from tests import naive
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing, safe_step
+from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing, safe_step
 from workers.kernel.flow import block_flow
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import OF_FLOW, Mode, make_blocks

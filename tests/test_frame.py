@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from workers.kernel.frame import inner, orthonormalise
 from workers.kernel.lanes.frames import normalise_pass, project_pass
 from workers.kernel.lanes.layout import STRIDE, VECTOR_WIDTH, padded_blocks
+from workers.kernel.tangent import inner, orthonormalise
 
 LAM = (0.7, 3.1)
 

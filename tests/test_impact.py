@@ -8,9 +8,7 @@ from scipy.integrate import solve_ivp
 
 from tests import naive
 from tests.oscillators import mass_spring
-from workers.kernel.coordinates import blocks_to_physical
-from workers.kernel.flow import guard_of, guard_rate_of
-from workers.kernel.impact import (
+from workers.kernel.contact import (
     LEAVE,
     REBOUND,
     REST,
@@ -24,6 +22,8 @@ from workers.kernel.impact import (
     stop_position,
     to_held,
 )
+from workers.kernel.coordinates import blocks_to_physical
+from workers.kernel.flow import guard_of, guard_rate_of
 from workers.kernel.motion import motion_at
 from workers.model.oscillator import HEAD, Oscillator
 

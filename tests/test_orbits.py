@@ -14,10 +14,10 @@ from tests.oracle.simulate import simulate
 from workers.cell.stretch import run_periods
 from workers.history import trace
 from workers.kernel.coordinates import motion_from
-from workers.kernel.frame import reset_frame
 from workers.kernel.linalg import moduli, solution, spectral_radius
 from workers.kernel.motion import motion_at
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
+from workers.kernel.tangent import reset_frame
 from workers.orbit.newton import corrected, recurrence
 from workers.results import PERIODIC
 from workers.settings import Settings

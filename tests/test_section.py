@@ -17,7 +17,7 @@ from workers.attractors.waves import solve_attractors
 from workers.continuation import section_state
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import HELD, RECORDED, Motion
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
 from workers.results import PERIODIC

@@ -9,9 +9,9 @@ from tests import naive
 from tests.oracle.simulate import section_jacobian, simulate
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import blocks_to_physical, motion_from
-from workers.kernel.frame import reset_frame
 from workers.kernel.motion import EVALUATIONS, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
-from workers.kernel.stroboscopic import advance, propagate, step
+from workers.kernel.period import advance, propagate, step
+from workers.kernel.tangent import reset_frame
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import map_with_jacobian
 

@@ -122,6 +122,14 @@ def test_chaos_beside_motion_without_impact_is_watched_for_all_of_it() -> None:
     assert np.all(found["survived"] >= 20_000)
 
 
+def test_chaos_whose_two_averages_differ_says_so_and_its_error_covers_both() -> None:
+    """The second of these cells alternates between two kinds of motion, so slowly that its averages differ."""
+    found = solve_tile("two-mass", BESIDE_FREE_MOTION, Settings(tolerance=0.05, survival=20_000))
+    clear = found["largest"] >= 4.0 * found["error"]
+    assert clear.tolist() == [True, False, True]
+    assert np.array_equal(found["reason"] == NOT_STATIONARY, ~clear)
+
+
 def test_only_what_looks_chaotic_survives_anything() -> None:
     omega, b = np.meshgrid(np.linspace(1.0, 4.0, 12), np.linspace(0.05, 0.5, 10))
     found = solve_tile("two-mass", {"omega": omega, "b": b}, Settings(tolerance=0.05))

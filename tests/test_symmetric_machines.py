@@ -10,7 +10,7 @@ from tests.test_systems import table
 from workers import System
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import STUCK
-from workers.kernel.stroboscopic import mirror, propagate
+from workers.kernel.period import mirror, propagate
 from workers.model.build import build
 from workers.model.oscillator import Machines, Oscillator, one_of
 from workers.model.reading import DefinitionError

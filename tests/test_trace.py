@@ -10,7 +10,7 @@ from tests import naive
 from workers.history import trace
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOWER, UPPER
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
 from workers.model.system import find_system
 from workers.settings import Settings
 from workers.tile import solve_tile

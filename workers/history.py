@@ -10,7 +10,7 @@ from workers.cell.cells import work_allowed
 from workers.cell.stretch import begin, run_periods, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames
 from workers.kernel.motion import RECORDED, WORK, Motion, motions_at
-from workers.kernel.stroboscopic import OVERDRAFT
+from workers.kernel.period import OVERDRAFT
 from workers.model.oscillator import Oscillator, each, many_of
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError

@@ -162,7 +162,7 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
     """Times, states and impacts from the parameters' initial state on, by the solver's own motion in short pieces."""
     from workers.kernel.coordinates import blocks_to_physical, motion_from
     from workers.kernel.motion import RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-    from workers.kernel.stroboscopic import propagate
+    from workers.kernel.period import propagate
 
     osc = system.build(parameters)
     start = np.array([parameters[name] for name in system.states])

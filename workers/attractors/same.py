@@ -20,7 +20,7 @@ from workers.cell.cells import Array, Rows
 from workers.kernel.cells import physical_states, scale_at, start_motions
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, motions_at, oscillator_of
-from workers.kernel.stroboscopic import step
+from workers.kernel.period import step
 from workers.model.oscillator import Oscillator, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import jacobian_of, separation

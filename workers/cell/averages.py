@@ -38,21 +38,23 @@ def under_way(cells: Cells, rows: Rows) -> Average:
     """
     motions = cells.batch.motions
     mean, error, periods = mean_growth(cells.batch.levels, rows)
+    if not cells.vectors:
+        periods = cells.flown[rows] - cells.restarted[rows]
     lost = motions.tally[rows, LOST] >= cells.directions
     return Average(
         mean=np.where(lost, -np.inf, mean),
         error=np.where(lost, 0.0, error),
-        periods=np.where(cells.averaging[rows], periods if cells.vectors else cells.survived(rows), 0.0),
+        periods=np.where(cells.averaging[rows], periods, 0.0),
         growth=motions.growth[rows],
         impacts=impact_count(motions.tally[rows]),
     )
 
 
-def whole_average(cells: Cells, rows: Rows) -> Average:
+def whole_average(cells: Cells, rows: Rows, *, stationary: bool = False) -> Average:
     """The earlier average of these cells and the one under way as one, with the error that results give.
 
     It is at least the standard error by the difference of the two averages: far apart in time, each may be too short to
-    see how slowly the motion changes.
+    see how slowly the motion changes. Not where motion is taken to be ``stationary``.
     """
     now, e = under_way(cells, rows), taken(cells.earlier, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # or too short to have an error
@@ -60,9 +62,10 @@ def whole_average(cells: Cells, rows: Rows) -> Average:
     total = e.periods + count
     both = (count > 0.0) & (e.periods > 0.0)
     apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0)
+    plain = np.hypot(e.error * e.periods, error * count) / total
     return Average(
         mean=(e.mean * e.periods + mean * count) / total,
-        error=np.maximum(np.hypot(e.error * e.periods, error * count) / total, apart),
+        error=plain if stationary else np.maximum(plain, apart),
         periods=total,
         growth=growth + e.growth,
         impacts=impacts + e.impacts,

@@ -17,7 +17,7 @@ from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
 from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
-from workers.kernel.impact import COMPLETION
+from workers.kernel.contact import COMPLETION
 from workers.model.oscillator import Oscillator, taken
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
@@ -214,13 +214,15 @@ def put_by_average(
 ) -> None:
     """Write the results of cells that end with what their averages show: chaos where it is clear, else undetermined.
 
-    unclear and clear are the reasons that they get then.
+    unclear and clear are the reasons that they get then. Chaos that would be clear if the two averages did not differ
+    is not stationary, which is its reason.
     """
     if not len(rows):
         return
-    average = whole_average(cells, rows)
-    chaotic = clearly_positive(average.mean, average.error, average.periods)
-    put_chaotic(cells, rows[chaotic], np.broadcast_to(clear, len(rows))[chaotic])
+    both = (whole_average(cells, rows, stationary=each) for each in (True, False))
+    chaotic, clearly = (clearly_positive(average.mean, average.error, average.periods) for average in both)
+    reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
+    put_chaotic(cells, rows[chaotic], reasons[chaotic])
     put_averaged(cells, rows[~chaotic])
     put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from workers.continuation.equations import Impacts, Itinerary, Motion, at_impacts, block_state, motion_at
 from workers.continuation.oscillator import Array, ModalOscillator
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
+from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Mode, each
 

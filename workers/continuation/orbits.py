@@ -29,7 +29,7 @@ from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section

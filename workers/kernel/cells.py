@@ -10,7 +10,6 @@ import numpy as np
 from workers.kernel.averages import COUNT, MEAN, standard_error
 from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
-from workers.kernel.frame import reset_frame_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import (
     FREE,
@@ -24,8 +23,9 @@ from workers.kernel.motion import (
     motion_with,
     oscillator_of,
 )
+from workers.kernel.period import OVERDRAFT, advance
 from workers.kernel.signal import derivative_bounds
-from workers.kernel.stroboscopic import OVERDRAFT, advance
+from workers.kernel.tangent import reset_frame_of
 from workers.model.oscillator import HEAD
 
 

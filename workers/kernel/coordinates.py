@@ -6,7 +6,7 @@ A motion carries its contact. Where there is a physical state alone, ``placed`` 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.impact import forced_state, load_on_stop, to_held
+from workers.kernel.contact import forced_state, load_on_stop, to_held
 from workers.kernel.jit import inline_always, kernel, kernel_within
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
 from workers.model.oscillator import HEAD, Oscillator

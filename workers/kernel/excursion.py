@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
+from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
 from workers.kernel.flow import flow
 from workers.kernel.jit import kernel_within
 from workers.kernel.signal import evaluate

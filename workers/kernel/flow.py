@@ -60,7 +60,9 @@ def block_flow(block, s):
 def fall(s, eta):
     """How far a rigid mode moves from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
     x = 2.0 * eta * s
-    p = 1.0 / 1307674368000.0
+    p = 1.0 / 355687428096000.0
+    p = fma(-p, x, 1.0 / 20922789888000.0)
+    p = fma(-p, x, 1.0 / 1307674368000.0)
     p = fma(-p, x, 1.0 / 87178291200.0)
     p = fma(-p, x, 1.0 / 6227020800.0)
     p = fma(-p, x, 1.0 / 479001600.0)

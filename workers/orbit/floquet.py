@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from workers.kernel.frame import inner, reset_frame
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, moduli
 from workers.kernel.motion import LOST, RUNNING, STATUS, axes
+from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
 SETTLED = 1e-13

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
-from workers.kernel.stroboscopic import step
+from workers.kernel.period import step
 
 Array = NDArray[np.float64]
 

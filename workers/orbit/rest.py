@@ -8,7 +8,7 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel, kernel_within
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
-from workers.kernel.stroboscopic import advance
+from workers.kernel.period import advance
 from workers.orbit.map import separation
 
 FOLLOWED = 1e10

@@ -12,7 +12,7 @@ import numpy as np
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel, kernel_within
 from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
-from workers.kernel.stroboscopic import propagate
+from workers.kernel.period import propagate
 from workers.model.oscillator import HEAD, Oscillator
 
 SHIFT = 0.3819660112501051

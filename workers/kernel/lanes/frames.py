@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.kernel.crossing import TINY
 from workers.kernel.elementary import log
-from workers.kernel.flight import TINY
 from workers.kernel.fma import fma
-from workers.kernel.frame import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import (
     AT_SECTION,
@@ -31,6 +30,7 @@ from workers.kernel.lanes.layout import (
     room_for_vectors,
 )
 from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.tangent import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
 from workers.model.oscillator import COLUMN
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def clear(partial, count):
 
 @inlined
 def product_of_two(metric, u, w, j, i, total):
-    """The total with the share of blocks j and j + 1 in the product of ``frame.inner``."""
+    """The total with the share of blocks j and j + 1 in the product of ``tangent.inner``."""
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
     return fma(u[e3], w[e3], fma(metric[e2] * u[e2], w[e2], total))
@@ -114,7 +114,7 @@ def products(metric, u, w, partial, count):
 
 @kernel
 def normalise_pass(metric, rank, k, u, growth, partial, count):
-    """The part of frame.orthonormalise that makes vector k a unit vector, for ``count`` frames at once.
+    """The part of tangent.orthonormalise that makes vector k a unit vector, for ``count`` frames at once.
 
     u (2 n STRIDE,) are its numbers, see entry, and metric (2 n STRIDE,) stands where the first of each two does; rank
     and growth (STRIDE,) have one number for each frame.
@@ -135,7 +135,7 @@ def normalise_pass(metric, rank, k, u, growth, partial, count):
 
 @kernel
 def project_pass(metric, u, w, partial, count):
-    """The part of frame.orthonormalise that takes the unit vector u out of the later vector w; see normalise_pass."""
+    """The part of tangent.orthonormalise that takes the unit vector u out of the later vector w; see normalise_pass."""
     products(metric, u, w, partial, count)
     last = last_two(u)
     for i in range(count):
@@ -196,7 +196,7 @@ def spread_pass(a, limit, n):
 
 @inline_always
 def orthonormalise_due(a, count, frames, growths, space, blocks):
-    """frame.orthonormalise of the frames of the first ``count`` of space.lanes."""
+    """tangent.orthonormalise of the frames of the first ``count`` of space.lanes."""
     U, growing, metric, rank, lanes, partial = space
     m = len(frames)
     for e in range(count):
@@ -235,7 +235,7 @@ def fly_block(a, u, j, i, dy, dv):
 
 @inlined
 def kick_block(a, u, j, i, along_k, along_Ak):
-    """Add what an impact does to block j of vector i; see impact.saltation."""
+    """Add what an impact does to block j of vector i; see contact.saltation."""
     e0, e1 = entry(j, 0, i), entry(j, 1, i)
     u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
     u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
@@ -243,7 +243,7 @@ def kick_block(a, u, j, i, along_k, along_Ak):
 
 @kernel
 def transfer_pass(a, u, partial, n):
-    """Take one vector through the flights that have ended, and through the impacts, as impact.saltation does."""
+    """Take one vector through the flights that have ended, and through the impacts, as contact.saltation does."""
     last = last_two(u)
     clear(partial, n)
     for j in range(0, last, 2):
@@ -283,7 +283,7 @@ def fly_frame_far(a, i, blocks, frames, growths):
 
 @inline_always
 def move_frames(a, n, blocks, frames, growths, space):
-    """Take the tangent vectors of all lanes through the flights and impacts just ended, as stroboscopic.propagate does.
+    """Take the tangent vectors of all lanes through the flights and impacts just ended, as period.propagate does.
 
     blocks (N, n, columns) are those of all cells.
     """
@@ -308,7 +308,7 @@ def square_of_block(a, u, j, i, total):
 def measure_pass(a, u, growth, partial, n):
     """The growth over the period of the first vector, where a lane is at its section or has just begun.
 
-    LANE.log_length, NaN where it is yet unknown, is frame.log_length at the last section.
+    LANE.log_length, NaN where it is yet unknown, is tangent.log_length at the last section.
     """
     last = last_two(u)
     clear(partial, n)

@@ -39,7 +39,7 @@ class LaneFields(NamedTuple):
     restitution: int
     cA2k: int
     period: int
-    time_unit: int  # see stroboscopic.impact_spread
+    time_unit: int  # see tangent.impact_spread
     # other constants of the oscillator, and what follows from them
     tau: int
     sin_part: int  # of the first harmonic; for others see HarmonicFields
@@ -48,8 +48,8 @@ class LaneFields(NamedTuple):
     forced_rate_at_section: int
     forced_second_at_section: int
     forced_third_at_section: int
-    spread_rate: int  # see stroboscopic.spread_rate
-    loss_spread: int  # see stroboscopic.loss_spread
+    spread_rate: int  # see tangent.spread_rate
+    loss_spread: int  # see tangent.loss_spread
     # the flight under way
     flight_start: int  # time from the section to the flight's start
     flight_phase: int  # phase of the force at the flight's start

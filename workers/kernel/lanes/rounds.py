@@ -5,8 +5,8 @@ A lane's results are the same bits whatever the other lanes hold, how many there
 
 import math
 
-from workers.kernel.flight import REFRESH, TINY
-from workers.kernel.impact import is_rebound, load_at_rest
+from workers.kernel.contact import is_rebound, load_at_rest
+from workers.kernel.crossing import REFRESH, TINY
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lanes.layout import AT_SECTION, FLYING, LANE, LEFT, padded_blocks
 from workers.kernel.lanes.search import safe_steps, step_pass

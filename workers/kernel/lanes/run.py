@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.frame import log_length, loss_spread, spread_rate
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.frames import give_frame, measure_pass, move_frames, take_frame, workspace
 from workers.kernel.lanes.layout import (
@@ -47,8 +46,9 @@ from workers.kernel.motion import (
     motion_of,
     oscillator_of,
 )
+from workers.kernel.period import advance
 from workers.kernel.signal import all_forced
-from workers.kernel.stroboscopic import advance
+from workers.kernel.tangent import log_length, loss_spread, spread_rate
 from workers.model.oscillator import NUMBER, OF_LANE, Oscillator
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The next time of every lane, certified or an arrival: one turn of the loop of flight.next_crossing.
+"""The next time of every lane, certified or an arrival: one turn of the loop of crossing.next_crossing.
 
 Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). What few lanes need is
 done for those alone, gathered in c (see GapFields).
@@ -6,7 +6,7 @@ done for those alone, gathered in c (see GapFields).
 
 import numpy as np
 
-from workers.kernel.flight import GAP_ROUNDING, LEAST_STEP, arrival, bracket, close_in, curvature, meets
+from workers.kernel.crossing import GAP_ROUNDING, LEAST_STEP, arrival, bracket, close_in, curvature, meets
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
 
@@ -14,7 +14,7 @@ LONGEST_MARCH = 64
 """Steps of one flight after which a lane is left to the kernels of one cell."""
 
 LANE_TRIALS = 2
-"""Trial lengths at the end of a safe step: flight.TRIALS cost more than they spare but at a graze."""
+"""Trial lengths at the end of a safe step: crossing.TRIALS cost more than they spare but at a graze."""
 
 
 @kernel

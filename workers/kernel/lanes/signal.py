@@ -61,7 +61,7 @@ def harmonic_pass(a, q, order, n):
 
 @inlined
 def output_of(q, i, h0, h1):
-    """flight.block_output of a state of one block of lane i."""
+    """signal.block_output of a state of one block of lane i."""
     eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return block_output(h0, h1, eta, lam, c0, c1, cA0, cA1)
@@ -69,7 +69,7 @@ def output_of(q, i, h0, h1):
 
 @inlined
 def loaded_output_of(q, i, h0, h1):
-    """flight.loaded_output of a state of one block of lane i."""
+    """signal.loaded_output of a state of one block of lane i."""
     eta, lam, load = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.load + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)

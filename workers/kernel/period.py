@@ -6,20 +6,7 @@ Between sections the phase runs from tau to tau + 2 pi; absolute time never ente
 import numpy as np
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.excursion import turning_points
-from workers.kernel.flight import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
-from workers.kernel.flow import flow_with_tangent
-from workers.kernel.frame import (
-    MAX_SPREAD,
-    fly_far,
-    impact_spread,
-    loss_spread,
-    needs_reset,
-    reset_frame,
-    reset_frame_of,
-    spread_rate,
-)
-from workers.kernel.impact import (
+from workers.kernel.contact import (
     LEAVE,
     REBOUND,
     REST,
@@ -34,6 +21,9 @@ from workers.kernel.impact import (
     stay_on_stop,
     stop_position,
 )
+from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
+from workers.kernel.excursion import turning_points
+from workers.kernel.flow import flow_with_tangent
 from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part
 from workers.kernel.motion import (
     AT_REST,
@@ -58,6 +48,16 @@ from workers.kernel.motion import (
     WORK,
 )
 from workers.kernel.signal import evaluate
+from workers.kernel.tangent import (
+    MAX_SPREAD,
+    fly_far,
+    impact_spread,
+    loss_spread,
+    needs_reset,
+    reset_frame,
+    reset_frame_of,
+    spread_rate,
+)
 from workers.model.oscillator import HEAD, NUMBER
 
 OVERDRAFT = 1_000_000

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from workers.kernel.crossing import TINY
 from workers.kernel.elementary import cosc_sinc, exp, log, sin_cos
-from workers.kernel.flight import TINY
 from workers.kernel.flow import flow
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.motion import LOST, SPREAD

@@ -3,12 +3,12 @@
 import numpy as np
 
 from workers.kernel.borrow import borrowed
+from workers.kernel.crossing import next_crossing
 from workers.kernel.elementary import sin_cos
-from workers.kernel.flight import next_crossing
 from workers.kernel.flow import flow, flow_with_tangent, guard_of, guard_rate_of
-from workers.kernel.frame import graded_flow
 from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
 from workers.kernel.signal import all_forced, derivative_bounds
+from workers.kernel.tangent import graded_flow
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 REBOUND, REST, LEAVE = range(3)
