@@ -38,7 +38,7 @@ def test_an_interpreter_shows_an_atlas_on_one_screen(header: store.Header) -> No
 
 def test_branches_show_what_they_are_of_in_one_line() -> None:
     ways = [SimpleNamespace(points=[None] * 55, events=[None]), SimpleNamespace(points=[None] * 20, events=[])]
-    traced: Any = tuple(SimpleNamespace(way=way) for way in ways)
+    traced: Any = tuple(SimpleNamespace(run=way) for way in ways)
     found = DrawnBranches(find_system("two-mass"), {"b": 0.15}, "omega", (2.0, 4.0), traced)
     reach = "two-mass along omega from 2 to 4"
     assert repr(found) == f"<DrawnBranches of {reach}: 2 branches, 75 points, 1 event>"
