@@ -160,7 +160,7 @@ def _recheck_flights(found: Findings, cell: Drawn, osc: Oscillator, start: Array
     for flight in _flights(found, cell, osc, start):
         reach = min(flight.duration, FAST_CYCLES * 2.0 * math.pi / rate)
         found.checked[f"flights sampled densely, {cell.kind}"] += 1
-        found.checked["flights sampled to their end"] += reach == flight.duration
+        found.checked["flights sampled to their end"] += int(reach == flight.duration)
         excess = float(dense_violation(cell.machine, [flight.state], [flight.start], [reach])[0])
         size = osc.gap.amplitude + float(np.abs(g) @ (np.abs(flight.state[:n]) + np.abs(flight.state[n:]) / rate))
         spread = float(np.linalg.norm(g)) * float(np.linalg.norm(flight.state[:n]))

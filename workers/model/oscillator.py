@@ -166,8 +166,13 @@ def _named(name: str, *tables: tuple[Array, Any]) -> Any:
     """The column of that name of the first of these tables that has one."""
     for table, columns in tables:
         if name in columns._fields:
-            return table[..., getattr(columns, name)][()]  # a number, not an array without axes
+            return _plain(table[..., getattr(columns, name)])
     raise AttributeError(name)
+
+
+def _plain(field: Array) -> Any:
+    """An array, or the number that one without axes holds."""
+    return field if field.ndim else float(field)
 
 
 class Held(NamedTuple):
@@ -250,12 +255,12 @@ class Oscillator(NamedTuple):
     @property
     def b_upper(self) -> Any:
         """upper - y0, the gap to the upper stop at rest."""
-        return self.head[..., HEAD.top][()]
+        return _plain(self.head[..., HEAD.top])
 
     @property
     def b_lower(self) -> Any:
         """y0 - lower, the gap to the lower stop at rest."""
-        return -self.head[..., HEAD.bottom][()]
+        return -_plain(self.head[..., HEAD.bottom])
 
 
 class Machines(NamedTuple):
