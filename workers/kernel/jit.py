@@ -78,7 +78,7 @@ class Kernel:
         self.py_func = function
         self.alone = njit(cache=CACHE is not None, **_HOW, **how)(function)
         self.part = self.alone if both else njit(**_HOW, **_NO_ENTRY, **_WITHIN[within], **how)(function)
-        self.targetoptions = self.part.targetoptions  # where Numba looks whether to inline
+        self.targetoptions = getattr(self.part, "targetoptions", {})  # where Numba looks whether to inline
         update_wrapper(self, function)
 
     def __call__(self, *given: Any) -> Any:
