@@ -12,7 +12,8 @@ import atlas
 from tests.planes import plane_of
 
 LONGEST = (
-    "test_docs_site.py", "test_commands.py", "test_explore_page.py", "test_fma.py", "test_page.py", "test_place.py",
+    "test_docs_site.py", "test_commands.py", "test_explore_page.py", "test_warm.py", "test_groups.py", "test_page.py",
+    "test_place.py",
     "test_overview.py", "test_family.py", "test_explore_solving.py", "test_curves_search.py", "test_submit.py",
     "test_stress.py",
 )  # fmt: skip
