@@ -150,7 +150,8 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
         motion = motion_with(h[r], contact[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
         motion.tally[WORK] = allowance[r] - OVERDRAFT
         for _ in range(periods[r]):
-            advance(osc, borrowed(motion))
+            if motion.tally[STATUS] == RUNNING:
+                advance(osc, borrowed(motion))
         if motion.tally[STATUS] == RUNNING:
             found[r, 0], found[r, 1] = motion.extremes[0], motion.extremes[1]
     return found
