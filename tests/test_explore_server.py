@@ -4,6 +4,7 @@ A name that an attacker resolves to this machine (DNS rebinding) makes the attac
 that the host, which browsers send as it was typed, is what tells.
 """
 
+import asyncio
 import http.client
 from collections.abc import Iterator
 
@@ -11,6 +12,7 @@ import pytest
 from bokeh.document import Document
 from bokeh.models import Div
 
+from atlas.explore.background import Background
 from atlas.explore.server import PageServer
 
 UPGRADE = {
@@ -75,3 +77,16 @@ def test_the_servers_own_address_is_served(server: PageServer, name: str) -> Non
 @pytest.mark.parametrize("query", ["omega=%ff", "%fe=1&kind=%c3"])
 def test_an_address_that_is_no_text_gets_400(server: PageServer, query: str) -> None:
     assert answer(server, f"/?{query}", Host=f"127.0.0.1:{server.port}")[0] == 400
+
+
+async def _shown_after_its_end() -> None:
+    document = Document()
+    background = Background(document, pytest.fail)
+    document.destroy(None)
+    background.show(lambda: pytest.fail("something is shown"))
+    await asyncio.sleep(0)
+    background.close()
+
+
+def test_nothing_is_shown_in_a_document_that_has_ended() -> None:
+    asyncio.run(_shown_after_its_end())

@@ -18,6 +18,7 @@ from distributed import Client, LocalCluster, get_worker
 import atlas
 from atlas.errors import NetworkError, RunError
 from atlas.service import dispatch as fanout
+from atlas.service.fitness import Fitness, Refusal
 from atlas.store.location import LocalPlace
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, read_header
@@ -269,19 +270,25 @@ def test_a_worker_that_refuses_is_left_out_and_named(
     tmp_path: Path, plane: atlas.Spec, two_workers: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unfit = min(two_workers.nthreads())
-    name = str(tmp_path)
+    name, refusals = str(tmp_path), f"{tmp_path}: refusals"
+
+    def refuse(fitness: Fitness, refusal: Refusal) -> None:
+        fitness_refuse(fitness, refusal)
+        noted(refusals).append(refusal.worker)
 
     def picky(job: Job) -> jobs.Receipt:
         address = get_worker().address
         noted(name).append(address)
         if address == unfit:
             raise RefusedError("sees no store")
-        for _ in range(300):  # or Dask hands the other's tiles to this one before that has begun any
-            if unfit in noted(name):
+        for _ in range(300):  # the run may hand out more before it has heard of the refusal
+            if noted(refusals):
                 break
             time.sleep(0.1)
         return run_job(job)
 
+    fitness_refuse = Fitness.refuse
+    monkeypatch.setattr(Fitness, "refuse", refuse)
     monkeypatch.setattr(fanout, "run_job", picky)
     summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures) == (9, ())

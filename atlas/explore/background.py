@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 from bokeh.document import Document
+from tornado.ioloop import IOLoop
 
 from atlas.errors import InputError, RunError
 
@@ -16,18 +17,21 @@ Show = Callable[[], None]
 
 
 class Background:
-    """Threads of a page's own. ``refuse`` is told, in the document's thread, what the user can mend."""
+    """Threads of a page's own, made in the document's thread, in which ``refuse`` hears what the user can mend."""
 
     def __init__(self, document: Document, refuse: Callable[[str], None]) -> None:
-        self._document, self._refuse = document, refuse
+        self._document, self._refuse, self._loop = document, refuse, IOLoop.current()
         self._lock, self.closed = threading.Lock(), False
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
     def show(self, act: Show) -> None:
         """Have something done in the thread of the document, for as long as there is one."""
-        with self._lock:
-            if not self.closed:
-                self._document.add_next_tick_callback(act)
+        self._loop.add_callback(self._show, act)
+
+    def _show(self, act: Show) -> None:
+        # Bokeh empties a document some time before it says that its session has ended, both in this thread.
+        if not self.closed and self._document.session_context is not None:
+            self._document.add_next_tick_callback(act)
 
     def run(self, work: Callable[[], Show]) -> None:
         """Have something done in a thread of the page, then what it returns in that of the document."""
