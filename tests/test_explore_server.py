@@ -82,7 +82,9 @@ def test_an_address_that_is_no_text_gets_400(server: PageServer, query: str) -> 
 async def _shown_after_its_end() -> None:
     document = Document()
     background = Background(document, pytest.fail)
-    document.destroy(None)
+    session = object()
+    document.callbacks.on_change_dispatch_to(session)
+    document.destroy(session)
     background.show(lambda: pytest.fail("something is shown"))
     await asyncio.sleep(0)
     background.close()
