@@ -26,7 +26,7 @@ from workers.attractors.same import orbits_reached, periods_to_settle, turn
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.continuation import admissible, branch, curve, equations, orbits, pulses, stability
-from workers.kernel import cells, jit
+from workers.kernel import cache, cells, jit
 from workers.kernel.lanes import run
 from workers.orbit import newton
 
@@ -67,7 +67,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         done.extend(part or "cells" for part in parts)
         return True
 
-    monkeypatch.setattr(jit, "CACHE", tmp_path)
+    monkeypatch.setattr(cache, "CACHE", tmp_path)
     monkeypatch.setattr(warm, "warm_up_in_child", slowly)
     monkeypatch.setattr(warm, "TICK", 0.01)
     return done
@@ -133,7 +133,7 @@ def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str])
 def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jit, "CACHE", None)
+    monkeypatch.setattr(cache, "CACHE", None)
     warm.compile_once()
     assert compiled == []
 

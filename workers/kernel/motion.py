@@ -3,9 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from workers.kernel.apart import FLOATS, lent
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import Held, Mode, Oscillator
@@ -52,6 +54,21 @@ class Motion(NamedTuple):
     impacts: NDArray[np.float64]
     extremes: NDArray[np.float64]
     scratch: NDArray[np.float64]
+
+
+def _record(kind: type, *fields: int | types.Type) -> types.NamedTuple:
+    """The type of a record in kernels; a number stands for a float64 array with that many axes."""
+    return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
+
+
+MODE = _record(Mode, 2, 1, 2, 1, 4)
+HELD_MOTION = _record(Held, MODE, 2, 2, 3, 3, 1)
+OSCILLATOR = _record(Oscillator, MODE, 2, 2, 2, 2, 1, 1, types.float64, HELD_MOTION)
+MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 2)
+"""Types of records in kernels."""
+
+lent_oscillator, lent_motion = lent(OSCILLATOR), lent(MOTION)
+"""The records that a function apart is given."""
 
 
 @inlined
