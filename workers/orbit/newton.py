@@ -17,9 +17,9 @@ from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.model.oscillator import HEAD
-from workers.orbit.attraction import falls_into, shrinking_norm, stays_nearer
-from workers.orbit.floquet import floquet, nothing_left
-from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
+from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
+from workers.orbit.floquet import floquet
+from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation, squares
 from workers.orbit.rest import is_followed
 from workers.orbit.section import back_at_section, quiet_section, seen_later
 
@@ -69,26 +69,19 @@ class PeriodicOrbit(NamedTuple):
 @kernel
 def corrected(h, image, J):
     """One step of Newton's method, h - (J - I)^-1 (F(h) - h); not finite where the matrix is singular."""
-    size = len(J)
-    matrix, right = J.copy(), np.empty(size)
-    for k in range(size):
+    matrix, better = J.copy(), h.copy()
+    for k in range(len(J)):
         matrix[k, k] -= 1.0
-        right[k] = image[k // 2, k % 2] - h[k // 2, k % 2]
-    change = solution(matrix, right)
-    better = np.empty(h.shape)
-    for k in range(size):
-        better[k // 2, k % 2] = h[k // 2, k % 2] - change[k]
+    change = solution(matrix, deviation(image, h))
+    for k in range(len(J)):
+        better[k // 2, k % 2] -= change[k]
     return better
 
 
 @kernel
 def is_hopeless(J):
     """Whether the spectral radius is HOPELESS or more; the Frobenius norm, a bound of it, mostly tells."""
-    square = 0.0
-    for row in J:
-        for entry in row:
-            square += entry * entry
-    return not square < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
+    return not squares(J) < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
 @inline_always
@@ -163,7 +156,7 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
 def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
-    The orbit closes after so many steps, or is one that closes after fewer.
+    The orbit closes after ``steps``, or is one that closes after fewer.
     """
     guess, spent = h, 0
     while True:
@@ -171,7 +164,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         turns_left = (budget - spent) // unit - RESERVED_TURNS
         point, tried = newton(osc, guess, contact, steps, half, scale, min(PROOF_STEPS, turns_left))
         spent += tried * unit
-        orbit = PeriodicOrbit(point.h, contact, steps, half, nothing_left(h.size), point.residual, 0.0)
+        orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
         if point.residual == np.inf:
             return NOTHING, orbit, spent
         radius = spectral_radius(point.jacobian)
@@ -258,7 +251,7 @@ def settle(osc, motion, sections, near, longest, budget):
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
     there = borrowed(seen_later(osc, shift))
-    none = PeriodicOrbit(h, contact, 1, False, nothing_left(h.size), np.inf, 0.0)
+    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), np.inf, 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
         for half in (True, False):
@@ -294,7 +287,7 @@ class Orbits(NamedTuple):
 
 
 def no_orbits(count: int, n: int) -> Orbits:
-    """Room for the orbits of so many cells."""
+    """Room for the orbits of ``count`` cells of n blocks."""
     return Orbits(
         h=np.zeros((count, n, 2)),
         contact=np.zeros((count, 1), dtype=np.int64),
@@ -332,12 +325,6 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         here = back_at_section(osc, shift, orbit.h, orbit.contact)
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
-        for j in range(here.h.shape[0]):
-            for k in range(2):
-                orbits.h[r, j, k] = here.h[j, k]
-        for k in range(TALLIES):
-            orbits.tally[r, k] = turn.tally[k]
         sort_down(orbit.exponents)
-        for k in range(len(orbit.exponents)):
-            orbits.exponents[r, k] = orbit.exponents[k]
+        orbits.h[r], orbits.tally[r], orbits.exponents[r] = here.h, turn.tally, orbit.exponents
     return settled

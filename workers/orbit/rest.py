@@ -9,7 +9,7 @@ from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel, kernel_within
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.period import advance
-from workers.orbit.map import separation
+from workers.orbit.map import separation, squares
 
 FOLLOWED = 1e10
 """How far a disturbance may grow from a release to the next rest: rounding is still small beside the motion then."""
@@ -24,11 +24,7 @@ RELEASES = 16
 @kernel
 def growth_of(V):
     """The norm of the tangent vectors (2n, n, 2): the largest factor by which a disturbance may have grown."""
-    square = 0.0
-    for vector in V:
-        for block in vector:
-            square += block[0] * block[0] + block[1] * block[1]
-    return math.sqrt(square)
+    return math.sqrt(squares(V))
 
 
 @inline_always
@@ -42,10 +38,7 @@ def pass_period(osc, motion, rests):
     rests = rests or motion.tally[LOST] >= 2.0
     released = rests and abs(motion.contact[0]) != HELD
     if released:
-        fresh = axes(motion.h.shape[0])
-        for i in range(fresh.shape[0]):
-            for j in range(fresh.shape[1]):
-                motion.V[i, j, 0], motion.V[i, j, 1] = fresh[i, j, 0], fresh[i, j, 1]
+        motion.V[:] = axes(motion.h.shape[0])
     return rests and not released, released
 
 
@@ -87,9 +80,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             gone[r] += 1
             if motion.tally[STATUS] != RUNNING:
                 break
-            for j in range(n):
-                states[count, j, 0], states[count, j, 1] = motion.h[j, 0], motion.h[j, 1]
-            contacts[count] = motion.contact[0]
+            states[count], contacts[count] = motion.h, motion.contact[0]
             if released:
                 for e in range(known):
                     k = releases[e]
@@ -102,11 +93,6 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             elif not growth_of(motion.V) < FOLLOWED:
                 known = count = 0
             count += int(known > 0)
-        for k in range(kept[r]):
-            for j in range(n):
-                state = states[count - kept[r] + k]
-                sections[r, K - kept[r] + k, j, 0], sections[r, K - kept[r] + k, j, 1] = state[j, 0], state[j, 1]
-        moved.contact[0] = motion.contact[0]
-        for j in range(n):
-            moved.h[j, 0], moved.h[j, 1] = motion.h[j, 0], motion.h[j, 1]
+        sections[r, K - kept[r] :] = states[count - kept[r] : count]
+        moved.h[:], moved.contact[0] = motion.h, motion.contact[0]
     return gone
