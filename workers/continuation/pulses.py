@@ -29,9 +29,8 @@ def answers(blocks, span, zeta, since):
     found, loads = np.full((N, n, 2, K, m), 0.0 * zeta), np.zeros((N, n))
     for r, j in np.ndindex(N, n):
         block = blocks[r, j]
-        if block[COLUMN.lam] == 0.0 and zeta == 1.0:
-            loads[r, j] = -block[COLUMN.k1] / span[r]
-        (u0, u1), load = _first(block, span[r], zeta), loads[r, j]
+        u0, u1, load = _first(block, span[r], zeta)
+        loads[r, j] = load
         for i, p in np.ndindex(K, m):
             f11, f12, f21, f22 = block_flow(block, since[r, i, p])
             found[r, j, 0, i, p] = f11 * u0 + f12 * u1
@@ -44,7 +43,7 @@ def answers(blocks, span, zeta, since):
 
 @kernel
 def _first(block, span, zeta):
-    """u(0) of a block; see ``answers`` for a rigid mode under kicks of zeta = 1.
+    """u(0) = (h, h') of a block, and the load that balances its kicks: 0 but for a rigid mode under kicks of zeta = 1.
 
     That one has the velocity after a kick from which the load takes it to the velocity before the next one, and is
     where its mean is zero: -span / 4 (coth x - 1 / x) / x, x = eta span.
@@ -53,10 +52,11 @@ def _first(block, span, zeta):
     f11, f12, f21, f22 = block_flow(block, span)
     if block[COLUMN.lam] == 0.0 and zeta == 1.0:
         eta = block[COLUMN.eta]
-        return k1 * (-0.25 * span * _langevin(eta * span) / zeta), k1 * (fall(span, eta) / (span * f12) / zeta)
+        after = fall(span, eta) / (span * f12)
+        return k1 * (-0.25 * span * _langevin(eta * span) / zeta), k1 * (after / zeta), -k1 / span
     e11, e12, e21, e22 = f11 / zeta, f12 / zeta, f21 / zeta, f22 / zeta
     det = (1.0 - e11) * (1.0 - e22) - e12 * e21
-    return ((1.0 - e22) * k0 + e12 * k1) / det, (e21 * k0 + (1.0 - e11) * k1) / det
+    return ((1.0 - e22) * k0 + e12 * k1) / det, (e21 * k0 + (1.0 - e11) * k1) / det, 0.0
 
 
 @kernel

@@ -11,7 +11,7 @@ from workers.kernel.contact import saltation
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.jit import kernel
 from workers.kernel.motion import axes
-from workers.orbit.map import jacobian_of
+from workers.orbit.map import copy_into, jacobian_of
 
 
 @kernel
@@ -27,7 +27,7 @@ def flights(blocks, s, R, ratio):
         flow_with_tangent(blocks[r], s[r, i], np.zeros((n, 2)), V)
         if ratio.shape[1] > 0:
             saltation(blocks[r], R[r], V, ratio[r, i])
-        found[r, i] = jacobian_of(V)
+        copy_into(found[r, i], jacobian_of(V))
     return found
 
 

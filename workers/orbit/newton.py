@@ -19,7 +19,7 @@ from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillato
 from workers.model.oscillator import HEAD
 from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet
-from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation, squares
+from workers.orbit.map import FixedPoint, copy_into, iterate_alone, map_with_jacobian, separation, squares
 from workers.orbit.rest import is_followed
 from workers.orbit.section import back_at_section, quiet_section, seen_later
 
@@ -53,7 +53,6 @@ class PeriodicOrbit(NamedTuple):
     h (n, 2), contact   section state on it
     steps, half         m, and whether a step is half a period (map G)
     exponents           (2n,) ln|mu| / period, in any order; -infinity where structurally lost
-    residual            |F(h) - h| in the energy norm
     error               rounding error of the exponents
     """
 
@@ -62,7 +61,6 @@ class PeriodicOrbit(NamedTuple):
     steps: int
     half: bool
     exponents: Array
-    residual: float
     error: float
 
 
@@ -164,7 +162,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         turns_left = (budget - spent) // unit - RESERVED_TURNS
         point, tried = newton(osc, guess, contact, steps, half, scale, min(PROOF_STEPS, turns_left))
         spent += tried * unit
-        orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), point.residual, 0.0)
+        orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), 0.0)
         if point.residual == np.inf:
             return NOTHING, orbit, spent
         radius = spectral_radius(point.jacobian)
@@ -191,7 +189,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
-    orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
+    orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, rounding / periods)
     # Else it is too near a bifurcation for these digits.
     return SETTLED if largest < -rounding else NOTHING, orbit, spent
 
@@ -251,7 +249,7 @@ def settle(osc, motion, sections, near, longest, budget):
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
     there = borrowed(seen_later(osc, shift))
-    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), np.inf, 0.0)
+    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
         for half in (True, False):
@@ -326,5 +324,7 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
         sort_down(orbit.exponents)
-        orbits.h[r], orbits.tally[r], orbits.exponents[r] = here.h, turn.tally, orbit.exponents
+        copy_into(orbits.h[r], here.h)
+        copy_into(orbits.tally[r], turn.tally)
+        copy_into(orbits.exponents[r], orbit.exponents)
     return settled

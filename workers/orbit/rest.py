@@ -9,7 +9,7 @@ from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel, kernel_within
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.period import advance
-from workers.orbit.map import separation, squares
+from workers.orbit.map import copy_into, separation, squares
 
 FOLLOWED = 1e10
 """How far a disturbance may grow from a release to the next rest: rounding is still small beside the motion then."""
@@ -38,7 +38,7 @@ def pass_period(osc, motion, rests):
     rests = rests or motion.tally[LOST] >= 2.0
     released = rests and abs(motion.contact[0]) != HELD
     if released:
-        motion.V[:] = axes(motion.h.shape[0])
+        copy_into(motion.V, axes(motion.h.shape[0]))
     return rests and not released, released
 
 
@@ -80,7 +80,8 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             gone[r] += 1
             if motion.tally[STATUS] != RUNNING:
                 break
-            states[count], contacts[count] = motion.h, motion.contact[0]
+            copy_into(states[count], motion.h)
+            contacts[count] = motion.contact[0]
             if released:
                 for e in range(known):
                     k = releases[e]
@@ -93,6 +94,8 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             elif not growth_of(motion.V) < FOLLOWED:
                 known = count = 0
             count += int(known > 0)
-        sections[r, K - kept[r] :] = states[count - kept[r] : count]
-        moved.h[:], moved.contact[0] = motion.h, motion.contact[0]
+        for k in range(kept[r]):
+            copy_into(sections[r, K - kept[r] + k], states[count - kept[r] + k])
+        copy_into(moved.h, motion.h)
+        moved.contact[0] = motion.contact[0]
     return gone
