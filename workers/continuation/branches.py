@@ -27,7 +27,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, Condition, Extended, solve
 from workers.continuation.oscillator import Array, Family
-from workers.continuation.same import Reduction, is_minimal
+from workers.continuation.same import is_minimal
 from workers.continuation.walk import PseudoArclength, Step
 
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
@@ -193,9 +193,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
     eq, here = walk.equations, walk.X
     if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
-        stalled = Step(eq, here, here)
-        to = halves_met(stalled)
-        return _Passage(STALLED) if to is None else _meeting(stalled, to)
+        return _meeting(Step(eq, here, here)) or _Passage(STALLED)
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
@@ -209,10 +207,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     step, slid = Step(after.equations, here, there), not is_minimal(*eq.motion(there))
     if (slid or _went_too_far(seen, after)) and walk.length > SHORTEST * walk.longest:
         return None
-    to = halves_met(step)
-    if to is not None:
-        return _meeting(step, to)
-    return _Passage(SHORTER) if slid else _passage(step, seen, after, end, until)
+    return _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
 
 
 def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
@@ -224,8 +219,11 @@ def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
     return bool(gained or np.sum(other > 1.0 - DOUBT) < np.sum(one > 1.0 + DOUBT))
 
 
-def _meeting(step: Step, to: Reduction) -> _Passage:
-    """The end where a branch meets the orbit that it left."""
+def _meeting(step: Step) -> _Passage | None:
+    """The end where a branch meets the orbit that it left; None where it does not."""
+    to = halves_met(step)
+    if to is None:
+        return None
     found = origin(step, to)
     return _Passage(SHORTER) if found is None else _Passage(found.event.kind, (found.event,), (found.event.point,))
 

@@ -1,6 +1,7 @@
 """Whether two orbits are one: begun later by some forcing periods, or mirror images; or a shorter orbit repeated."""
 
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,22 +22,16 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
         return np.inf
-    if not a.sides:
-        return 0.0
-    sides_a, times_a, speeds_a = _whole(one, omega)
-    sides_b, times_b, speeds_b = _whole(other, omega)
-    length, fastest = 2.0 * np.pi * a.periods, np.max(np.abs(speeds_a))
-    best = np.inf
-    for mirror in (1, -1):
-        for turn in range(len(sides_b)):
-            if not np.array_equal(mirror * np.roll(sides_b, -turn), sides_a):
-                continue
-            later = np.roll(times_b + length * (np.arange(len(times_b)) < turn), -turn) - times_a
+    (sides_a, times_a, speeds_a), (sides_b, times_b, speeds_b) = (_whole(orbit, omega) for orbit in (one, other))
+    m, length = len(sides_a), 2.0 * np.pi * a.periods
+    best = np.inf if m else 0.0
+    for mirror, turn in product((1, -1), range(m)):
+        if np.array_equal(mirror * np.roll(sides_b, -turn), sides_a):
             # whole forcing periods apart, an image half a period more
-            unit = later - (0.0 if mirror > 0 else np.pi)
-            shift = 2.0 * np.pi * np.round(np.mean(unit) / (2.0 * np.pi))
+            later = np.append(times_b, times_b + length)[turn : turn + m] - times_a - (0.0 if mirror > 0 else np.pi)
+            later -= 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
             speeds = mirror * np.roll(speeds_b, -turn) - speeds_a
-            best = min(best, max(np.max(np.abs(unit - shift)), np.max(np.abs(speeds)) / fastest))
+            best = min(best, max(np.max(np.abs(later)), np.max(np.abs(speeds)) / np.max(np.abs(speeds_a))))
     return float(best)
 
 
