@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     import pandas
 
     from atlas.branches.tree import Branch, Tree, Untried
-    from workers.continuation import Itinerary, Point
+    from workers.continuation.equations import Itinerary
+    from workers.continuation.events import Point
 
 
 @dataclass(frozen=True, eq=False)
