@@ -1,7 +1,5 @@
 """Motion of one mass from rest to rest: what it does after a rest depends on its release alone, so that it repeats."""
 
-import math
-
 import numpy as np
 
 from workers.kernel.borrow import borrowed
@@ -12,19 +10,14 @@ from workers.kernel.period import advance
 from workers.orbit.map import copy_into, separation, squares
 
 FOLLOWED = 1e10
-"""How far a disturbance may grow from a release to the next rest: rounding is still small beside the motion then."""
+"""How far a disturbance may grow from a release to the next rest, by the norm of all tangent vectors: rounding is still
+small beside the motion then."""
 
 SAME_RELEASE = 1e-6
 """Distance, relative to the motion's scale, of two sections that follow the same release."""
 
 RELEASES = 16
 """Releases that a section is compared with: there are as many as the load on a stop has phases at which it ends."""
-
-
-@kernel
-def growth_of(V):
-    """The norm of the tangent vectors (2n, n, 2): the largest factor by which a disturbance may have grown."""
-    return math.sqrt(squares(V))
 
 
 @inline_always
@@ -51,7 +44,7 @@ def is_followed(osc, h, contact, periods):
     for _ in range(2 * periods):
         rests, released = pass_period(osc, borrowed(motion), rests)
         begun = begun or released
-        if motion.tally[STATUS] != RUNNING or (begun and not growth_of(motion.V) < FOLLOWED):
+        if motion.tally[STATUS] != RUNNING or (begun and not squares(motion.V) < FOLLOWED**2):
             return False
     return True
 
@@ -91,7 +84,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
                 if known < RELEASES:
                     releases[known] = count
                     known += 1
-            elif not growth_of(motion.V) < FOLLOWED:
+            elif not squares(motion.V) < FOLLOWED**2:
                 known = count = 0
             count += int(known > 0)
         for k in range(kept[r]):
