@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Itinerary, Orbit, unpacked
+from workers.continuation.equations import Orbit, unpacked
 from workers.continuation.events import (
     Event,
     LocatedEvent,
@@ -27,7 +27,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, Condition, Extended, solve
 from workers.continuation.oscillator import Array, Family
-from workers.continuation.same import is_minimal
+from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
 
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
@@ -116,13 +116,10 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     _, critical = square.at(square.pack(orbit, none, values)).borders[0]
     critical = critical * square.unit[: len(critical)] * np.copysign(1.0, critical[0])  # either sign is a null vector
     w = unpacked(critical[None], square.m, len(critical) - 2 * square.m)
-    (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
-    span = float(orbit.itinerary.span(square.model(values))[0])
-    itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
-    times = np.concatenate([orbit.times, orbit.times + span])
-    whole = Orbit(itinerary, times, np.concatenate([orbit.speeds, sign * orbit.speeds]), orbit.offset)
+    whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
     equations = Extended(family, whole, (), values, widths)
-    change = Orbit(itinerary, np.append(w.t, -w.t), np.append(w.v, -sign * w.v), float(w.offset[0]))
+    speeds = np.append(w.v, -orbit.itinerary.sign * w.v)
+    change = Orbit(whole.itinerary, np.append(w.t, -w.t), speeds, float(w.offset[0]))
     unit = equations.pack(change, none, np.zeros(1)) / equations.scale
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
