@@ -21,12 +21,7 @@ import atlas
 from atlas.service.options import RunOptions
 from atlas.spec.spec import example_text
 from scripts.bench_kernel import one_core, processor_seconds
-from workers.continuation.branches import BranchRun
-from workers.continuation.curves import curve
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.events import Event, Point
-from workers.continuation.extended import Condition
-from workers.continuation.oscillator import family_of
+from workers.continuation import BranchRun, Condition, Event, Itinerary, Orbit, Point, curve, family_of
 from workers.model.system import DEFAULT, find_system
 
 FREE = ("omega", "b")

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from workers.continuation.equations import Impacts, Itinerary, Orbit
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
-from workers.continuation.orbits import section_states
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
 from workers.continuation.stability import pieces
 from workers.model.oscillator import NUMBER, OF_FLOW, Mode, make_blocks
-from workers.model.system import System, find_system
+from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
 
@@ -90,11 +89,6 @@ def exponents(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Ar
         logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))), axis=1)
     periods = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)
     return np.asarray(logs.reshape(N, size, m).sum(2) / periods)
-
-
-def section_state(system: System, values: dict[str, float], orbit: Orbit) -> Array:
-    """The physical state (2n,) of an orbit at the section, t = 0."""
-    return section_states(system, {name: np.array([value]) for name, value in values.items()}, [orbit])[0, 0]
 
 
 def oscillator(

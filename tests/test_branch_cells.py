@@ -14,7 +14,7 @@ from atlas.errors import InputError
 from tests import naive
 from tests.test_bifurcations import KNOWN, TWO_MASS
 from workers import Settings
-from workers.continuation.orbits import section_states
+from workers.continuation import section_states
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import RUNNING, STATUS
 from workers.kernel.period import propagate

@@ -12,8 +12,7 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from tests.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, oscillator
 from workers import Settings
-from workers.continuation.events import Event
-from workers.continuation.orbits import section_states
+from workers.continuation import Event, section_states
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FREE, RUNNING, STATUS
 from workers.orbit.map import map_with_jacobian

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from tests.handmade import bouncing_ball
+from workers.continuation import Condition, Event, Itinerary, Orbit, Point, curve, family_of
 from workers.continuation.branches import branch
-from workers.continuation.curves import curve
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.events import Event, Point
-from workers.continuation.extended import GRAZE, UNIT, Condition
-from workers.continuation.oscillator import Family, ModalOscillator, family_of
+from workers.continuation.extended import GRAZE, UNIT
+from workers.continuation.oscillator import Family, ModalOscillator
 from workers.model.system import find_system
 
 R, PHI = 0.5, 1.0

@@ -7,9 +7,8 @@ import pytest
 
 from tests.handmade import TWO_MASS
 from workers import solve_tile
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.orbits import attract, many_of, moved, orbit_from_state, refined
-from workers.continuation.oscillator import family_of
+from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state
+from workers.continuation.orbits import attract, many_of, moved, refined
 from workers.continuation.same import distance, same_orbit
 
 ASYMMETRIC = {"omega": 2.32, "b": 0.193}

@@ -32,7 +32,7 @@ from atlas.store.tiles import write_tile
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
 from tests.faults import ATLAS, ROOT
-from workers.continuation.equations import Orbit
+from workers.continuation import Orbit
 from workers.results import CHAOTIC
 
 

@@ -23,10 +23,7 @@ from atlas.labels.following import Links, _Follower, followed
 from atlas.labels.table import labels_of
 from atlas.service.labels import label_attractors
 from atlas.store.store import read_header
-from tests.handmade import section_state
-from workers.continuation.branches import branch
-from workers.continuation.orbits import orbit_from_state
-from workers.continuation.oscillator import family_of
+from workers.continuation import branch, family_of, orbit_from_state, section_state
 from workers.model.system import find_system
 from workers.results import NO_IMPACT, PERIODIC
 

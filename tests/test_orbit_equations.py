@@ -16,7 +16,6 @@ from tests.handmade import (
     reference_name,
     reference_orbit,
     reference_values,
-    section_state,
 )
 from workers.continuation.admissible import CONTACT, LOST, first_fault
 from workers.continuation.equations import (
@@ -30,6 +29,7 @@ from workers.continuation.equations import (
     residual,
 )
 from workers.continuation.extended import Extended, solve
+from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import ModalOscillator, family_of
 from workers.continuation.pulses import answers
 from workers.continuation.stability import flights, multipliers, turn_map

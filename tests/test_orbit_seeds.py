@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from tests import naive
-from tests.handmade import exponents, section_state
+from tests.handmade import exponents
 from workers import Settings, solve_tile
+from workers.continuation import family_of, orbit_from_state, section_state
 from workers.continuation.admissible import first_fault
 from workers.continuation.equations import impacts_of, in_one_turn, residual
-from workers.continuation.orbits import orbit_from_state
-from workers.continuation.oscillator import family_of
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.model.system import find_system

@@ -9,9 +9,7 @@ import math
 import pytest
 
 from workers import solve_tile
-from workers.continuation.branches import branch
-from workers.continuation.orbits import orbit_from_state
-from workers.continuation.oscillator import family_of
+from workers.continuation import branch, family_of, orbit_from_state
 from workers.model.system import find_system
 from workers.results import PERIODIC
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from atlas.branches.seed import seed_of_point
-from tests.handmade import section_state
 from workers import Settings
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
+from workers.continuation import section_state
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import HELD, RECORDED, Motion
 from workers.kernel.period import propagate

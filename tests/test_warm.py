@@ -25,9 +25,7 @@ from workers.attractors.basins import solve_basins
 from workers.attractors.same import orbits_reached, periods_to_settle, turn
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
-from workers.continuation import admissible, equations, orbits, pulses, stability
-from workers.continuation.branches import branch
-from workers.continuation.curves import curve
+from workers.continuation import admissible, branch, curve, equations, orbits, pulses, stability
 from workers.kernel import cells, jit
 from workers.kernel.lanes import run
 from workers.orbit import newton

@@ -15,7 +15,7 @@ from workers.results import NO_IMPACT, NO_REASON, PERIODIC, REASON, REASONS, REG
 if TYPE_CHECKING:
     import xarray as xr
 
-    from workers.continuation.equations import Orbit
+    from workers.continuation import Orbit
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def system_of(ds: "xr.Dataset") -> System:
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
     """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
-    from workers.continuation.orbits import orbit_from_state
+    from workers.continuation import orbit_from_state
 
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):

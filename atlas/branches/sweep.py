@@ -12,8 +12,7 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
-from workers.continuation.equations import Orbit
-from workers.continuation.events import Point
+from workers.continuation import Orbit, Point
 from workers.continuation.orbits import refined
 from workers.results import PERIODIC, REGIME
 

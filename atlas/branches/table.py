@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     import pandas
 
     from atlas.branches.tree import Branch, Tree, Untried
-    from workers.continuation.equations import Itinerary
-    from workers.continuation.events import Point
+    from workers.continuation import Itinerary, Point
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.branches import BranchRun, branch, leaving_branch
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.events import Event, Point
-from workers.continuation.orbits import refined, section_states
-from workers.continuation.oscillator import Family, family_of
+from workers.continuation import (
+    BranchRun,
+    Event,
+    Family,
+    Itinerary,
+    Orbit,
+    Point,
+    branch,
+    family_of,
+    leaving_branch,
+    section_states,
+)
+from workers.continuation.orbits import refined
 from workers.model.system import System
 
 Array = NDArray[np.float64]

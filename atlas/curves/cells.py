@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.plane import Cells, Plane
-from workers.continuation.equations import Itinerary, Orbit, check_orbits
+from workers.continuation import Family, Orbit, family_of
+from workers.continuation.equations import Itinerary, check_orbits
 from workers.continuation.orbits import alike, attract, many_of, moved, orbit_of
-from workers.continuation.oscillator import Family, NoOscillatorError, family_of
+from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
 from workers.model.oscillator import one_of
 

@@ -13,8 +13,8 @@ from atlas.curves.plane import Plane, plane_of
 from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
-from workers.continuation.equations import Orbit
-from workers.continuation.events import GRAZING, IMPACT_LOST, Event
+from workers.continuation import Event, Orbit
+from workers.continuation.events import GRAZING, IMPACT_LOST
 from workers.continuation.orbits import attract, many_of, moved
 
 if TYPE_CHECKING:

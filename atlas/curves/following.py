@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.curves.cells import CellOrbits
-from workers.continuation.branches import Until, branch
-from workers.continuation.curves import curve, without_impact
-from workers.continuation.equations import Orbit
-from workers.continuation.events import GRAZING, Event, Point
-from workers.continuation.extended import PAIR, SPEED, Condition, Extended, solve
-from workers.continuation.oscillator import Family, NoOscillatorError
+from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
+from workers.continuation.branches import Until
+from workers.continuation.curves import without_impact
+from workers.continuation.events import GRAZING
+from workers.continuation.extended import PAIR, SPEED, Extended, solve
+from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
 
 Array = NDArray[np.float64]

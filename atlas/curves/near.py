@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from atlas.curves.following import Followed
 from atlas.curves.plane import Cells, Plane
-from workers.continuation.equations import Orbit
+from workers.continuation import Orbit
 
 Array = NDArray[np.float64]
 

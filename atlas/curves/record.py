@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from atlas.curves.following import Followed, Located
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.extended import Condition
+from workers.continuation import Condition, Itinerary, Orbit
 
 
 def event_as_json(event: Located) -> dict[str, Any]:

@@ -15,9 +15,10 @@ from scipy.sparse.csgraph import connected_components
 
 from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
-from workers.continuation.equations import Impacts, Orbit
-from workers.continuation.orbits import Many, alike, many_of, moved, section_states
-from workers.continuation.oscillator import Family, NoOscillatorError, family_of
+from workers.continuation import Family, Orbit, family_of, section_states
+from workers.continuation.equations import Impacts
+from workers.continuation.orbits import Many, alike, many_of, moved
+from workers.continuation.oscillator import NoOscillatorError
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)

@@ -3,9 +3,8 @@
 import numpy as np
 
 from atlas.labels.attractors import Array, Attractors
-from workers.continuation.equations import Orbit
-from workers.continuation.orbits import alike, many_of, moved, orbit_from_state, recorded
-from workers.continuation.oscillator import Family
+from workers.continuation import Family, Orbit, orbit_from_state
+from workers.continuation.orbits import alike, many_of, moved, recorded
 from workers.model.oscillator import Oscillator, one_of
 
 

@@ -144,10 +144,8 @@ def warm_up(*parts: str) -> None:
 
 def _follow_an_orbit() -> None:
     """A short branch of an orbit; its motion between impacts, and its equations at a complex multiplier."""
-    from workers.continuation.branches import branch
+    from workers.continuation import branch, family_of, orbit_from_state
     from workers.continuation.equations import Impacts, linearised, motion_at
-    from workers.continuation.orbits import orbit_from_state
-    from workers.continuation.oscillator import family_of
     from workers.model.system import find_system
     from workers.tile import solve_cells
 

@@ -1,1 +1,30 @@
-"""Orbits as equations of their impacts: branches in one parameter, curves of bifurcations and grazes in two."""
+"""Exact orbits. The map of many periods with its Jacobian, Newton's method on it and Floquet multipliers; and orbits as
+equations of their impacts, their branches in one parameter and their bifurcation and grazing curves in two.
+"""
+
+from workers.continuation.branches import BranchRun, Start, branch, leaving_branch
+from workers.continuation.curves import curve
+from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.events import Event, Point
+from workers.continuation.extended import Condition
+from workers.continuation.orbits import orbit_from_state, section_state, section_states
+from workers.continuation.oscillator import Family, ModalOscillator, family_of
+
+__all__ = [
+    "BranchRun",
+    "Condition",
+    "Event",
+    "Family",
+    "Itinerary",
+    "ModalOscillator",
+    "Orbit",
+    "Point",
+    "Start",
+    "branch",
+    "curve",
+    "family_of",
+    "leaving_branch",
+    "orbit_from_state",
+    "section_state",
+    "section_states",
+]

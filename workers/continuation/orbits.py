@@ -171,6 +171,12 @@ def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     return found.orbit(0)
 
 
+def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:
+    """The physical state (2n,) of an orbit at the section, t = 0."""
+    found: Array = section_states(system, {name: np.array([value]) for name, value in values.items()}, [orbit])[0, 0]
+    return found
+
+
 def section_states(system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0) -> Array:
     """The physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
 
