@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workers.model.family import FreeMotions
 from workers.model.free import phase_of
-from workers.model.oscillator import Mode, Oscillator
+from workers.model.oscillator import NUMBER, Mode, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
 
@@ -34,7 +34,7 @@ class ModalOscillator(NamedTuple):
     @property
     def omega(self) -> Array:
         """The forcing frequency (N,)."""
-        return np.asarray(self.gap.omega)
+        return self.gap.numbers[:, NUMBER.omega]
 
 
 class NoOscillatorError(ValueError):
