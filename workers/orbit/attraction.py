@@ -14,7 +14,9 @@ directions into which J takes d.
 import math
 
 import numpy as np
+from numba import types
 
+from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
 from workers.kernel.cells import energy_norm
 from workers.kernel.jit import inline_always, kernel
 from workers.orbit.map import squares
@@ -87,12 +89,13 @@ def squared(P, d):
     return total
 
 
-@kernel
+@apart(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
     """Whether a turn from block state h (n, 2) to ``image`` is one of falling into the orbit through ``fixed``.
 
     |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """
+    P, J, fixed, h, image = lent_matrix(P), lent_matrix(J), lent_matrix(fixed), lent_matrix(h), lent_matrix(image)
     d, r = deviation(h, fixed), deviation(image, fixed)
     for i in range(len(J)):
         for k in range(len(J)):
@@ -100,12 +103,14 @@ def falls_into(P, J, contraction, fixed, h, image):
     return squared(P, r) < (0.5 * contraction) ** 2 * squared(P, d)
 
 
-@kernel
+@apart(FLOATS[1], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(metric, P, J, fixed, h, begun):
     """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and by J alone stays so.
 
     That is certain once the deviation is less in the norm of P, which no turn lets grow and is the larger of the two.
     """
+    metric, P, J = lent_row(metric), lent_matrix(P), lent_matrix(J)
+    fixed, h = lent_matrix(fixed), lent_matrix(h)
     d = deviation(h, fixed)
     for _ in range(LOOK_AHEAD):
         if not energy_norm(metric, d.reshape(h.shape)) < begun:
