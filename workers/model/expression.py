@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from itertools import pairwise
 from typing import Any
 
@@ -66,7 +66,7 @@ class Expression:
         """The names whose values it takes."""
         return {node.id[1:] for node in ast.walk(_tree(self.text)) if isinstance(node, ast.Name)}.difference(RESERVED)
 
-    @property
+    @cached_property
     def constant(self) -> float | None:
         """Its value where it is one number, and no name or operation; else None."""
         return _constant(_tree(self.text))

@@ -192,9 +192,8 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
 
 def _condition(planes: Array) -> float:
     """How nearly planes coincide, whose rows these are: the condition of the matrix of rows of unit length."""
-    if not np.isfinite(planes).all():
-        return math.inf
-    return float(np.linalg.cond(planes / np.linalg.norm(planes, axis=1, keepdims=True)))
+    unit = planes / np.linalg.norm(planes, axis=1, keepdims=True)
+    return float(np.linalg.cond(unit)) if np.isfinite(unit).all() else math.inf
 
 
 def _time_unit(lam: Array, damping: Array) -> float:

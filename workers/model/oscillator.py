@@ -55,12 +55,15 @@ class Block(NamedTuple):
 COLUMN = Block(*range(len(Block._fields)))
 """Columns of Mode.blocks by name."""
 
+PAIRS = {"row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0}
+"""The first column of c, cA, cA^2, k and A k, each (n, 2)."""
+
 OF_FLOW = COLUMN.c0
 """Columns that the flow alone decides: the first ones."""
 
 
-def make_blocks(eta: Array, lam: Array, metric: Array | None = None, load: Array | None = None) -> Array:
-    """Blocks (..., columns), their rows and columns zero, of that damping and stiffness (...), lam >= 0.
+def make_blocks(eta: Array, lam: Array) -> Array:
+    """Blocks (..., columns) of that damping and stiffness (...), lam >= 0, with metric lam, and all else zero.
 
     The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping, where that
     is large, its energy and q'' = -2 eta q' - lam q bound it better.
@@ -78,11 +81,8 @@ def make_blocks(eta: Array, lam: Array, metric: Array | None = None, load: Array
     grow3 = lam * root + twice * grow2
     grow4 = lam * grow2 + twice * grow3
     inv_w = np.where(w > 0.0, 1.0 / np.where(w > 0.0, w, 1.0), 0.0)
-    metric = lam if metric is None else metric
-    load = np.zeros_like(lam) if load is None else load
-    of_flow = (eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, metric, load)
     blocks = np.zeros((*lam.shape, len(COLUMN)))
-    for column, field in enumerate(of_flow):
+    for column, field in enumerate((eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, lam)):
         blocks[..., column] = field
     return blocks
 
@@ -109,7 +109,7 @@ class Mode(NamedTuple):
     Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t), its forced
     part Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
 
-    blocks   (n, columns)    constants of each block, see Block
+    blocks   (n, columns)    constants of each block, see Block, and PAIRS
     metric   (n,)            their column of that name
     waves    (H, 2)          sin_part and cos_part
     numbers  (NUMBER,)       see Numbers; the amplitude is reached where H = 1
@@ -123,33 +123,10 @@ class Mode(NamedTuple):
     forced: Array
 
     def __getattr__(self, name: str) -> Any:
-        """A column of the blocks, see Block, or one of the numbers, see Numbers, by its name."""
+        """A column of the blocks, see Block, two of them, see PAIRS, or one of the numbers, by its name."""
+        if name in PAIRS:
+            return self.blocks[..., PAIRS[name] : PAIRS[name] + 2]
         return _named(name, (self.blocks, COLUMN), (self.numbers, NUMBER))
-
-    @property
-    def row(self) -> Array:
-        """c (..., n, 2)."""
-        return self.blocks[..., COLUMN.c0 : COLUMN.c1 + 1]
-
-    @property
-    def row1(self) -> Array:
-        """cA (..., n, 2)."""
-        return self.blocks[..., COLUMN.cA0 : COLUMN.cA1 + 1]
-
-    @property
-    def row2(self) -> Array:
-        """cA^2 (..., n, 2)."""
-        return self.blocks[..., COLUMN.cAA0 : COLUMN.cAA1 + 1]
-
-    @property
-    def kick(self) -> Array:
-        """k (..., n, 2)."""
-        return self.blocks[..., COLUMN.k0 : COLUMN.k1 + 1]
-
-    @property
-    def kick1(self) -> Array:
-        """A k (..., n, 2)."""
-        return self.blocks[..., COLUMN.Ak0 : COLUMN.Ak1 + 1]
 
     @property
     def sin_part(self) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from workers.model.build import build
 from workers.model.chain import CHAINS, chain
-from workers.model.definition import Definition, faults
+from workers.model.definition import Definition
 from workers.model.oscillator import Array, Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import (
@@ -91,24 +91,19 @@ class System:
 
     def build(self, values: Mapping[str, float]) -> Oscillator:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
-        oscillators, reasons = self._built({k: np.array([v], dtype=np.float64) for k, v in values.items()})
+        oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return one_of(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
         """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
-        oscillators, reasons = self._built(values)
+        with np.errstate(all="ignore"):
+            machines = self.definition.machines(values)
+        oscillators, reasons = build(machines)
         for parameter in self.parameters:
             reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
         return oscillators, reasons
-
-    def _built(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
-        with np.errstate(all="ignore"):
-            machines = self.definition.machines(values)
-            wrong = faults(machines)
-        oscillators, reasons = build(machines)
-        return oscillators, np.where(wrong != NO_REASON, wrong, reasons)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the nearest known name otherwise."""
