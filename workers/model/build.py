@@ -60,10 +60,10 @@ class Clamped(NamedTuple):
 def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """The oscillators of many machines, and the reason why there is none, or NO_REASON, of each.
 
-    Reasons are those of ``faults``; a rigid mode that the gap does not see, or more than one; motion that grows;
-    damping whose planes cannot be told apart in double precision; undamped resonance, where no periodic forced response
-    exists; a forcing period of more free oscillations than double precision keeps the phase of; and numbers beyond its
-    range.
+    Reasons are a rigid mode that the gap does not see, or more than one; motion that grows; damping whose planes cannot
+    be told apart in double precision; undamped resonance, where no periodic forced response exists; a forcing period
+    of more free oscillations than double precision keeps the phase of; and numbers beyond its range. Those of
+    ``faults`` are told there alone.
     """
     with np.errstate(all="ignore"):
         return _build(machines)
@@ -117,8 +117,7 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     reasons = np.where(finite(oscillators._replace(head=near)) & ~unknown, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
     for reason, holds in against:
         reasons[holds | against_held.get(reason, False)] = reason
-    wrong = faults(machines)
-    return each(oscillators, np.ascontiguousarray), np.where(wrong != NO_REASON, wrong, reasons)
+    return each(oscillators, np.ascontiguousarray), reasons
 
 
 def faults(machines: Machines) -> NDArray[np.int8]:

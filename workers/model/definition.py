@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +15,6 @@ from workers.model.parameter import OMEGA, TAU
 Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
 NO_STOP = {"upper": math.inf, "lower": -math.inf}
-_KEYS = (
-    "coordinates", "velocities", "mass", "damping", "stiffness", "harmonics", "load", "gap", "restitution", "upper",
-    "lower", "let",
-)  # fmt: skip
-"""The order of a table's entries, which digests of curves depend on."""
 
 
 class Harmonic(NamedTuple):
@@ -38,21 +33,22 @@ class Definition:
         lower <= y <= upper,  y = gap . x;  at a stop y' -> -R y'
 
     ``let`` are names for expressions that others may use, each after those it uses itself. A stop that is None does
-    not exist; so does one at an infinite position.
+    not exist; so does one at an infinite position. Tables have the order of these fields, which digests of curves
+    depend on.
     """
 
     coordinates: tuple[str, ...]
     velocities: tuple[str, ...]
-    let: tuple[tuple[str, Expression], ...]
     mass: Matrix
     damping: Matrix
     stiffness: Matrix
     harmonics: tuple[Harmonic, ...]
     load: Row
     gap: Row
+    restitution: Expression
     upper: Expression | None
     lower: Expression | None
-    restitution: Expression
+    let: tuple[tuple[str, Expression], ...]
 
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
@@ -89,20 +85,14 @@ class Definition:
         count, n = named[OMEGA].size, len(self.coordinates)
         force_sin = np.zeros((count, max(each.order for each in self.harmonics), n))
         force_cos = np.zeros_like(force_sin)
-        for order, force, phases in self.harmonics:
-            for i, (amplitude, phase) in enumerate(zip(force, phases, strict=True)):
-                size = amplitude(named)
-                if phase.constant == 0.0:
-                    force_sin[:, order - 1, i] = size
-                else:
-                    angle = phase(named)
-                    force_sin[:, order - 1, i], force_cos[:, order - 1, i] = size * np.cos(angle), size * np.sin(angle)
+        for order, force, phase in self.harmonics:
+            size, angle = _evaluated(force, named), _evaluated(phase, named)
+            force_sin[:, order - 1], force_cos[:, order - 1] = size * np.cos(angle), size * np.sin(angle) + 0.0
         return force_sin, force_cos
 
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
-        found = {key: _written(getattr(self, key)) for key in _KEYS}
-        found["harmonics"] = [{key: _written(of) for key, of in each._asdict().items()} for each in self.harmonics]
+        found = {field.name: _written(getattr(self, field.name)) for field in fields(self)}
         found["let"] = {name: _written(each) for name, each in self.let}
         return {key: entry for key, entry in found.items() if entry not in (None, {})}
 
@@ -131,6 +121,8 @@ def _evaluated(entries: Row | Matrix, named: Mapping[str, Array]) -> Array:
 
 
 def _written(entries: Any) -> Any:
+    if isinstance(entries, Harmonic):
+        return {key: _written(of) for key, of in entries._asdict().items()}
     if isinstance(entries, tuple):
         return [_written(entry) for entry in entries]
     if not isinstance(entries, Expression):

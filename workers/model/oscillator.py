@@ -4,7 +4,7 @@ They hold arrays whose shapes tell the number of masses and of harmonics. Many o
 axis in front of every field.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,26 +124,18 @@ class Mode(NamedTuple):
 
     def __getattr__(self, name: str) -> Any:
         """A column of the blocks, see Block, two of them, see PAIRS, or one of the numbers, by its name."""
-        if name in PAIRS:
-            return self.blocks[..., PAIRS[name] : PAIRS[name] + 2]
-        return _named(name, (self.blocks, COLUMN), (self.numbers, NUMBER))
-
-    @property
-    def sin_part(self) -> Array:
-        """(..., H)."""
-        return self.waves[..., 0]
-
-    @property
-    def cos_part(self) -> Array:
-        """(..., H)."""
-        return self.waves[..., 1]
+        return _named(name, (self.blocks, _OF_BLOCK), (self.numbers, _OF_NUMBERS), (self.waves, _OF_WAVES))
 
 
-def _named(name: str, *tables: tuple[Array, Any]) -> Any:
-    """The column of that name of the first of these tables that has one."""
+_OF_BLOCK = COLUMN._asdict() | {name: slice(first, first + 2) for name, first in PAIRS.items()}
+_OF_NUMBERS, _OF_WAVES = NUMBER._asdict(), {"sin_part": 0, "cos_part": 1}
+
+
+def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
+    """The columns of that name of the first of these tables that has it."""
     for table, columns in tables:
-        if name in columns._fields:
-            return _plain(table[..., getattr(columns, name)])
+        if name in columns:
+            return _plain(table[..., columns[name]])
     raise AttributeError(name)
 
 
@@ -197,6 +189,8 @@ class Head(NamedTuple):
 HEAD = Head(*range(len(Head._fields)))
 """Columns of Oscillator.head by name."""
 
+_OF_HEAD = HEAD._asdict()
+
 OF_LANE = HEAD.upper
 """Numbers of an oscillator that a lane holds: the first ones."""
 
@@ -227,7 +221,7 @@ class Oscillator(NamedTuple):
 
     def __getattr__(self, name: str) -> Any:
         """One of the numbers of ``head``, see Head, by its name."""
-        return _named(name, (self.head, HEAD))
+        return _named(name, (self.head, _OF_HEAD))
 
     @property
     def b_upper(self) -> Any:
