@@ -4,7 +4,7 @@ What one oscillator is made of does not depend on the others, to the bit.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +44,11 @@ OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", 
 
 class Clamped(NamedTuple):
     """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
-    frequency: its flow, its push and the direct part of its guard; the rest as in Held.
+    frequency: its flow and its push; the rest as in Held.
     """
 
     flow: Flow
     push: Loading
-    direct: Any
     down: Array
     up: Array
     into: Array
@@ -57,6 +56,7 @@ class Clamped(NamedTuple):
     pushes: Array
 
 
+@np.errstate(all="ignore")
 def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """The oscillators of many machines, and the reason why there is none, or NO_REASON, of each.
 
@@ -65,21 +65,15 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     of more free oscillations than double precision keeps the phase of; and numbers beyond its range. Those of
     ``faults`` are told there alone.
     """
-    with np.errstate(all="ignore"):
-        return _build(machines)
-
-
-def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     first, kind = _kinds(machines)
     few = taken(machines, first)
-    force = few.force_sin + 1j * few.force_cos
     frame = frame_of(few)
-    at_rest = centred(loading_of(frame.flow, force, few.load), frame, few)
-    clamped = _clamped(few, force, frame, at_rest)
-    even = np.any(force[:, 1::2] != 0.0, axis=(1, 2))[kind]
+    at_rest = centred(frame, few)
+    clamped = _clamped(few, frame, at_rest)
+    even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     frame, at_rest, clamped = taken(frame, kind), taken(at_rest, kind), taken(clamped, kind)
     gap, against = free_motion(frame, at_rest, machines.omega)
-    held, held_resonant = mode_of(clamped.flow, clamped.push, clamped.direct, machines.omega)
+    held, held_resonant = mode_of(clamped.flow, clamped.push, machines.omega)
     modes, b_upper, b_lower = frame.flow.modes, at_rest.b_upper, at_rest.b_lower
     head = Head(
         top=b_upper,
@@ -103,7 +97,7 @@ def _build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         gap_row=machines.gap_row,
         head=np.stack(head, axis=-1),
         tau=phase_of(machines.tau),
-        held=Held(held, *clamped[3:]),
+        held=Held(held, *clamped[2:]),
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
@@ -156,7 +150,7 @@ def _seen_along(matrix: Array, null: Array) -> Array:
     return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
 
 
-def _clamped(machines: Machines, force: Any, frame: Frame, at_rest: AtRest) -> Clamped:
+def _clamped(machines: Machines, frame: Frame, at_rest: AtRest) -> Clamped:
     """What holds y of these machines, see Clamped.
 
     Positions are counted from rest, so that what holds y at either stop is opposite where the stops are equally far.
@@ -195,9 +189,9 @@ def _clamped(machines: Machines, force: Any, frame: Frame, at_rest: AtRest) -> C
         into[:, side] = into_rest - rest
         out[:, side] = (up @ rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
         pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
-    direct = (force @ accelerance[..., None])[..., 0]
-    push = loading_of(flow, force @ null, np.zeros((N, n - 1)))
-    return Clamped(flow, push, direct, down, up, into, out, pushes)
+    direct = (machines.force @ accelerance[..., None])[..., 0]
+    push = loading_of(flow, machines.force @ null, np.zeros((N, n - 1)), direct)
+    return Clamped(flow, push, down, up, into, out, pushes)
 
 
 def _null_space(row: Array) -> Array:

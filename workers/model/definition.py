@@ -50,15 +50,13 @@ class Definition:
     lower: Expression | None
     let: tuple[tuple[str, Expression], ...]
 
+    @np.errstate(all="ignore")
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
-        if values[OMEGA].size != 1:
-            return self._machines(values)
-        # Of a lone number numpy computes a power by other means, and its last bits would depend on the others' absence.
-        pair = self._machines({name: np.repeat(value, 2) for name, value in values.items()})
-        return Machines(*(field[:1] for field in pair))
-
-    def _machines(self, values: Mapping[str, Array]) -> Machines:
+        if values[OMEGA].size == 1:
+            # Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
+            pair = self.machines({name: np.repeat(value, 2) for name, value in values.items()})
+            return Machines(*(field[:1] for field in pair))
         named = dict(values)
         for name, expression in self.let:
             named[name] = expression(named)

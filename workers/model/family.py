@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.build import faults
-from workers.model.free import Frame, Loading, centred, finite, frame_of, free_motion, loading_of, phase_of
+from workers.model.free import Frame, centred, finite, frame_of, free_motion, phase_of
 from workers.model.oscillator import Array, Machines, Mode
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -39,19 +39,19 @@ class FreeMotions:
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
         self._admitted = all(system.parameter(name).admits(value) for name, value in self.fixed.items())
-        self._last: dict[int, tuple[bytes, Frame, Loading, NDArray[np.bool_]]] = {}
+        self._last: dict[int, tuple[bytes, Frame, NDArray[np.bool_]]] = {}
 
+    @np.errstate(all="ignore")
     def __call__(self, rows: Array) -> Motions:
         """The motions of rows of values (N, free)."""
         given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
         fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
-        with np.errstate(all="ignore"):
-            machines = self.system.definition.machines(fixed | given)
-            frame, push, known = self._frame(machines)
-            at_rest = centred(push, frame, machines)
-            gap, against = free_motion(frame, at_rest, machines.omega)
-            known = known & finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
-            wrong = faults(machines)
+        machines = self.system.definition.machines(fixed | given)
+        frame, known = self._frame(machines)
+        at_rest = centred(frame, machines)
+        gap, against = free_motion(frame, at_rest, machines.omega)
+        known = known & finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
+        wrong = faults(machines)
         reasons = np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
         for reason, holds in against:
             reasons[holds] = reason
@@ -62,14 +62,11 @@ class FreeMotions:
             reasons[:] = OUT_OF_RANGE
         return Motions(gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R, reasons)
 
-    def _frame(self, machines: Machines) -> tuple[Frame, Loading, NDArray[np.bool_]]:
-        """Their frames, whether these are finite, and their loading.
-
-        They are those of as many machines before, where these had the same matrices and force.
-        """
+    def _frame(self, machines: Machines) -> tuple[Frame, NDArray[np.bool_]]:
+        """Their frames, of as many machines before where these had the same matrices and force; which are finite."""
         key = b"".join(getattr(machines, name).tobytes() for name in OF_FRAME)
         count = len(machines.omega)
         if count not in self._last or self._last[count][0] != key:
-            frame, force = frame_of(machines), machines.force_sin + 1j * machines.force_cos
-            self._last[count] = key, frame, loading_of(frame.flow, force, machines.load), finite(frame)
+            frame = frame_of(machines)
+            self._last[count] = key, frame, finite(frame)
         return self._last[count][1:]

@@ -31,29 +31,33 @@ class Flow(NamedTuple):
     blocks: Array
 
 
-class Frame(NamedTuple):
-    """The flow of N machines in free flight; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g."""
-
-    flow: Flow
-    accelerance: Array
-    inverse_gap_mass: Array
-
-    @property
-    def row(self) -> Array:
-        """c (N, n, 2)."""
-        return self.flow.blocks[..., COLUMN.c0 : COLUMN.c1 + 1]
-
-
 class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
-    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
-    Oscillator.
+    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')', direct (N, H) to the guard itself; load
+    (N, n), rest (N, n, 2), see Oscillator.
     """
 
     waves: Any
+    direct: Any
     load: Array
     rest: Array
+
+
+class Frame(NamedTuple):
+    """What matrices, force and load alone decide of the free flight of N machines.
+
+    flow, push; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g.
+    """
+
+    flow: Flow
+    push: Loading
+    accelerance: Array
+    inverse_gap_mass: Array
+
+    def gap(self, blocks: Array) -> Array:
+        """y (N,) at these coordinates of blocks (N, n, 2)."""
+        return np.asarray(np.sum(self.flow.blocks[..., COLUMN.c0 : COLUMN.c1 + 1] * blocks, axis=(1, 2)))
 
 
 class AtRest(NamedTuple):
@@ -75,7 +79,11 @@ def frame_of(machines: Machines) -> Frame:
     none = np.zeros_like(gap_row)
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
-    return Frame(flow_of(mass, machines.damping, machines.stiffness, row, kick), accelerance, inverse_gap_mass)
+    flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
+    force = machines.force
+    return Frame(
+        flow, loading_of(flow, force, machines.load, np.zeros_like(force[..., 0])), accelerance, inverse_gap_mass
+    )
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
@@ -90,8 +98,8 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
     return Flow(modes, stacked(np.linalg.inv, mass.shape, mass), blocks)
 
 
-def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
-    """What force (N, H, n) and load (N, n) are to blocks.
+def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
+    """What force (N, H, n) and load (N, n) are to blocks, and direct (N, H) to the guard.
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
@@ -103,15 +111,15 @@ def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
     l0, l1 = steady[..., 0], steady[..., 1]
     p = l1 + 2.0 * modes.eta * l0
     at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
-    return Loading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
+    return Loading(waves, direct, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
-def mode_of(flow: Flow, push: Loading, direct: Any, omega: Array) -> tuple[Mode, NDArray[np.bool_]]:
+def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, NDArray[np.bool_]]:
     """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
-    The guard is c . blocks + direct sin(k phi); direct (N, H).
+    The guard is c . blocks + direct sin(k phi).
     """
-    (N, n), H = push.load.shape, direct.shape[1]
+    (N, H, n), direct = push.waves.shape[:3], push.direct
     w = omega[:, None] * np.arange(1.0, H + 1.0)
     forced, resonant = _response(flow.modes, push.waves, w)
     blocks, lam = flow.blocks.copy(), flow.modes.lam
@@ -149,8 +157,8 @@ def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, list
     """The free flight of machines at forcing frequencies (N,); the reasons why it may be none, and where they hold
     (N,), the weightiest last.
     """
-    modes, push = frame.flow.modes, at_rest.push
-    gap, resonant = mode_of(frame.flow, push, np.zeros(push.waves.shape[:2], dtype=np.complex128), omega)
+    modes = frame.flow.modes
+    gap, resonant = mode_of(frame.flow, at_rest.push, omega)
     turns = np.where(gap.d > 0.0, gap.w, 0.0) * (2.0 * np.pi / omega)[:, None]
     return gap, [
         (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
@@ -167,34 +175,29 @@ def phase_of(tau: Array) -> Array:
     return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
 
 
-def centred(push: Loading, frame: Frame, machines: Machines) -> AtRest:
-    """The push with rest positions midway between the stops where machines are balanced.
+def centred(frame: Frame, machines: Machines) -> AtRest:
+    """The loading of machines of that frame with rest positions midway between the stops where machines are balanced.
 
     A rigid mode's position is counted from between the stops, or from the only one.
     """
-    upper, lower, modes = machines.upper, machines.lower, frame.flow.modes
+    upper, lower, modes, push = machines.upper, machines.lower, frame.flow.modes, frame.push
     rigid, even = modes.lam == 0.0, balanced(machines)
     moving = np.any(rigid, axis=1)
-    share = np.sum(np.where(rigid, frame.row[..., 0], 0.0), axis=1)
+    share = np.sum(np.where(rigid, frame.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
     unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.inverse_gap_mass))
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
     rest = push.rest.copy()
-    move = np.where(moving & ~unseen, (middle - _at_rest(frame, rest)) / np.where(share != 0.0, share, 1.0), 0.0)
+    move = np.where(moving & ~unseen, (middle - frame.gap(rest)) / np.where(share != 0.0, share, 1.0), 0.0)
     rest[..., 0] += np.where(rigid, move[:, None], 0.0)
-    rounding = np.where(even, middle - _at_rest(frame, rest), 0.0)
+    rounding = np.where(even, middle - frame.gap(rest), 0.0)
     if np.any(rounding != 0.0):
         d = frame.accelerance / frame.inverse_gap_mass[:, None] * rounding[:, None]
         rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
     load = np.where(even[:, None], 0.0, push.load)
-    y0, half = _at_rest(frame, rest), 0.5 * (upper - lower)
+    y0, half = frame.gap(rest), 0.5 * (upper - lower)
     b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
     return AtRest(push._replace(rest=rest, load=load), b_upper, b_lower, unseen)
-
-
-def _at_rest(frame: Frame, rest: Array) -> Array:
-    """y (N,) at rest."""
-    return np.asarray(np.sum(frame.row * rest, axis=(1, 2)))
 
 
 def balanced(machines: Machines) -> NDArray[np.bool_]:

@@ -255,6 +255,11 @@ class Machines(NamedTuple):
     lower: Array
     R: Array
 
+    @property
+    def force(self) -> Any:
+        """The force (N, H, n) as amplitudes of e^(i k phi), whose imaginary part counts."""
+        return self.force_sin + 1j * self.force_cos
+
 
 def each(record: Any, act: Callable[[Any], Any]) -> Any:
     """The same record with something done to every field, those of the records in it too."""

@@ -20,8 +20,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     M symmetric and positive definite; C and K symmetric and positive semidefinite; 0 <= R <= 1; the lower stop below
     the upper one; a gap row other than zero, which sees every free motion, K x = 0.
     """
-    with np.errstate(all="ignore"):
-        many = definition.machines({p.name: np.array([p.default]) for p in parameters})
+    many = definition.machines({p.name: np.array([p.default]) for p in parameters})
     machine = Machines(*(field[0] for field in many))
     matrices = {"mass": machine.mass, "damping": machine.damping, "stiffness": machine.stiffness}
     rest = {"gap": machine.gap_row, "load": machine.load, "restitution": machine.R}

@@ -101,10 +101,9 @@ class System:
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
         """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
-        with np.errstate(all="ignore"):
-            machines = self.definition.machines(values)
-            wrong = faults(machines)
+        machines = self.definition.machines(values)
         oscillators, reasons = build(machines)
+        wrong = faults(machines)
         reasons = np.where(wrong != NO_REASON, wrong, reasons)
         for parameter in self.parameters:
             reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
