@@ -67,12 +67,12 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     motions = FreeMotions(system, values, free)
 
     def model(rows: Array) -> ModalOscillator:
-        found = motions(rows)
-        if np.any(found.reasons != NO_REASON):
-            bad = int(np.flatnonzero(found.reasons != NO_REASON)[0])
+        found, reasons = motions(rows)
+        if np.any(reasons != NO_REASON):
+            bad = int(np.flatnonzero(reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
-            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[found.reasons[bad]].text}")
-        return ModalOscillator(*found[:-1])
+            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
+        return ModalOscillator(*found)
 
     return Family(free, model)
 

@@ -4,7 +4,6 @@ It is what ``System.build_many`` makes of the same values, to the bit, without t
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +18,6 @@ OF_FRAME = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos",
 """The fields of machines that decide their frame and their loading."""
 
 
-class Motions(NamedTuple):
-    """The free motion of N machines: its mode, the stops seen from rest, the forcing phase at a section, restitution;
-    and the reason of each why there is none, or NO_REASON.
-    """
-
-    gap: Mode
-    b_upper: Array
-    b_lower: Array
-    tau: Array
-    R: Array
-    reasons: NDArray[np.int8]
-
-
 class FreeMotions:
     """The free motion of a system's machines over some of its parameters, the others fixed."""
 
@@ -42,8 +28,11 @@ class FreeMotions:
         self._last: dict[int, tuple[bytes, Frame, NDArray[np.bool_]]] = {}
 
     @np.errstate(all="ignore")
-    def __call__(self, rows: Array) -> Motions:
-        """The motions of rows of values (N, free)."""
+    def __call__(self, rows: Array) -> tuple[tuple[Mode, Array, Array, Array, Array], NDArray[np.int8]]:
+        """The motions of rows of values (N, free): mode, stops seen from rest, forcing phase at a section, restitution.
+
+        Beside them the reason of each why there is none, or NO_REASON.
+        """
         given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
         fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
         machines = self.system.definition.machines(fixed | given)
@@ -60,7 +49,7 @@ class FreeMotions:
             reasons[~self.system.parameter(name).admits(column)] = OUT_OF_RANGE
         if not self._admitted:
             reasons[:] = OUT_OF_RANGE
-        return Motions(gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R, reasons)
+        return (gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R), reasons
 
     def _frame(self, machines: Machines) -> tuple[Frame, NDArray[np.bool_]]:
         """Their frames, of as many machines before where these had the same matrices and force; which are finite."""
