@@ -136,10 +136,9 @@ def _kinds(machines: Machines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """
     fields = [getattr(machines, name) for name in OF_KIND]
     bits = np.concatenate([field.reshape(len(field), math.prod(field.shape[1:])) for field in fields], axis=1)
-    numbers: dict[bytes, int] = {}
-    keys = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0].tolist()
-    kind = np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
-    return np.unique(kind, return_index=True)[1], kind
+    whole = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0]
+    _, first, kind = np.unique(whole, return_index=True, return_inverse=True)
+    return first, kind
 
 
 def _seen_along(matrix: Array, null: Array) -> Array:

@@ -32,7 +32,6 @@ SINGULAR = 1e-10
 """Determinant, relative to its size, below which a plane's coordinates are no h and h'; its inverse bounds how much
 larger than its eigenvalues' the entries of the transformation may be."""
 
-
 NEIGHBOUR = 1e-3
 """Mixing of two modes up to which refinement takes it off."""
 

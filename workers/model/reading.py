@@ -87,7 +87,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 
     A velocity that is not named is v with the number that ends its coordinate's name: v1 of x1, v of y.
     """
-    coordinates = _names("system.coordinates", required(table, "coordinates"))
+    coordinates = _names("system.coordinates", table["coordinates"])
     if not 1 <= len(coordinates) <= LARGEST:
         raise DefinitionError(f"system.coordinates: found {len(coordinates)}, must be 1 to {LARGEST}")
     if "velocities" in table:
@@ -107,7 +107,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 def read_definition(
     table: Mapping[str, Any], parameters: Collection[str], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> Definition:
-    """The definition in a table whose parameters have these names, coordinates and velocities included."""
+    """The definition in a table [system] whose parameters have these names, coordinates and velocities included."""
     n = len(coordinates)
     # The initial state is where a motion begins and no part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
@@ -119,13 +119,13 @@ def read_definition(
     return Definition(
         coordinates=coordinates,
         velocities=velocities,
-        mass=_read_entries("system.mass", required(table, "mass"), known, n, n),
+        mass=_read_entries("system.mass", table["mass"], known, n, n),
         damping=_read_entries("system.damping", table.get("damping", matrix), known, n, n),
         stiffness=_read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
         harmonics=_read_harmonics(table, known, n),
         load=_read_entries("system.load", table.get("load", row), known, n),
-        gap=_read_entries("system.gap", required(table, "gap"), known, n),
-        restitution=_read_entries("system.restitution", required(table, "restitution"), known),
+        gap=_read_entries("system.gap", table["gap"], known, n),
+        restitution=_read_entries("system.restitution", table["restitution"], known),
         upper=_read_stop(table, "upper", known),
         lower=_read_stop(table, "lower", known),
         let=let,
@@ -264,13 +264,6 @@ def read_list(
     if len(given) != length:
         raise DefinitionError(f"{where}: found {len(given)} {what}, must be {length}{each}")
     return list(given)
-
-
-def required(table: Mapping[str, Any], key: str) -> Any:
-    """The value of a key that has to be there."""
-    if key not in table:
-        raise DefinitionError(f"system: {key} missing")
-    return table[key]
 
 
 def symbol_of(name: str) -> str:

@@ -200,6 +200,9 @@ def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _read(given: Mapping[str, Any], packaged: bool) -> System:
     table = read_table("system", given, KEYS)
+    for key in ("coordinates", "mass", "gap", "restitution"):
+        if key not in table:
+            raise DefinitionError(f"system: {key} missing")
     name = read_text("system.name", table.get("name"))
     if not name or len(name) > 40 or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
         raise DefinitionError(f"system.name: found {name[:60]!r}, must be letters, digits and hyphens, 40 at most")
