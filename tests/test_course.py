@@ -85,7 +85,7 @@ def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
 
     def put(course: Course) -> None:
         earlier(3.0)(course)
-        course.first[0], course.memory[0] = 100, 200.0
+        course.cells.first[0], course.memory[0] = 100, 200.0
 
     found = Led(naive.FIGURES[5], Settings(tolerance=0.05, survival=0), put).found
     assert (found["regime"], found["reason"]) == (CHAOTIC, NO_REASON)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from workers.cell.cells import work_allowed
 from workers.cell.stretch import begin, run_periods, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames
-from workers.kernel.motion import RECORDED, WORK, Motion, motions_at
+from workers.kernel.motion import RECORDED, WORK, Motion
 from workers.kernel.period import OVERDRAFT
 from workers.model.oscillator import Oscillator, each, many_of
 from workers.model.system import System, find_system
@@ -58,8 +58,8 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     start = initial_state(record, values)
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
     oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
-    motions = motions_at(np.zeros((1, *osc.gap.kick.shape)), vectors=vectors, record=RECORD)
-    (reason,) = begin(oscillators, np.array([NO_REASON], dtype=np.int8), motions, start[None])
+    reasons = np.array([NO_REASON], dtype=np.int8)
+    motions, (reason,) = begin(oscillators, reasons, start[None], vectors=vectors, record=RECORD)
     if reason != NO_REASON:
         raise InvalidError(int(reason))
     motions.tally[:, WORK] = work_allowed(periods) + OVERDRAFT

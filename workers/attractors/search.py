@@ -1,13 +1,17 @@
 """Motions that are compared with known attractors, and solved in full where they reach none of them."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from workers.attractors import same
-from workers.attractors.record import STATISTICAL, Attractor, Found
+from workers.attractors.record import STATISTICAL, Attractor
 from workers.attractors.same import KnownOrbits, batch_moments, nearest, orbits_reached, periods_to_settle
 from workers.cell.cells import Array, Cells, Mask, Reasons, Rows
 from workers.cell.course import NEAR_LATER, Course
 from workers.cell.outcome import end_impact_free, end_stopped
+from workers.kernel.cells import physical_states
 from workers.model.oscillator import Oscillator
 from workers.results import result_variables
 from workers.settings import Settings
@@ -57,11 +61,18 @@ class Known:
 
 
 class Search:
-    """N motions, each compared with the known attractors of its cell, ``owner`` (N,), and what they have come to.
+    """N motions, each compared with the known attractors of its cell, ``owner`` (N,), and what they come to.
 
     They begin at physical states (N, 2n), with contacts (N,) if they go on from there; those with a reason have no
     oscillator. Their course ends where they fall into a known orbit. Those whose transients are over leave it where
     chaos or a torus is known of their cell, to be compared with that.
+
+    cells        with the results of those that were solved in full; regime PENDING where a motion was recognised
+    label        place of the known attractor that each has reached, -1 for none
+    arrival      periods until it was within a hundredth of its scale on a known orbit, -1 where it reached none
+    distance     in standard errors from the attractor that it was put to by statistics
+    reference    of motions on a new chaos or torus, their batches
+    compared     periods on the attractor after its class was known
     """
 
     def __init__(
@@ -74,40 +85,64 @@ class Search:
         owner: Rows,
         contact: Rows | None = None,
     ) -> None:
-        arrays = result_arrays(result_variables(settings), settings, len(owner), states.shape[1])
+        N = len(owner)
+        arrays = result_arrays(result_variables(settings), settings, N, states.shape[1])
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
-        self.known, self.owner, self.found = known, owner, Found(self.cells)
-        self.to_compare = np.zeros(len(owner), dtype=np.bool_)
         self.course = Course(self.cells, self._is_known, self._leaves)
+        self.known, self.owner = known, owner
+        self.label, self.arrival = np.full((2, N), -1)
+        self.distance = np.full(N, np.nan)
+        self.reference: dict[int, Array] = {}
+        self.compared = np.zeros(N, dtype=np.int64)
+        self.to_compare = np.zeros(N, dtype=np.bool_)
 
-    def solve(self, references: bool = True) -> Found:
-        """What the motions come to; with ``references`` also what a new chaos or torus is told by."""
-        with np.errstate(all="ignore"):
-            self.course.take(self.cells.ready)
-            self._compare()
-            if references:
-                self._refer()
-        return self.found
+    @property
+    def regime(self) -> NDArray[np.int8]:
+        """The regime of each motion that was solved in full."""
+        return self.cells.found["regime"]
 
-    def watch(self, periods: Rows) -> Found:
-        """What they come to in ``periods`` (N,): recognised, on an orbit, or on as they were, regime PENDING."""
+    @property
+    def settled(self) -> Rows:
+        """Periods until each was on its attractor: all that it went through, unless it reached a known orbit."""
+        return np.where(self.arrival >= 0, self.arrival, self.cells.flown)
+
+    def result(self, r: int) -> dict[str, Any]:
+        """The results of one motion."""
+        return {name: values[r].copy() for name, values in self.cells.found.items()}
+
+    def recognised(self, r: int) -> Attractor | None:
+        """The known attractor that one motion has reached."""
+        return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
+
+    def place(self, r: int) -> tuple[Array, int]:
+        """The physical state that one motion has come to, and its contact."""
+        motions = self.cells.batch.motions
+        return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.contact[r, 0])
+
+    @np.errstate(all="ignore")
+    def solve(self, references: bool = True) -> None:
+        """Take the motions to their attractors; with ``references`` also to what a new chaos or torus is told by."""
+        self.course.take(self.cells.ready)
+        self._compare()
+        if references:
+            self._refer()
+
+    @np.errstate(all="ignore")
+    def watch(self, periods: Rows) -> None:
+        """Take them on for ``periods`` (N,): recognised, on an orbit, or on as they were, regime PENDING."""
         rows, flown = self.cells.ready, self.cells.flown
-        with np.errstate(all="ignore"):
-            while len(rows):
-                rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
-                rows = rows[flown[rows] < periods[rows]]
-            self.found.keep_last(np.arange(len(self.owner)))
-        return self.found
+        while len(rows):
+            rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
+            rows = rows[flown[rows] < periods[rows]]
 
+    @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = same.REFERENCE) -> tuple[Rows, Array]:
         """Those of these motions that go on for this many batches, on no orbit; and the batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
-        with np.errstate(all="ignore"):
-            for k in range(batches if len(rows) else 0):
-                rows = self._advance(rows, same.BATCH)
-                means[rows, k] = batch_moments(self.cells.batch.sections, rows, same.BATCH)
-        self.found.compared[rows] += batches * same.BATCH
-        self.found.keep_last(rows)
+        for k in range(batches if len(rows) else 0):
+            rows = self._advance(rows, same.BATCH)
+            means[rows, k] = batch_moments(self.cells.batch.sections, rows, same.BATCH)
+        self.compared[rows] += batches * same.BATCH
         return rows, means[rows]
 
     def _is_known(self, rows: Rows) -> Mask:
@@ -117,8 +152,8 @@ class Search:
         found = orbits_reached(metric, swing, sections, cells.kept(), rows, self.owner, orbits)
         reached = found >= 0
         rows, found = rows[reached], found[reached]
-        self.found.label[rows] = self.known.places[found]
-        self.found.arrival[rows] = periods_to_settle(
+        self.label[rows] = self.known.places[found]
+        self.arrival[rows] = periods_to_settle(
             metric, swing, sections, cells.kept(), rows, cells.flown, orbits.period[found]
         )
         return np.asarray(reached)
@@ -139,16 +174,16 @@ class Search:
 
     def _compare(self) -> None:
         """Put motions to the chaos or the torus that they are on; go on with those that are on none of them."""
-        rows, found, known = np.flatnonzero(self.to_compare), self.found, self.known
+        rows, known = np.flatnonzero(self.to_compare), self.known
         for batches in (same.FIRST_LOOK, same.SECOND_LOOK):
             rows, means = self.sample(rows, batches)
             for r, of_motion in zip(rows, means, strict=True):
                 labels = known.references[self.owner[r]]
                 place, away = nearest([known.attractors[k] for k in labels], of_motion)
-                if away <= same.DIFFERENT:
-                    found.label[r], found.distance[r] = labels[place], away
-            rows = rows[found.label[rows] < 0]
-        found.compared[rows] = 0
+                if place >= 0:
+                    self.label[r], self.distance[r] = labels[place], away
+            rows = rows[self.label[rows] < 0]
+        self.compared[rows] = 0
         self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # they were to decide nothing
         self.course.observe(rows)
         self.course.take(rows)
@@ -160,12 +195,11 @@ class Search:
         """
         arrays = self.cells.found
         before = {name: values.copy() for name, values in arrays.items()}
-        new = np.flatnonzero((self.found.label < 0) & np.isin(self.found.regime, STATISTICAL))
+        new = np.flatnonzero((self.label < 0) & np.isin(self.regime, STATISTICAL))
         for variable in result_variables(self.cells.settings):
             arrays[variable.name][new] = variable.fill
         self.cells.framed[new] = False
         going, means = self.sample(new)
         for name, values in arrays.items():
             values[going] = before[name][going]
-        for r, of_motion in zip(going, means, strict=True):
-            self.found.reference[r] = of_motion
+        self.reference = dict(zip(going.tolist(), means, strict=True))

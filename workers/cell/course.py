@@ -81,8 +81,6 @@ class Course:
 
     stage      of each cell; stretch: periods that it is to go next
     memory     periods that its transient should take, NaN until known; transient: those that it takes
-    began      periods that its motion had gone through when the average under way began; first: when the first of
-               those began that count
     watched    periods of watching
     weighted   the weighted average of its last stretch
     half       standard error of an average over half of the periods that the tolerance takes
@@ -107,7 +105,7 @@ class Course:
         self.stretch = np.full(N, FIRST_STRETCH)
         self.memory, self.weighted = np.full((2, N), math.nan)
         self.transient = np.full(N, LEAST_TRANSIENT)
-        self.began, self.first, self.watched = np.zeros((3, N), dtype=np.int64)
+        self.watched = np.zeros(N, dtype=np.int64)
 
     def take(self, ready: Rows) -> None:
         """Take these cells through their stages and write their results."""
@@ -150,7 +148,7 @@ class Course:
 
     def _end(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
-        relaxed = ~(self.first[rows] < self.memory[rows])
+        relaxed = ~(self.cells.first[rows] < self.memory[rows])
         outcome.put_by_average(self.cells, rows, clear=np.where(relaxed, np.int8(NO_REASON), np.int8(NOT_RELAXED)))
 
     def _end_at_rest(self, rows: Rows) -> None:
@@ -201,9 +199,8 @@ class Course:
         """
         cells = self.cells
         averages.begin(cells, rows)
-        self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
+        self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
         earlier = cells.earlier.periods[rows]
-        self.first[rows[earlier == 0.0]] = cells.flown[rows[earlier == 0.0]]
         wanted = periods_for(earlier, cells.earlier.error[rows], self.half)
         self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
         return rows
@@ -247,7 +244,7 @@ class Course:
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
         """The next stretch of an average of which periods are ``missing``: at most as long as what there is of it."""
-        longest = self.cells.flown[rows] - self.began[rows]
+        longest = self.cells.flown[rows] - self.cells.began[rows]
         self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
     def _compare(self, rows: Rows) -> Rows:
@@ -258,14 +255,13 @@ class Course:
         rows = rows[changed]
         before, now = cells.earlier.mean[rows], under_way(cells, rows)
         averages.forget(cells, rows)
-        self.first[rows] = self.began[rows]
         positive, out = clearly_positive(now.mean, now.error, now.periods), self._left(rows) <= 0
         outcome.put_by_average(cells, rows[out & ~positive])
         uncertain = out & positive
         outcome.put_chaotic(cells, rows[uncertain], NOT_STATIONARY)
         outcome.put(cells, rows[uncertain], error=np.maximum(now.error, np.abs(now.mean - before))[uncertain])
         chaotic = rows[~out & positive]
-        cells.since[chaotic] = self.began[chaotic]
+        cells.since[chaotic] = cells.began[chaotic]
         self._close(chaotic)
         self.stretch[rows[~out & ~positive]] = now.periods[~out & ~positive]
         return rows[~out]

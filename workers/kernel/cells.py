@@ -11,18 +11,7 @@ from workers.kernel.averages import COUNT, MEAN, standard_error
 from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
-from workers.kernel.motion import (
-    FREE,
-    LOST,
-    MIN_SPEED,
-    RUNNING,
-    STATUS,
-    TALLIES,
-    WORK,
-    motion_of,
-    motion_with,
-    oscillator_of,
-)
+from workers.kernel.motion import FREE, RUNNING, STATUS, WORK, motion_of, motion_with, oscillator_of
 from workers.kernel.period import OVERDRAFT, advance
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame_of
@@ -88,25 +77,6 @@ def impact_free(oscillators, motions, cells):
         inside = reach < head[r, HEAD.top] and -reach > head[r, HEAD.bottom]
         found[e] = motions.contact[r, 0] == FREE and inside
     return found
-
-
-@kernel
-def restart_counts(metric, motions, cells):
-    """Count from here on: impacts and their speeds, time at rest, growth. A frame that lost directions starts anew."""
-    for r in cells:
-        motion = motion_of(motions, r)
-        V, tally = motion.V, motion.tally
-        if tally[LOST] > 0.0:
-            for i in range(V.shape[0]):
-                for j in range(V.shape[1]):
-                    V[i, j, 0], V[i, j, 1] = 1.0 if i == 2 * j else 0.0, 1.0 if i == 2 * j + 1 else 0.0
-        work, status = tally[WORK], tally[STATUS]
-        for k in range(TALLIES):
-            tally[k] = 0.0
-        tally[WORK], tally[STATUS], tally[MIN_SPEED] = work, status, np.inf
-        reset_frame_of(metric[r], motion)
-        for k in range(motion.growth.shape[0]):
-            motion.growth[k] = 0.0
 
 
 @kernel

@@ -22,6 +22,9 @@ the square of y', time at rest; evaluations, evaluations still allowed, directio
 was last orthonormal, impacts recorded, status. An impact that completes a chatter to rest is the fastest and takes
 speed off like any other, but is neither counted at its stop nor summed: their number is infinite."""
 
+NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
+"""The tally (TALLIES,) of a motion that has gone nowhere, and may cost nothing."""
+
 RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND = range(5)
 """Status: fine, or why a cell cannot go on."""
 
@@ -115,8 +118,8 @@ def motions_at(
 ) -> Motion:
     """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
     N, n = h.shape[:2]
-    tally = np.zeros((N, TALLIES))
-    tally[:, MIN_SPEED], tally[:, WORK] = np.inf, WORK_OF_A_TRIAL
+    tally = np.tile(NOTHING_COUNTED, (N, 1))
+    tally[:, WORK] = WORK_OF_A_TRIAL
     return Motion(
         h=h.copy(),
         contact=np.zeros((N, 1), dtype=np.int64) if contact is None else contact.copy(),
