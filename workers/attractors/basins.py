@@ -18,9 +18,8 @@ from workers.attractors.record import STABLE, STATISTICAL, Attractor
 from workers.attractors.search import Search, motions_at_once
 from workers.attractors.starts import Starts
 from workers.attractors.waves import Coexistence
-from workers.cell.cells import Array
 from workers.cell.stretch import begin, sections_from
-from workers.model.oscillator import Oscillator, taken
+from workers.model.oscillator import Array, Oscillator, taken
 from workers.model.system import System, find_system
 from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL, result_variables
 from workers.settings import Settings

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from workers.cell.cells import Array
+from workers.model.oscillator import Array
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 STABLE = (NO_IMPACT, PERIODIC)

@@ -16,12 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.attractors.record import Attractor
-from workers.cell.cells import Array, Rows
-from workers.cell.stretch import batch_of, begin, run
+from workers.cell.stretch import Rows, batch_of, begin, run
 from workers.kernel.cells import physical_states, scale_at
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, Motion
-from workers.model.oscillator import Oscillator, each, many_of, one_of
+from workers.model.oscillator import Array, Oscillator, each, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import iterate, separation
 from workers.orbit.section import moved

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from workers.attractors import same
 from workers.attractors.record import STATISTICAL, Attractor
 from workers.attractors.same import KnownOrbits, batch_moments, nearest, orbits_reached, periods_to_settle
-from workers.cell.cells import Array, Cells, Mask, Reasons, Rows
+from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER, Course
 from workers.cell.outcome import end_impact_free, end_stopped
+from workers.cell.stretch import Mask, Reasons, Rows
 from workers.kernel.cells import physical_states
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Array, Oscillator
 from workers.results import result_variables
 from workers.settings import Settings
 from workers.tile import MEMORY_AT_ONCE, result_arrays
@@ -122,7 +123,7 @@ class Search:
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:
         """Take the motions to their attractors; with ``references`` also to what a new chaos or torus is told by."""
-        self.course.take(self.cells.ready)
+        self.course.take()
         self._compare()
         if references:
             self._refer()
@@ -185,8 +186,9 @@ class Search:
             rows = rows[self.label[rows] < 0]
         self.compared[rows] = 0
         self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # they were to decide nothing
+        self.cells.going[rows] = True
         self.course.observe(rows)
-        self.course.take(rows)
+        self.course.take()
 
     def _refer(self) -> None:
         """Go on with those motions that are on a chaos or torus that is not known, to tell what it is by.

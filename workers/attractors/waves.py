@@ -21,8 +21,8 @@ from workers.attractors.record import STABLE, STATISTICAL, Attractor
 from workers.attractors.same import mirrored, nearest
 from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
-from workers.cell.cells import Array, Rows
-from workers.model.oscillator import taken
+from workers.cell.stretch import Rows
+from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
 from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON, result_variables
 from workers.settings import Settings

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from workers.cell.cells import Array, Average, Cells, Mask, Rows
+from workers.cell.cells import Average, Cells
 from workers.cell.exponents import impact_count
+from workers.cell.stretch import Mask, Rows
 from workers.kernel.cells import mean_growth, reset_frames
 from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, axes
-from workers.model.oscillator import taken
+from workers.model.oscillator import Array, taken
 
 CLEAR = 4.0
 """Standard errors above zero from which an exponent is called positive."""
@@ -53,11 +54,11 @@ def under_way(cells: Cells, rows: Rows) -> Average:
     )
 
 
-def whole_average(cells: Cells, rows: Rows, *, stationary: bool = False) -> Average:
+def whole_average(cells: Cells, rows: Rows) -> tuple[Average, Array]:
     """The earlier average of these cells and the one under way as one, with the error that results give.
 
     It is at least the standard error by the difference of the two averages: far apart in time, each may be too short to
-    see how slowly the motion changes. Not where motion is taken to be ``stationary``.
+    see how slowly the motion changes. The second result is the error without that, as if motion were stationary.
     """
     now, e = under_way(cells, rows), taken(cells.earlier, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # or too short to have an error
@@ -66,13 +67,14 @@ def whole_average(cells: Cells, rows: Rows, *, stationary: bool = False) -> Aver
     both = (count > 0.0) & (e.periods > 0.0)
     apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0)
     plain = np.hypot(e.error * e.periods, error * count) / total
-    return Average(
+    whole = Average(
         mean=(e.mean * e.periods + mean * count) / total,
-        error=plain if stationary else np.maximum(plain, apart),
+        error=np.maximum(plain, apart),
         periods=total,
         growth=growth + e.growth,
         impacts=impacts + e.impacts,
     )
+    return whole, plain
 
 
 def has_changed(cells: Cells, rows: Rows) -> Mask:

@@ -5,18 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.stretch import batch_of, begin, ended, run
+from workers.cell.stretch import Mask, Reasons, Rows, batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.oscillator import Oscillator
+from workers.model.oscillator import Array, Oscillator
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
 from workers.settings import Settings
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
-"""Which cells."""
-Mask = NDArray[np.bool_]
-Reasons = NDArray[np.int8]
 Results = dict[str, NDArray[Any]]
 """Result arrays (N, ...) by name."""
 
@@ -54,7 +49,7 @@ class Cells:
     a motion are written invalid at once. contact (N,) is that of motions that go on from these states; without it each
     state shows its own.
 
-    ready      the cells that have a motion
+    going      whether the cell has to go on
     framed     whether tangent vectors are carried along; averaging: and their growth counts
     used       periods that the cell has cost
     flown      periods that its motion has gone through; since: how many of them before it looked chaotic, began: before
@@ -85,7 +80,7 @@ class Cells:
         self.bare = self.batch._replace(motions=without_frames)
         invalid = reasons != NO_REASON
         found["regime"][invalid], found["reason"][invalid] = INVALID, reasons[invalid]
-        self.ready = np.flatnonzero(~invalid)
+        self.going = ~invalid
         budgets = (settings.max_periods, settings.survival), (settings.transient_periods, settings.periods)
         motions.tally[:, WORK] = work_allowed(sum(budgets[0 if adaptive else 1]))
         self.framed, self.averaging = np.zeros((2, N), dtype=np.bool_)
@@ -93,6 +88,11 @@ class Cells:
         self.orbits = no_orbits(N, n)
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N))
         self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
+
+    @property
+    def ready(self) -> Rows:
+        """The cells that have to go on."""
+        return np.flatnonzero(self.going)
 
     @property
     def directions(self) -> int:

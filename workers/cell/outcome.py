@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from workers import results
 from workers.cell.averages import clearly_positive, counts, whole_average
-from workers.cell.cells import Array, Average, Cells, Rows
+from workers.cell.cells import Average, Cells
 from workers.cell.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
-from workers.cell.stretch import sections_from, stop_reasons
+from workers.cell.stretch import Rows, sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.kernel.contact import COMPLETION
-from workers.model.oscillator import Oscillator, taken
+from workers.model.oscillator import Array, Oscillator, taken
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 """By reason."""
@@ -29,10 +29,12 @@ order in what is cut. At most half of this in 630 random orbits followed ten tho
 
 
 def put(cells: Cells, rows: Rows, **values: Any) -> None:
-    """Write result variables of these cells, those that are asked for."""
+    """Write result variables of these cells, those that are asked for. Cells that have a regime do not go on."""
     for name, value in values.items():
         if name in cells.found:
             cells.found[name][rows] = value
+    if "regime" in values:
+        cells.going[rows] = False
 
 
 def end_stopped(cells: Cells, rows: Rows) -> Rows:
@@ -72,20 +74,19 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
         sum_law_defect=np.sum(exponents, axis=1) - sum_of_exponents(oscillators, 0.0),
         regime=results.NO_IMPACT,
         period=1,
-        impacts_per_period=0.0,
-        impact_energy=0.0,
         peak_to_peak=free_range(oscillators, steady),
-        stuck_fraction=0.0,
         periods_used=cells.used[rows],
     )
+    put_contacts(cells, rows, np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), 1, 0.0)
     put_states(cells, rows, steady, np.zeros((len(rows), 1), np.int64), np.ones(len(rows), np.int64))
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
     """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's.
 
-    Their error is at least what their sum misses of its exact value: where a stiff machine hits a stop slowly under a
-    large load, rounding takes more than one more turn shows.
+    The error of the largest is that of rounding or of chatter that is cut short, but at least what the sum of all
+    misses of its exact value: where a stiff machine hits a stop slowly under a large load, the rounding error of one
+    more turn is too small. Exponents of minus infinity are exact.
     """
     orbits = taken(cells.orbits, rows)
     cells.used[rows] += orbits.period
@@ -99,11 +100,13 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     tally, period = orbits.tally, orbits.period
     hits = impact_count(tally) / period
     defect = _defect(oscillators, np.sum(exponents, axis=1), tally, hits)
+    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(exponents[:, 0])), 0.0)
+    error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
     put(
         cells,
         rows,
         **_spectrum(exponents),
-        error=orbit_error(exponents[:, 0], orbits.error, defect, sticks),
+        error=np.where(np.isneginf(exponents[:, 0]), 0.0, error),
         sum_law_defect=defect,
         regime=results.PERIODIC,
         period=period,
@@ -117,15 +120,6 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     put_states(cells, rows, orbits.h, orbits.contact, period)
 
 
-def orbit_error(largest: Array, rounding: Array, defect: Array, sticks: Array) -> Array:
-    """Error of the largest exponents of orbits: rounding, what misses the sum law, and chatter that is cut short.
-
-    Exponents of minus infinity are exact.
-    """
-    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
-    return np.where(np.isneginf(largest), 0.0, np.fmax(np.maximum(rounding, chatter), np.abs(defect)))
-
-
 def put_averaged(cells: Cells, rows: Rows) -> None:
     """Write what averages show of these cells, their class left open.
 
@@ -136,7 +130,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
         return
     motions = cells.batch.motions
     reset_frames(cells.oscillators.gap.metric, motions, rows[cells.averaging[rows]])
-    average = whole_average(cells, rows)
+    average, _ = whole_average(cells, rows)
     counted = np.flatnonzero(average.periods > 0.0)
     some, average = rows[counted], taken(average, counted)
     tally, periods = counts(cells, some)
@@ -151,7 +145,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     put_states(cells, rows, motions.h[rows], motions.contact[rows], no_period)
 
 
-def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
+def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows | int, hits: Array | float) -> None:
     """Write what tallies (N, TALLIES) over some periods (N,) say of rest and impacts; ``hits`` (N,) in a period.
 
     An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; one that completes a chatter to rest loses gap_mass v^2 / 2,
@@ -219,8 +213,8 @@ def put_by_average(
     """
     if not len(rows):
         return
-    both = (whole_average(cells, rows, stationary=each) for each in (True, False))
-    chaotic, clearly = (clearly_positive(average.mean, average.error, average.periods) for average in both)
+    whole, plain = whole_average(cells, rows)
+    chaotic, clearly = (clearly_positive(whole.mean, error, whole.periods) for error in (plain, whole.error))
     reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
     put_chaotic(cells, rows[chaotic], reasons[chaotic])
     put_averaged(cells, rows[~chaotic])

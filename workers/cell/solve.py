@@ -7,10 +7,11 @@ becomes of a cell does not depend on the others.
 import numpy as np
 
 from workers.cell import averages
-from workers.cell.cells import Cells, Rows
+from workers.cell.cells import Cells
 from workers.cell.course import Course
 from workers.cell.orbits import NEAR, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
+from workers.cell.stretch import Rows
 from workers.results import UNDETERMINED
 
 
@@ -18,7 +19,7 @@ def solve(cells: Cells) -> None:
     """Take cells to their results, by the schedule of their settings."""
     with np.errstate(all="ignore"):
         if cells.settings.method == "adaptive":
-            Course(cells).take(cells.ready)
+            Course(cells).take()
         else:
             _solve_fixed(cells)
 

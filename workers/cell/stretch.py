@@ -9,10 +9,11 @@ from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.lanes.layout import LANES
 from workers.kernel.lanes.run import Batch, run_batch
 from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at
-from workers.model.oscillator import COLUMN, Oscillator, each, many_of
+from workers.model.oscillator import COLUMN, Array, Oscillator, each, many_of
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+"""Which cells, or a number of each."""
+Mask = NDArray[np.bool_]
 Reasons = NDArray[np.int8]
 
 REASON_OF = np.array(
@@ -44,11 +45,12 @@ def begin(
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
     """Why each of these motions cannot go on, NO_REASON where it can."""
-    tally, finite = motions.tally[cells], np.isfinite(motions.h[cells]).all(axis=(1, 2))
-    running = np.where(
-        finite, np.where(tally[:, WORK] < 0.0, np.int8(results.WORK_SPENT), results.NO_REASON), results.NOT_FINITE
-    )
-    return np.where(tally[:, STATUS] == RUNNING, running, REASON_OF[tally[:, STATUS].astype(np.int64)])
+    tally = motions.tally[cells]
+    found = REASON_OF[tally[:, STATUS].astype(np.int64)]
+    runs, finite = tally[:, STATUS] == RUNNING, np.isfinite(motions.h[cells]).all(axis=(1, 2))
+    found[runs & (tally[:, WORK] < 0.0)] = results.WORK_SPENT
+    found[runs & ~finite] = results.NOT_FINITE
+    return found
 
 
 def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
@@ -65,13 +67,13 @@ def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
     )
 
 
-def ended(batch: Batch) -> NDArray[np.bool_]:
+def ended(batch: Batch) -> Mask:
     """Of which cells nothing is left to do: their periods are complete, or their motion or their work ends."""
     tally = batch.motions.tally
     return (batch.done >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
 
-def run(batch: Batch, cells: NDArray[np.int64], *, to_end: bool = True, lanes: int = LANES) -> None:
+def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
     """Take these cells of a batch on, in place, until each has ended; at most ``lanes`` <= LANES at a time.
 
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
