@@ -102,11 +102,6 @@ class Search:
         """The regime of each motion that was solved in full."""
         return self.cells.found["regime"]
 
-    @property
-    def settled(self) -> Rows:
-        """Periods until each was on its attractor: all that it went through, unless it reached a known orbit."""
-        return np.where(self.arrival >= 0, self.arrival, self.cells.flown)
-
     def result(self, r: int) -> dict[str, Any]:
         """The results of one motion."""
         return {name: values[r].copy() for name, values in self.cells.found.items()}

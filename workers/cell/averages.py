@@ -5,7 +5,8 @@ import numpy as np
 from workers.cell.cells import Average, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.stretch import Mask, Rows
-from workers.kernel.cells import mean_growth, reset_frames
+from workers.kernel.averages import COUNT, MEAN
+from workers.kernel.cells import reset_frames, standard_errors
 from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, axes
 from workers.model.oscillator import Array, taken
 
@@ -40,14 +41,12 @@ def under_way(cells: Cells, rows: Rows) -> Average:
 
     Without tangent vectors it has the impacts alone. Where all directions are lost the mean is exact.
     """
-    motions = cells.batch.motions
-    mean, error, periods = mean_growth(cells.batch.levels, rows)
-    if not cells.vectors:
-        periods = cells.flown[rows] - cells.began[rows]
+    motions, levels = cells.batch.motions, cells.batch.levels
+    periods = levels[rows, 0, COUNT] if cells.vectors else cells.flown[rows] - cells.began[rows]
     lost = motions.tally[rows, LOST] >= cells.directions
     return Average(
-        mean=np.where(lost, -np.inf, mean),
-        error=np.where(lost, 0.0, error),
+        mean=np.where(lost, -np.inf, levels[rows, 0, MEAN]),
+        error=np.where(lost, 0.0, standard_errors(levels, rows)),
         periods=np.where(cells.averaging[rows], periods, 0.0),
         growth=motions.growth[rows],
         impacts=impact_count(motions.tally[rows]),

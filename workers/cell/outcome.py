@@ -19,6 +19,7 @@ from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.kernel.contact import COMPLETION
 from workers.model.oscillator import Array, Oscillator, taken
+from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 """By reason."""
@@ -64,21 +65,12 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     if not len(rows):
         return
     oscillators = taken(cells.oscillators, rows)
-    exponents = free_exponents(oscillators)
-    steady = steady_state(oscillators, h)
-    put(
-        cells,
-        rows,
-        **_spectrum(exponents),
-        error=np.abs(exponents[:, 0]) * 1e-15,
-        sum_law_defect=np.sum(exponents, axis=1) - sum_of_exponents(oscillators, 0.0),
-        regime=results.NO_IMPACT,
-        period=1,
-        peak_to_peak=free_range(oscillators, steady),
-        periods_used=cells.used[rows],
-    )
-    put_contacts(cells, rows, np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), 1, 0.0)
-    put_states(cells, rows, steady, np.zeros((len(rows), 1), np.int64), np.ones(len(rows), np.int64))
+    steady, exponents = steady_state(oscillators, h), free_exponents(oscillators)
+    tally, error = np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), np.abs(exponents[:, 0]) * 1e-15
+    orbits = no_orbits(*h.shape[:2])._replace(h=steady, exponents=exponents, tally=tally, error=error)
+    defect = _defect(oscillators, np.sum(exponents, axis=1), tally, 0.0)
+    reach = free_range(oscillators, steady)
+    _put_orbits(cells, rows, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
@@ -96,27 +88,34 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
     if not len(rows):
         return
-    oscillators, exponents = taken(cells.oscillators, rows), orbits.exponents
-    tally, period = orbits.tally, orbits.period
-    hits = impact_count(tally) / period
-    defect = _defect(oscillators, np.sum(exponents, axis=1), tally, hits)
-    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(exponents[:, 0])), 0.0)
+    oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
+    defect = _defect(oscillators, np.sum(orbits.exponents, axis=1), tally, impact_count(tally) / orbits.period)
+    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
     error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
+    orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
+    reach = impact_range(oscillators, tally, orbits.h, orbits.contact, orbits.period)
+    _put_orbits(cells, rows, orbits, regime=results.PERIODIC, sum_law_defect=defect, peak_to_peak=reach)
+
+
+def _put_orbits(cells: Cells, rows: Rows, orbits: Orbits, **more: Any) -> None:
+    """Write what the orbits of these cells show, and some more."""
+    exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
+    impacts = np.where(tally[:, motion.STUCK, None] > 0.0, -1.0, tally[:, [motion.UPPER, motion.LOWER]])
     put(
         cells,
         rows,
-        **_spectrum(exponents),
-        error=np.where(np.isneginf(exponents[:, 0]), 0.0, error),
-        sum_law_defect=defect,
-        regime=results.PERIODIC,
+        largest=exponents[:, 0],
+        error=orbits.error,
+        spectrum=exponents,
+        kaplan_yorke=kaplan_yorke(exponents),
         period=period,
-        impacts_upper=np.where(sticks, -1.0, tally[:, motion.UPPER]),
-        impacts_lower=np.where(sticks, -1.0, tally[:, motion.LOWER]),
+        impacts_upper=impacts[:, 0],
+        impacts_lower=impacts[:, 1],
         symmetric=orbits.symmetric,
-        peak_to_peak=impact_range(oscillators, tally, orbits.h, orbits.contact, period),
         periods_used=cells.used[rows],
+        **more,
     )
-    put_contacts(cells, rows, tally, period, hits)
+    put_contacts(cells, rows, tally, period, impact_count(tally) / period)
     put_states(cells, rows, orbits.h, orbits.contact, period)
 
 
@@ -141,11 +140,10 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     put(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
     put(cells, rows, periods_used=cells.used[rows])
-    no_period = np.zeros(len(rows), dtype=np.int64)
-    put_states(cells, rows, motions.h[rows], motions.contact[rows], no_period)
+    put_states(cells, rows, motions.h[rows], motions.contact[rows], 0 * rows)
 
 
-def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows | int, hits: Array | float) -> None:
+def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
     """Write what tallies (N, TALLIES) over some periods (N,) say of rest and impacts; ``hits`` (N,) in a period.
 
     An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; one that completes a chatter to rest loses gap_mass v^2 / 2,
@@ -196,10 +194,9 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
     put_averaged(cells, rows)
     put(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
     if "spectrum" in cells.found:
-        cells.found["spectrum"][rows, 0] = weighted
-        # Rounding must not decide whether a torus has a dimension: its first exponent is zero.
         spectrum = cells.found["spectrum"][rows]
-        spectrum[:, 0] = 0.0
+        cells.found["spectrum"][rows, 0] = weighted
+        spectrum[:, 0] = 0.0  # rounding must not decide whether a torus has a dimension
         put(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
 
 
@@ -236,12 +233,7 @@ def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) 
         put(cells, rows, section=states[every[:, None], np.arange(K) % kept[:, None]])
 
 
-def _spectrum(exponents: Array) -> dict[str, Array]:
-    """The variables of all exponents (N, 2n), largest first."""
-    return {"largest": exponents[:, 0], "spectrum": exponents, "kaplan_yorke": kaplan_yorke(exponents)}
-
-
-def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array) -> Array:
+def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
     """A sum of exponents minus its exact value; NaN where that law does not hold, see exponents.sum_law_holds."""
     holds = sum_law_holds(tally)
     exact = sum_of_exponents(oscillators, hits)

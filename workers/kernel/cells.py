@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.averages import COUNT, MEAN, standard_error
+from workers.kernel.averages import standard_error
 from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
@@ -97,13 +97,12 @@ def physical_states(oscillators, motions, cells):
 
 
 @kernel
-def mean_growth(levels, cells):
-    """Mean growth per period of the first vector, its standard error, and the periods averaged, of these cells."""
-    mean, error, count = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells))
+def standard_errors(levels, cells):
+    """The standard errors of the averages of these cells."""
+    error = np.empty(len(cells))
     for e in range(len(cells)):
-        of_cell = levels[cells[e]]
-        mean[e], error[e], count[e] = of_cell[0, MEAN], standard_error(of_cell), of_cell[0, COUNT]
-    return mean, error, count
+        error[e] = standard_error(levels[cells[e]])
+    return error
 
 
 @kernel
