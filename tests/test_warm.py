@@ -22,7 +22,7 @@ from tests.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile
 from workers.attractors import same
 from workers.attractors.basins import solve_basins
-from workers.attractors.same import orbits_reached, periods_to_settle
+from workers.attractors.same import orbits_reached
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.continuation import admissible, branch, curve, equations, orbits, pulses, stability
@@ -122,7 +122,7 @@ def test_no_attractor_has_kernels_of_its_own() -> None:
         solve_attractors("two-mass", cell, brief, Starts(8))
     solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
     assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
-    assert all(before[kernel] for kernel in (orbits_reached, periods_to_settle, iterate))
+    assert all(before[kernel] for kernel in (orbits_reached, iterate))
 
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:

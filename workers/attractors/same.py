@@ -95,23 +95,19 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
     return found
 
 
-@kernel
-def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
-    """Periods (len(rows),) after which sections of these motions stay within NEAR_ORBIT of those a turn later.
+def norms(metric: Array, h: Array) -> Array:
+    """The energy norms (K,) of block states h (K, n, 2)."""
+    return np.asarray(np.sqrt((metric * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
 
-    flown (N,) periods gone through, of which the last ``kept`` (N,) sections are known; period (len(rows),) of the
-    orbit that each falls into.
+
+def periods_to_settle(metric: Array, swing: Array, sections: Array, flown: int, period: int) -> int:
+    """Periods after which the sections of a motion stay within NEAR_ORBIT of those a turn later.
+
+    sections (K, n, 2): the last that are known after ``flown`` periods; period: of the orbit that it falls into.
     """
-    found = np.empty(len(rows), dtype=np.int64)
-    last = sections.shape[1] - 1
-    for e in range(len(rows)):
-        r, p = rows[e], period[e]
-        k = last
-        near = NEAR_ORBIT * scale_at(metric[r], swing[r], sections[r, last])
-        while k - p > last - kept[r] and separation(metric[r], sections[r, k], sections[r, k - p]) <= near:
-            k -= 1
-        found[e] = flown[r] - (last - k) - p + 1
-    return found
+    away = norms(metric, sections[period:] - sections[:-period])
+    far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_at(metric, swing, sections[-1])))
+    return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
 
 def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
@@ -146,9 +142,8 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     osc, motion = seen_from(oscillator, new, old.shift)
     if half:
         motion = half_a_period_later(osc, motion.h, int(motion.contact[0]))
-    metric, apart = osc.gap.metric, old.orbit - motion.h
-    away = metric * apart[..., 0] ** 2 + apart[..., 1] ** 2
-    return bool(np.sqrt(away.sum(axis=-1)).min() < SAME_ORBIT * scale_at(metric, osc.swing, motion.h))
+    away = norms(osc.gap.metric, old.orbit - motion.h).min()
+    return bool(away < SAME_ORBIT * scale_at(osc.gap.metric, osc.swing, motion.h))
 
 
 def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.attractors import same
 from workers.attractors.record import STATISTICAL, Attractor
@@ -42,17 +41,14 @@ class Known:
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
         n = oscillators.gap_row.shape[1]
         self.attractors = [each for attractors in of_cells for each in attractors]
-        owner = np.repeat(np.arange(len(of_cells)), [len(attractors) for attractors in of_cells])
-        self.places = np.array([k for k, a in enumerate(self.attractors) if a.jacobian is not None], dtype=np.int64)
-        self.references: list[list[int]] = [[] for _ in of_cells]
-        for k, each in enumerate(self.attractors):
-            if each.reference is not None:
-                self.references[owner[k]].append(k)
-        ends = np.searchsorted(owner[self.places], np.arange(len(of_cells) + 1))
-        some = [self.attractors[k] for k in self.places]
+        ends = np.cumsum([0, *map(len, of_cells)])
+        self.places = np.flatnonzero([each.jacobian is not None for each in self.attractors])
+        of_chaos = np.flatnonzero([each.reference is not None for each in self.attractors])
+        self.references = np.split(of_chaos, np.searchsorted(of_chaos, ends[1:-1]))
+        some, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
         self.orbits = KnownOrbits(
-            first=ends[:-1],
-            last=ends[1:],
+            first=of_cell[:-1],
+            last=of_cell[1:],
             h=np.array([a.h for a in some]).reshape(-1, n, 2),
             period=np.array([a.period for a in some], dtype=np.int64),
             jacobian=np.array([a.jacobian for a in some], dtype=np.float64).reshape(-1, 2 * n, 2 * n),
@@ -68,7 +64,8 @@ class Search:
     oscillator. Their course ends where they fall into a known orbit. Those whose transients are over leave it where
     chaos or a torus is known of their cell, to be compared with that.
 
-    cells        with the results of those that were solved in full; regime PENDING where a motion was recognised
+    cells        with the results of those that were solved in full
+    regime       of each motion, PENDING where it was recognised
     label        place of the known attractor that each has reached, -1 for none
     arrival      periods until it was within a hundredth of its scale on a known orbit, -1 where it reached none
     distance     in standard errors from the attractor that it was put to by statistics
@@ -90,17 +87,12 @@ class Search:
         arrays = result_arrays(result_variables(settings), settings, N, states.shape[1])
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
         self.course = Course(self.cells, self._is_known, self._leaves)
-        self.known, self.owner = known, owner
+        self.known, self.owner, self.regime = known, owner, arrays["regime"]
         self.label, self.arrival = np.full((2, N), -1)
         self.distance = np.full(N, np.nan)
         self.reference: dict[int, Array] = {}
         self.compared = np.zeros(N, dtype=np.int64)
         self.to_compare = np.zeros(N, dtype=np.bool_)
-
-    @property
-    def regime(self) -> NDArray[np.int8]:
-        """The regime of each motion that was solved in full."""
-        return self.cells.found["regime"]
 
     def result(self, r: int) -> dict[str, Any]:
         """The results of one motion."""
@@ -145,18 +137,18 @@ class Search:
         """Which of these motions fall into a known orbit; they have its label."""
         cells, orbits = self.cells, self.known.orbits
         metric, swing, sections = cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.sections
-        found = orbits_reached(metric, swing, sections, cells.kept(), rows, self.owner, orbits)
+        kept = cells.kept()
+        found = orbits_reached(metric, swing, sections, kept, rows, self.owner, orbits)
         reached = found >= 0
-        rows, found = rows[reached], found[reached]
-        self.label[rows] = self.known.places[found]
-        self.arrival[rows] = periods_to_settle(
-            metric, swing, sections, cells.kept(), rows, cells.flown, orbits.period[found]
-        )
+        self.label[rows[reached]] = self.known.places[found[reached]]
+        for r, period in zip(rows[reached], orbits.period[found[reached]], strict=True):
+            known = sections[r, sections.shape[1] - kept[r] :]
+            self.arrival[r] = periods_to_settle(metric[r], swing[r], known, cells.flown[r], period)
         return np.asarray(reached)
 
     def _leaves(self, rows: Rows) -> Mask:
         """Of whose cell chaos or a torus is known."""
-        self.to_compare[rows] = [bool(self.known.references[c]) for c in self.owner[rows]]
+        self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int) -> Rows:

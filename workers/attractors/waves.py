@@ -196,15 +196,14 @@ class Coexistence:
             if not shown:
                 _write(found, c, 0, self.own.result(c))
             for k, each in enumerate(shown):
-                _write(found, c, k, each.result | _of_share(len(each.starts), int(self.tried[c])))
-                found["exact"][c, k] = each.regime in STABLE
-                found["lumped"][c, k] = each.pooled
-                if each.pooled:
-                    found["lumped_distance"][c, k] = each.distance
-                if each.regime in (CHAOTIC, APERIODIC):
-                    found["survived"][c, k] = each.seen
-                mirror = each.image(cell.symmetric)
-                found["mirror"][c, k] = next((i for i, a in enumerate(shown) if a is mirror), -1)
+                more = _of_share(len(each.starts), int(self.tried[c])) | {
+                    "exact": each.regime in STABLE,
+                    "lumped": each.pooled,
+                    "lumped_distance": each.distance if each.pooled else np.nan,
+                    "survived": each.seen if each.regime in (CHAOTIC, APERIODIC) else each.result["survived"],
+                    "mirror": next((i for i, a in enumerate(shown) if a is each.image(cell.symmetric)), -1),
+                }
+                _write(found, c, k, each.result | more)
                 if 0 in each.starts:
                     found["own"][c] = k
 

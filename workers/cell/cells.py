@@ -56,6 +56,7 @@ class Cells:
                the average and the counts under way, first: before the first average that counts
     earlier    the average that was closed before the one under way; of no periods where there is none
     tallied    (N, TALLIES) what was counted between ``first`` and ``began``
+    directions of the state, 2n; vectors: those that are carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
     """
@@ -72,6 +73,7 @@ class Cells:
         N, n = oscillators.gap_row.shape
         adaptive = settings.method == "adaptive"
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
+        self.directions = 2 * n
         self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n}[settings.exponents]
         self.oscillators, self.settings, self.found = oscillators, settings, found
         motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
@@ -93,11 +95,6 @@ class Cells:
     def ready(self) -> Rows:
         """The cells that have to go on."""
         return np.flatnonzero(self.going)
-
-    @property
-    def directions(self) -> int:
-        """Directions of the state, 2n."""
-        return 2 * self.batch.motions.h.shape[1]
 
     def aim(self, rows: Rows, periods: Rows | int) -> None:
         """Give these cells a stretch of this many periods to go."""

@@ -37,12 +37,12 @@ def _solve_fixed(cells: Cells) -> None:
     averages.begin(cells, ready)
     ready = _through(cells, ready, settings.periods)
     put_averaged(cells, ready)
-    names = {"average", "sum_law_defect", "state", "section"} & cells.found.keys()
-    averaged = {name: cells.found[name][ready] for name in names}
+    kept = {"average", "sum_law_defect", "state", "section"} & cells.found.keys()
+    averaged = {name: cells.found[name].copy() for name in kept}
     rest = end_impact_free(cells, ready)
     rest = end_on_orbits(cells, rest, np.full_like(cells.used, settings.max_periods), np.full(len(cells.used), NEAR))
-    known = ~np.isin(ready, rest)
-    put(cells, ready[known], **{name: values[known] for name, values in averaged.items()})
+    known = np.setdiff1d(ready, rest)
+    put(cells, known, **{name: values[known] for name, values in averaged.items()})
     mean, error, periods, _, _ = averages.under_way(cells, rest)
     chaotic = averages.clearly_positive(mean, error, periods)
     put_chaotic(cells, rest[chaotic])
