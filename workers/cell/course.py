@@ -189,8 +189,7 @@ class Course:
             self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
         else:
             averages.begin(cells, rows)
-            self.stage[rows] = WATCHING
-            self._aim_watch(rows)
+            self._watch(rows, self._missing(rows))
 
     # Warming
 
@@ -237,30 +236,28 @@ class Course:
         (whole, _), error = averages.whole_average(self.cells, rows), under_way(self.cells, rows).error
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
-        precise = (averages.has_changed(self.cells, rows) | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
+        changed = averages.has_changed(self.cells, rows)
+        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
-        self._compare(rows[enough])
+        self._end(rows[enough & ~changed])
+        self._go_on_changed(rows[enough & changed])
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
         """The next stretch of an average of which periods are ``missing``: at most as long as what there is of it."""
         longest = self.cells.flown[rows] - self.cells.began[rows]
         self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
-    def _compare(self, rows: Rows) -> None:
-        """End cells whose two averages agree; where motion has changed the later one counts."""
+    def _go_on_changed(self, rows: Rows) -> None:
+        """Where motion has changed the later average counts."""
         cells = self.cells
-        changed = averages.has_changed(cells, rows)
-        self._end(rows[~changed])
-        rows = rows[changed]
         before, now = cells.earlier.mean[rows], under_way(cells, rows)
         averages.forget(cells, rows)
         positive, out = clearly_positive(now.mean, now.error, now.periods), self._left(rows) <= 0
-        outcome.put_by_average(cells, rows[out & ~positive])
+        outcome.put_by_average(cells, rows[out], clear=NOT_STATIONARY)
         uncertain = out & positive
-        outcome.put_chaotic(cells, rows[uncertain], NOT_STATIONARY)
         outcome.put(cells, rows[uncertain], error=np.maximum(now.error, np.abs(now.mean - before))[uncertain])
         chaotic = rows[~out & positive]
         cells.since[chaotic] = cells.began[chaotic]
@@ -270,11 +267,11 @@ class Course:
     def _close(self, rows: Rows) -> None:
         """Close the average of these cells and watch them, or go on to the next average if there is no need to."""
         averages.close(self.cells, rows)
-        missing = self._missing(rows) > 0
-        self.warming(rows[~missing])  # the frame is as it was
-        rest = rows[missing]
-        self.cells.framed[rest], self.cells.averaging[rest], self.stage[rest] = False, False, WATCHING
-        self._aim_watch(rest)
+        missing = self._missing(rows)
+        self.warming(rows[missing <= 0])  # the frame is as it was
+        rows, missing = rows[missing > 0], missing[missing > 0]
+        self.cells.framed[rows], self.cells.averaging[rows] = False, False
+        self._watch(rows, missing)
 
     def _find_order(self, rows: Rows) -> None:
         """Look for tori and, where the exponent is clearly negative, for long orbits."""
@@ -302,12 +299,12 @@ class Course:
         the later one takes the place of the earlier. Without exponents it is aperiodic then.
         """
         self.watched[rows] += self.cells.batch.done[rows]
-        missing = self._missing(rows) > 0
-        self._aim_watch(rows[missing])
+        missing = self._missing(rows)
+        self._watch(rows[missing > 0], missing[missing > 0])
         if self.cells.vectors:
-            self.observe(rows[~missing])
+            self.observe(rows[missing <= 0])
         else:
-            outcome.put_chaotic(self.cells, rows[~missing])
+            outcome.put_chaotic(self.cells, rows[missing <= 0])
 
     def _watchable(self, rows: Rows) -> Rows:
         """Periods for which these cells may still be watched: what proofs have taken of both budgets is gone."""
@@ -324,7 +321,8 @@ class Course:
         """Periods for which these cells are still to be watched before an average as long as the last one."""
         return self._to_watch(rows) - self.cells.earlier.periods[rows].astype(np.int64)
 
-    def _aim_watch(self, rows: Rows) -> None:
-        """The next stretch of watching: long enough for a long orbit to return in it."""
+    def _watch(self, rows: Rows, missing: Rows) -> None:
+        """Watch these cells for a stretch of the ``missing`` periods: long enough for a long orbit to return in it."""
         least = max(LEAST_WATCH, self.settings.max_period + 1)
-        self.stretch[rows] = np.maximum(np.minimum(self.cells.survived(rows) // 2, self._missing(rows)), least)
+        self.stage[rows] = WATCHING
+        self.stretch[rows] = np.maximum(np.minimum(self.cells.survived(rows) // 2, missing), least)
