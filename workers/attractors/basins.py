@@ -95,7 +95,7 @@ def _solve_part(table: Table, params: Mapping[str, Array], arrays: dict[str, NDA
     label, regime = search.label.copy(), search.regime
     for r in np.flatnonzero((label < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
         new = attractor_of(table.oscillators, search, r)
-        label[r] = table.label(new and table.cell.same(new)[0])
+        label[r] = table.label(table.cell.same(new)[0] if new else None)
     for name, values in search.cells.found.items():
         arrays[name][:] = values
     for k, each in enumerate(table.attractors):

@@ -43,7 +43,7 @@ class CellAttractors:
                 return new
         known.starts.append(start)
         if known.reference is not None:
-            known.last.append(search.place(r))
+            known.last.append(search.last(r))
             known.pooled += 1
             known.distance = max(known.distance, float(search.distance[r]))
             known.seen += int(search.compared[r])
@@ -76,7 +76,7 @@ def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | 
     regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
     new = Attractor(regime, search.result(r), int(search.cells.contact[r]), reference=reference)
     if reference is not None:
-        new.last, new.seen = [search.place(r)], int(new.result["survived"]) + int(search.compared[r])
+        new.last, new.seen = [search.last(r)], int(new.result["survived"]) + int(search.compared[r])
         return new
     if regime not in STABLE:
         return None

@@ -22,7 +22,7 @@ from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, Motion
 from workers.model.oscillator import Array, Oscillator, each, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
-from workers.orbit.map import iterate, separation
+from workers.orbit.map import separation
 from workers.orbit.section import moved
 from workers.results import NO_IMPACT, NO_REASON
 
@@ -125,12 +125,10 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     return batch.sections[0]
 
 
-def half_a_period_later(osc: Oscillator, h: Array, contact: int) -> Motion:
-    """The mirror image of what a motion at block state h (n, 2) is then; NaN where it cannot be followed."""
-    image: Motion = iterate(osc, h, contact, np.zeros((0, *h.shape)), np.zeros(0), np.zeros((0, 0)), 1, np.bool_(True))
-    if image.tally[STATUS] != RUNNING:
-        image.h[:] = np.nan
-    return image
+def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
+    """Where the mirror image of a motion at block state h (n, 2) is, with its contact; NaN where that is not known."""
+    later = moved(osc, h, contact, 0.5)
+    return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
 
 
 def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
@@ -140,18 +138,15 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     if old.regime == NO_IMPACT and not half:
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
-    if half:
-        motion = half_a_period_later(osc, motion.h, int(motion.contact[0]))
-    away = norms(osc.gap.metric, old.orbit - motion.h).min()
-    return bool(away < SAME_ORBIT * scale_at(osc.gap.metric, osc.swing, motion.h))
+    h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h
+    return bool(norms(osc.gap.metric, old.orbit - h).min() < SAME_ORBIT * scale_at(osc.gap.metric, osc.swing, h))
 
 
 def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
     """Physical states (N, 2n) on the mirror images of N motions through these ones, with their contacts (N,)."""
     motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, contact)
     for r in range(len(states)):
-        image = half_a_period_later(one_of(oscillators, r), motions.h[r], int(contact[r]))
-        motions.h[r], motions.contact[r] = image.h, image.contact
+        motions.h[r], motions.contact[r] = image_of(one_of(oscillators, r), motions.h[r], int(contact[r]))
     return physical_states(oscillators, motions, np.arange(len(states))), motions.contact[:, 0]
 
 

@@ -102,7 +102,7 @@ class Search:
         """The known attractor that one motion has reached."""
         return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
 
-    def place(self, r: int) -> tuple[Array, int]:
+    def last(self, r: int) -> tuple[Array, int]:
         """The physical state that one motion has come to, and its contact."""
         motions = self.cells.batch.motions
         return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.contact[r, 0])

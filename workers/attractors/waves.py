@@ -133,7 +133,7 @@ class Coexistence:
             owner = np.array([c for c, _, _ in suspects])[of]
             periods = np.array([-(-missing // len(each.starts)) for _, each, missing in suspects])[of]
             number = np.concatenate([each.starts for _, each, _ in suspects])
-            search = self.search(owner, *_stacked([place for _, each, _ in suspects for place in each.last]), STABLE)
+            search = self.search(owner, *_stacked([state for _, each, _ in suspects for state in each.last]), STABLE)
             search.watch(periods)
             ended = (search.label >= 0) | np.isin(search.regime, STABLE)
             for k, (c, each, _) in enumerate(suspects):
@@ -154,7 +154,7 @@ class Coexistence:
     ) -> None:
         """Take an attractor for a transient where not all of its motions stay; those that do may be nowhere at last."""
         each.transient |= len(stay) < len(each.starts)
-        each.starts, each.last = number[stay].tolist(), [search.place(r) for r in stay]
+        each.starts, each.last = number[stay].tolist(), [search.last(r) for r in stay]
         if each.transient and (last or not len(stay)):
             cell.attractors.remove(each)
             cell.undecided += each.starts
