@@ -20,7 +20,7 @@ from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile
-from workers.attractors import same
+from workers.attractors import cell, same
 from workers.attractors.basins import solve_basins
 from workers.attractors.same import orbits_reached
 from workers.attractors.starts import Starts
@@ -33,7 +33,10 @@ from workers.orbit.map import iterate
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
-OF_ATTRACTORS = [*KERNELS, *(value for value in vars(same).values() if isinstance(value, jit.Kernel))]
+OF_ATTRACTORS = [
+    *KERNELS,
+    *(value for module in (cell, same) for value in vars(module).values() if isinstance(value, jit.Kernel)),
+]
 
 COUNTED = """
 import hashlib, json, sys
@@ -118,8 +121,8 @@ def test_no_attractor_has_kernels_of_its_own() -> None:
     warm.warm_up(warm.ATTRACTORS)
     before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
     brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
-    for cell in (TWINS, CHAOTIC_TWINS):
-        solve_attractors("two-mass", cell, brief, Starts(8))
+    for twins in (TWINS, CHAOTIC_TWINS):
+        solve_attractors("two-mass", twins, brief, Starts(8))
     solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
     assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
     assert all(before[kernel] for kernel in (orbits_reached, iterate))
