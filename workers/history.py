@@ -10,7 +10,7 @@ from workers.cell.cells import work_allowed
 from workers.cell.stretch import batch_of, begin, run, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames
 from workers.kernel.lanes.run import Batch
-from workers.kernel.motion import RECORDED, WORK, motions_at
+from workers.kernel.motion import RECORDED, WORK
 from workers.kernel.period import OVERDRAFT
 from workers.model.oscillator import each, many_of
 from workers.model.system import System, find_system
@@ -59,8 +59,8 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     start = initial_state(record, values)
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
     oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
-    motions = motions_at(np.zeros((1, *osc.gap.kick.shape)), vectors=vectors, record=RECORD)
-    (reason,) = begin(oscillators, np.array([NO_REASON], dtype=np.int8), motions, start[None])
+    reasons = np.array([NO_REASON], dtype=np.int8)
+    motions, (reason,) = begin(oscillators, reasons, start[None], vectors=vectors, record=RECORD)
     if reason != NO_REASON:
         raise InvalidError(int(reason))
     motions.tally[:, WORK] = work_allowed(periods) + OVERDRAFT
