@@ -22,7 +22,7 @@ from workers.kernel.cache import CACHE
 __all__ = ["FLOATS", "apart", "lent", "lent_matrix", "lent_row", "lent_vectors", "load"]
 
 FLOATS = {axes: types.Array(types.float64, axes, "C") for axes in (1, 2, 3, 4)}
-"""The types of float64 arrays with so many axes."""
+"""The types of float64 arrays by their number of axes."""
 
 _waiting: list["Apart"] = []
 _loading, _compiles = threading.RLock(), False
