@@ -79,7 +79,7 @@ def _follow(work: tuple[dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]
     cells = Cells(oscillators, reasons, starts, settings, found)
     course = Course(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
     with np.errstate(all="ignore"):
-        course.take(cells.ready)
+        course.take()
     return found | {"relaxation": course.memory / RELAXATIONS}
 
 

@@ -107,7 +107,7 @@ def check(cell: dict[str, float], motions: int, found: Found) -> str:
     state = np.asarray(table.attractors[0].result["state"])
     own = sections(cell, record.states, state)
     contact = np.array([table.attractors[0].contact])
-    image = sections(cell, record.states, mirrored(table.oscillator, state[None], contact)[0][0])
+    image = sections(cell, record.states, mirrored(table.oscillators, state[None], contact)[0][0])
     if own is None or image is None:
         return "comes to an orbit"
     places = np.linspace(0, PERIODS - 1, motions).astype(int)

@@ -13,7 +13,7 @@ from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
 from workers.continuation.stability import pieces
-from workers.model.oscillator import NUMBER, OF_FLOW, Mode, make_blocks
+from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Mode, make_blocks
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -110,7 +110,8 @@ def oscillator(
     N, n = eta.shape
     row1 = np.stack([-lam * c[..., 1], c[..., 0] - 2.0 * eta * c[..., 1]], axis=-1)
     kick1 = np.stack([k[..., 1], -lam * k[..., 0] - 2.0 * eta * k[..., 1]], axis=-1)
-    blocks = make_blocks(eta, lam, lam, load)
+    blocks = make_blocks(eta, lam)
+    blocks[..., COLUMN.load] = load
     blocks[..., OF_FLOW:] = np.concatenate([c, row1, k, kick1, np.zeros((N, n, 2))], axis=-1)
     numbers = np.full((N, len(NUMBER)), np.nan)
     numbers[:, NUMBER.omega] = omega

@@ -5,8 +5,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from workers.model.build import build_one
-from workers.model.oscillator import Machines, Oscillator
+from workers.model.build import build
+from workers.model.oscillator import Machines, Oscillator, one_of
+from workers.results import NO_REASON, InvalidError
+
+
+def build_one(machine: Machines) -> Oscillator:
+    """The oscillator of the only machine; InvalidError where there is a reason against it."""
+    oscillators, reasons = build(machine)
+    if reasons[0] != NO_REASON:
+        raise InvalidError(int(reasons[0]))
+    return one_of(oscillators, 0)
 
 
 def mass_spring(

@@ -198,11 +198,9 @@ def test_the_distance_is_the_largest_difference_of_means_over_its_standard_error
 
 
 def test_a_motion_is_settled_from_where_its_sections_return_after_a_turn() -> None:
-    sections = np.zeros((1, 9, 1, 2))
-    sections[0, :, 0, 1] = [9.0, 9.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0]  # period 2 from the third on
-    metric, swing = np.ones((1, 1)), np.zeros((1, 1, 2))[:, :, :]
-    found = periods_to_settle(metric, swing, sections, np.array([9]), np.array([0]), np.array([20]), np.array([2]))
-    assert found.tolist() == [20 - 6]
+    sections = np.zeros((9, 1, 2))
+    sections[:, 0, 1] = [9.0, 9.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0]  # period 2 from the third on
+    assert periods_to_settle(np.ones(1), np.zeros((1, 2)), sections, 20, 2) == 20 - 6
 
 
 def test_the_cells_of_one_batch_know_their_attractors_apart() -> None:

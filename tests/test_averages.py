@@ -6,22 +6,27 @@ import numpy as np
 import pytest
 
 from tests import naive
-from workers.cell.stretch import run_periods
-from workers.kernel.averages import (
-    COUNT,
-    MEAN,
-    add_growth,
-    add_to_blocks,
-    no_averages,
-    standard_error,
-)
+from workers.cell.stretch import batch_of, run, run_periods
+from workers.kernel.averages import COUNT, LEVELS, MEAN, add_growth, add_to_blocks, standard_error
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import SPREAD
+from workers.kernel.lanes.run import Batch
+from workers.kernel.motion import SPREAD, Motion
 from workers.kernel.tangent import reset_frame
+from workers.model.oscillator import Oscillator, each, many_of
+
+ONE = np.zeros(1, dtype=np.int64)
+
+
+def averaged(osc: Oscillator, motion: Motion, periods: int, kept: int = 0) -> Batch:
+    """The batch of one motion, after a stretch of this many periods that takes it on in place."""
+    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]), kept)
+    batch.periods[0] = periods
+    run(batch, ONE)
+    return batch
 
 
 def blocking(values: np.ndarray) -> np.ndarray:
-    levels = no_averages().levels
+    levels = np.zeros((LEVELS, 4))
     for value in values:
         add_to_blocks(levels, float(value))
     return levels
@@ -80,13 +85,13 @@ def test_too_few_values_have_no_error() -> None:
 
 def test_growth_is_weighted_by_the_bump_function_of_its_place_in_the_stretch() -> None:
     """w = exp(-1 / (u (1 - u))), u the middle of the period as a share of the stretch."""
-    growth, averages = np.random.default_rng(5).normal(size=40), no_averages()
+    growth, levels, weighted = np.random.default_rng(5).normal(size=40), np.zeros((LEVELS, 4)), np.zeros(2)
     for k, value in enumerate(growth):
-        add_growth(averages.levels, averages.weighted, value, k, len(growth))
+        add_growth(levels, weighted, value, k, len(growth))
     u = (np.arange(40) + 0.5) / 40
     weight = np.exp(-1.0 / (u * (1.0 - u)))
-    assert averages.weighted == pytest.approx([np.sum(weight * growth), np.sum(weight)], rel=1e-13)
-    assert averages.levels[0, [COUNT, MEAN]] == pytest.approx([40, growth.mean()], rel=1e-13)
+    assert weighted == pytest.approx([np.sum(weight * growth), np.sum(weight)], rel=1e-13)
+    assert levels[0, [COUNT, MEAN]] == pytest.approx([40, growth.mean()], rel=1e-13)
 
 
 def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None:
@@ -95,9 +100,8 @@ def test_the_weighted_average_of_a_periodic_orbit_beats_the_plain_mean() -> None
     osc, start = naive.two_mass(**naive.FIGURES[3])
     motion = motion_from(osc, start, vectors=1)
     run_periods(osc, motion, 500)
-    averages = no_averages()
-    run_periods(osc, motion, 4000, averages)
-    plain, weighted = averages.levels[0, 1], averages.weighted[0] / averages.weighted[1]
+    average = averaged(osc, motion, 4000)
+    plain, weighted = average.levels[0, 0, MEAN], average.weighted[0, 0] / average.weighted[0, 1]
     assert abs(weighted - exact) < 1e-11
     assert abs(plain - exact) < 1e-3
 
@@ -108,13 +112,14 @@ def test_averages_do_not_depend_on_when_the_frame_is_made_orthonormal(figure: in
     """Against every period, as Li & Tan (2011) do."""
     osc, start = naive.two_mass(**naive.FIGURES[figure])
     one, other = motion_from(osc, start, vectors=vectors), motion_from(osc, start, vectors=vectors)
-    averages, expected = no_averages(), no_averages()
-    run_periods(osc, one, 300, averages)
-    for _ in range(300):
-        run_periods(osc, other, 1, expected)
+    average, expected = averaged(osc, one, 300), averaged(osc, other, 1)
+    for _ in range(299):
         reset_frame(osc, other)
+        expected.done[0] = 0
+        run(expected, ONE)
+    reset_frame(osc, other)
     assert one.tally[SPREAD] > 0.0
-    assert averages.levels[:, MEAN] == pytest.approx(expected.levels[:, MEAN], abs=1e-12)
+    assert average.levels[0, :, MEAN] == pytest.approx(expected.levels[0, :, MEAN], abs=1e-12)
     reset_frame(osc, one)
     assert one.growth == pytest.approx(other.growth, abs=1e-9)
 
@@ -122,9 +127,7 @@ def test_averages_do_not_depend_on_when_the_frame_is_made_orthonormal(figure: in
 def test_a_stretch_ends_with_its_last_sections() -> None:
     osc, start = naive.two_mass(**naive.FIGURES[4])
     one, other = motion_from(osc, start, vectors=1), motion_from(osc, start)
-    kept, expected = np.empty((3, 2, 2)), np.empty((3, 2, 2))
-    run_periods(osc, one, 10, no_averages(), kept)
-    run_periods(osc, other, 10, no_averages(), expected)
+    kept, expected = averaged(osc, one, 10, 3).sections[0], averaged(osc, other, 10, 3).sections[0]
     assert kept == pytest.approx(expected, abs=1e-15)
     assert kept[-1] == pytest.approx(one.h, abs=0)
 

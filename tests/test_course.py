@@ -12,8 +12,8 @@ from tests.test_solve import TORI
 from tests.test_survival import cells_of, relaxation
 from workers import Settings, solve_tile
 from workers.cell.averages import under_way, whole_average
-from workers.cell.cells import Mask, Rows
 from workers.cell.course import AVERAGING, RELAXATIONS, WARM_UP, Course
+from workers.cell.stretch import Mask, Rows
 from workers.kernel.averages import MEAN
 from workers.results import (
     CHAOTIC,
@@ -40,7 +40,7 @@ class Led:
         self.cells = cells_of({name: np.array([value]) for name, value in params.items()}, settings)
         self.course, self.put, self.flown_then = Course(self.cells, is_known=self.nothing_known), put, 0
         with np.errstate(all="ignore"):
-            self.course.take(np.arange(1))
+            self.course.take()
         self.found: dict[str, Any] = {name: values[0] for name, values in self.cells.found.items()}
 
     def nothing_known(self, rows: Rows) -> Mask:
@@ -85,7 +85,7 @@ def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
 
     def put(course: Course) -> None:
         earlier(3.0)(course)
-        course.first[0], course.memory[0] = 100, 200.0
+        course.cells.first[0], course.memory[0] = 100, 200.0
 
     found = Led(naive.FIGURES[5], Settings(tolerance=0.05, survival=0), put).found
     assert (found["regime"], found["reason"]) == (CHAOTIC, NO_REASON)
@@ -188,8 +188,10 @@ def test_no_period_is_averaged_twice() -> None:
     course, ready, second = Course(cells), np.arange(4), False
     with np.errstate(all="ignore"):
         while len(ready):
-            ready = course.look(cells.run(course.begin(ready), to_end=True))
-            average = whole_average(cells, ready)
+            course.begin(ready)
+            course.look(cells.run(cells.ready, to_end=True))
+            ready = cells.ready
+            average, _ = whole_average(cells, ready)
             since = cells.flown[ready] - cells.since[ready] - WARM_UP
             assert not np.any(average.periods > np.maximum(since, 0))
             second |= bool(np.any(cells.earlier.periods[ready] > 0.0))

@@ -12,11 +12,11 @@ import pytest
 
 from tests.oracle import Machine, section_jacobian, simulate
 from tests.oracle.machines import random_machine
+from tests.oscillators import build_one
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.period import propagate
 from workers.kernel.tangent import reset_frame
-from workers.model.build import build_one
 from workers.model.oscillator import Machines, Oscillator
 
 pytestmark = pytest.mark.slow

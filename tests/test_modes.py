@@ -103,3 +103,11 @@ def test_coupling_within_rounding_of_modes_that_nearly_coincide_leaves_them_apar
     assert not found.inseparable[0] and found.lam[0] == pytest.approx(1.0)
     turned = damping + 1e-10 * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     assert not split(np.eye(3)[None], turned[None], np.eye(3)[None]).inseparable[0]
+
+
+def test_masses_tied_to_nothing_are_refused_and_stop_no_other() -> None:
+    """Dashpots that couple them and no springs: every plane is the zero matrix's, and none is independent."""
+    masses, damping = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[0.4, -0.1], [-0.1, 0.3]])
+    with np.errstate(all="ignore"):
+        found = split(np.stack([masses, np.eye(2)]), np.stack([damping] * 2), np.stack([np.zeros((2, 2)), np.eye(2)]))
+    assert found.inseparable.tolist() == [True, False] and found.rigid.tolist() == [2, 0]

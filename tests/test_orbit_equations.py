@@ -31,8 +31,8 @@ from workers.continuation.equations import (
 from workers.continuation.extended import Extended, solve
 from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import ModalOscillator, family_of
-from workers.continuation.pulses import flights, green
-from workers.continuation.stability import multipliers, turn_map
+from workers.continuation.pulses import answers
+from workers.continuation.stability import flights, multipliers, turn_map
 from workers.model.oscillator import COLUMN, OF_FLOW, make_blocks
 from workers.model.system import find_system
 
@@ -140,7 +140,7 @@ def test_the_answer_to_kicks_is_that_of_a_general_integrator(damping: float) -> 
     v = np.array([[0.8, -0.5, 0.3]])
     balance = lin.gap.blocks[0, 2, COLUMN.load] * span / ((1.0 + lin.R[0]) * lin.gap.kick[0, 2, 1])
     points = Impacts(np.array([[0.9, 2.2, 5.1]]), v * balance / v.sum(), np.array([0.25]))
-    start = block_state(lin, itinerary, points, np.zeros((1, 1)))[:, 0, :, 0].T
+    start = block_state(lin, itinerary, points, np.zeros((1, 1)))[0, ..., 0]
     s = np.array([0.3, 1.0, 2.0, 2.3, 4.0, 6.0])
     path, end = kicked(lin, points, span, start, s)
     phase = lin.omega[0] * s + lin.tau[0]
@@ -161,23 +161,24 @@ def test_the_answer_of_a_rigid_mode_has_a_unit_kick_and_mean_zero(damping: float
     lin = lin._replace(gap=lin.gap._replace(blocks=blocks))
     nodes, weights = np.polynomial.legendre.leggauss(200)
     s = np.concatenate([[0.0, 3.7], 1.85 * (nodes + 1.0)])
-    g0, g1, g2, _ = green(lin.gap, np.array([3.7]), 1.0, s[None, :, None])[:, 0, :, 0]
+    u, load = answers(lin.gap.blocks, np.array([3.7]), 1.0, s[None, :, None])
+    g0, g1 = u[0, 0, :, :, 0]
     assert g0[0] == pytest.approx(g0[1], abs=1e-14)
     assert g1[0] - g1[1] == pytest.approx(1.0, abs=1e-14)
     assert 1.85 * weights @ g0[2:] == pytest.approx(0.0, abs=1e-12)
-    assert g2 + 2.0 * damping * g1 == pytest.approx(-1.0 / 3.7, abs=1e-12)
+    assert load == pytest.approx(-1.0 / 3.7, abs=1e-12)
 
 
 def test_flows_are_those_of_the_kernel_s_formula() -> None:
     """Truth: matrix exponentials; near critical and far over it too."""
     from scipy.linalg import expm
 
-    one = bouncing_ball((), A=1.0, R=0.5).model(np.zeros((1, 0))).gap
     for eta, lam in ((0.1, 4.0), (2.0, 4.0), (2.0 + 1e-7, 4.0), (9.0, 4.0), (0.7, 0.0), (0.0, 0.0), (0.0, 3.0)):
         for s in (1e-3, 0.4, 3.0):
-            gap = one._replace(blocks=make_blocks(np.array([[eta]]), np.array([[lam]])))
+            blocks = make_blocks(np.array([[eta]]), np.array([[lam]]))
             exact = expm(np.array([[0.0, 1.0], [-lam, -2.0 * eta]]) * s)
-            assert flights(gap, np.array([[s]]))[0, 0] == pytest.approx(exact, abs=1e-13)
+            found = flights(blocks, np.array([[s]]), np.ones(1), np.zeros((1, 0)))[0, 0]
+            assert found == pytest.approx(exact, abs=1e-13)
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
@@ -211,7 +212,7 @@ def test_the_determinant_is_that_of_the_turn_without_poles(record: dict[str, Any
     """det J_z = prod(-v_i) det(z - DP) / det(z - e^(A span)), the whole orbit and the half of a symmetric one."""
     lin, orbit = linear_at(record), reference_orbit(record)
     points, itinerary, one = impacts_of(orbit), orbit.itinerary, np.eye(4)
-    free = itinerary.sign * flights(lin.gap, itinerary.span(lin)[:, None])[0, 0]
+    free = itinerary.sign * flights(lin.gap.blocks, itinerary.span(lin)[:, None], lin.R, np.zeros((1, 0)))[0, 0]
     DP = turn_map(lin, itinerary, points)[0]
     expected = np.prod(-points.v) * np.linalg.det(z * one - DP) / np.linalg.det(z * one - free)
     assert np.linalg.det(linearised(lin, itinerary, points, z)[0]) == pytest.approx(expected, abs=1e-11)

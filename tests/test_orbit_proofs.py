@@ -10,13 +10,14 @@ from tests import naive
 from tests.oscillators import mass_spring
 from tests.test_attraction import naive_norm
 from tests.test_stroboscopic import KINDS
-from workers.attractors.same import KnownOrbits, orbits_reached, turn
+from workers.attractors.same import KnownOrbits, orbits_reached
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FREE, motion_at, motions_at
 from workers.model.oscillator import Oscillator, many_of
 from workers.model.system import find_system
 from workers.orbit.attraction import shrinking_norm
+from workers.orbit.map import iterate, jacobian_of
 from workers.orbit.newton import (
     Orbits,
     far_from_closing,
@@ -65,6 +66,15 @@ def machine(
         mass=[[1.0]], damping=[[2.0 * zeta]], stiffness=[[4.0]], gap_row=[1.0], force=[force],
         omega=omega, tau=0.0, b_upper=b, b_lower=lower, R=R,
     )  # fmt: skip
+
+
+def path(osc: Oscillator, h: np.ndarray, steps: int, half: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Block states (steps + 1, n, 2) from h on, after each step of the map, and the Jacobian of all of them."""
+    states, motion = [h], motion_at(h, vectors=h.size)
+    for _ in range(steps):
+        motion = iterate(osc, motion.h, int(motion.contact[0]), motion.V, np.zeros(0), np.zeros((0, 0)), 1, half)
+        states.append(motion.h)
+    return np.array(states), jacobian_of(motion.V)
 
 
 def after(osc: Oscillator, h: np.ndarray, periods: int) -> np.ndarray:
@@ -154,9 +164,9 @@ def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
     osc = ball.build({p.name: BALL.get(p.name, p.default) for p in ball.parameters})
     cell = solve_cells(ball, BALL).arrays
     h, period = motion_from(osc, cell["state"]).h, int(cell["period"])
-    w, many = weights(osc), many_of(osc)
+    w = weights(osc)
     scale = float(np.linalg.norm(w * h.ravel()) + np.linalg.norm(w * osc.swing.ravel()))
-    J = turn(many, 0, h, FREE, period, np.bool_(False))[-1]
+    J = path(osc, h, period)[1]
     contraction = 1.0 - np.abs(np.linalg.eigvals(J)).max()
     assert (period, contraction) == (4, pytest.approx(0.479, abs=1e-3))
     assert np.linalg.norm(w[:, None] * J / w, 2) > 10.0
@@ -171,7 +181,7 @@ def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
         for angle in np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False):
             d = distance * scale * np.array([math.cos(angle), math.sin(angle)]) / w
             start = h + d.reshape(1, 2)
-            sections = turn(many, 0, start, FREE, 3 * period, np.bool_(False))[0][None]
+            sections = path(osc, start, 3 * period)[0][None]
             told = orbits_reached(osc.gap.metric[None], swing, sections, np.array([len(sections[0])]), own, own, known)
             shown = proof(osc, start, period)
             own_end, end = after(osc, start, 400 * period), after(osc, start, 400 * period + 1)
@@ -204,7 +214,7 @@ def test_a_symmetric_machine_has_orbits_that_are_not_symmetric() -> None:
     h = attractor(osc)
     seen = proof(osc, h)
     assert seen.found and seen.orbits.period[0] == 1 and not seen.orbits.symmetric[0]
-    states, _, _ = turn(many_of(osc), 0, h, FREE, 2, np.bool_(True))
+    states, _ = path(osc, h, 2, half=True)
     assert np.abs(states[1] - h).max() > 0.01
     assert states[2] == pytest.approx(h, abs=1e-12)
     twin = proof(osc, states[1])

@@ -304,6 +304,7 @@ WRONG = [
     ({"name": None}, "system.name: found None, must be text"),
     ({"name": "a b"}, "system.name: found 'a b', must be letters, digits and hyphens"),
     ({"version": 0}, "system.version: found 0, must be a whole number, 1 or more"),
+    ({"version": 10**5000}, "system.version: found a whole number of thousands of digits, must be at most 1000000"),
     ({"title": 3}, "system.title: found 3, must be text in quotes"),
     ({"coordinates": None}, "system: coordinates missing"),
     ({"coordinates": []}, "system.coordinates: found 0, must be 1 to 8"),

@@ -20,19 +20,23 @@ from tests.handmade import bouncing_ball, impact_pair
 from tests.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile
-from workers.attractors import same
+from workers.attractors import cell, same
 from workers.attractors.basins import solve_basins
-from workers.attractors.same import orbits_reached, periods_to_settle, turn
+from workers.attractors.same import orbits_reached
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.continuation import admissible, branch, curve, equations, orbits, pulses, stability
-from workers.kernel import cells, jit
+from workers.kernel import cache, cells, jit
 from workers.kernel.lanes import run
 from workers.orbit import newton
+from workers.orbit.map import iterate
 
 KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
 """What Python calls, among others."""
-OF_ATTRACTORS = [*KERNELS, *(value for value in vars(same).values() if isinstance(value, jit.Kernel))]
+OF_ATTRACTORS = [
+    *KERNELS,
+    *(value for module in (cell, same) for value in vars(module).values() if isinstance(value, jit.Kernel)),
+]
 
 COUNTED = """
 import hashlib, json, sys
@@ -67,7 +71,7 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         done.extend(part or "cells" for part in parts)
         return True
 
-    monkeypatch.setattr(jit, "CACHE", tmp_path)
+    monkeypatch.setattr(cache, "CACHE", tmp_path)
     monkeypatch.setattr(warm, "warm_up_in_child", slowly)
     monkeypatch.setattr(warm, "TICK", 0.01)
     return done
@@ -117,11 +121,11 @@ def test_no_attractor_has_kernels_of_its_own() -> None:
     warm.warm_up(warm.ATTRACTORS)
     before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
     brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
-    for cell in (TWINS, CHAOTIC_TWINS):
-        solve_attractors("two-mass", cell, brief, Starts(8))
+    for twins in (TWINS, CHAOTIC_TWINS):
+        solve_attractors("two-mass", twins, brief, Starts(8))
     solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
     assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
-    assert all(before[kernel] for kernel in (orbits_reached, periods_to_settle, turn))
+    assert all(before[kernel] for kernel in (orbits_reached, iterate))
 
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
@@ -133,7 +137,7 @@ def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str])
 def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jit, "CACHE", None)
+    monkeypatch.setattr(cache, "CACHE", None)
     warm.compile_once()
     assert compiled == []
 

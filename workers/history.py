@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.cell.cells import work_allowed
-from workers.cell.stretch import begin, run_periods, stop_reasons
+from workers.cell.stretch import batch_of, begin, run, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames
-from workers.kernel.motion import RECORDED, WORK, Motion, motions_at
+from workers.kernel.lanes.run import Batch
+from workers.kernel.motion import RECORDED, WORK
 from workers.kernel.period import OVERDRAFT
-from workers.model.oscillator import Oscillator, each, many_of
+from workers.model.oscillator import each, many_of
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError
 from workers.settings import Settings, check_whole
@@ -58,14 +59,17 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     start = initial_state(record, values)
     vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
     oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
-    motions = motions_at(np.zeros((1, *osc.gap.kick.shape)), vectors=vectors, record=RECORD)
-    (reason,) = begin(oscillators, np.array([NO_REASON], dtype=np.int8), motions, start[None])
+    reasons = np.array([NO_REASON], dtype=np.int8)
+    motions, (reason,) = begin(oscillators, reasons, start[None], vectors=vectors, record=RECORD)
     if reason != NO_REASON:
         raise InvalidError(int(reason))
     motions.tally[:, WORK] = work_allowed(periods) + OVERDRAFT
+    batch = batch_of(oscillators, motions)
+    batch.periods[:] = 1
     states, impacts, exponents = [start], [np.empty((0, 3))], []
     for k in range(periods):
-        motions = _a_period_later(osc, motions)
+        batch = _a_period_later(batch, cell)
+        motions = batch.motions
         (reason,) = stop_reasons(motions, cell)
         if reason != NO_REASON:
             raise ValueError(f"period {k}: {REASONS[reason].text}")
@@ -83,12 +87,13 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     )
 
 
-def _a_period_later(osc: Oscillator, motions: Motion) -> Motion:
-    """The one motion a period later, with room for all of its impacts."""
-    room, before = motions.impacts, motions._replace(impacts=motions.impacts[:, :0])
+def _a_period_later(batch: Batch, cell: NDArray[np.int64]) -> Batch:
+    """The one motion of a batch a period later, with room for all of its impacts."""
+    before = each(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
     while True:
-        later: Motion = each(before, np.copy)._replace(impacts=room)
-        run_periods(osc, each(later, lambda field: field[0]), 1)
-        if later.tally[0, RECORDED] < room.shape[1]:
-            return later
-        room = np.empty((1, 2 * room.shape[1], 3))
+        batch.done[:] = 0
+        run(batch, cell)
+        room = batch.motions.impacts.shape[1]
+        if batch.motions.tally[0, RECORDED] < room:
+            return batch
+        batch = batch._replace(motions=each(before, np.copy)._replace(impacts=np.empty((1, 2 * room, 3))))

@@ -194,6 +194,6 @@ def _marker(folder: Path, part: str) -> Path:
 
 def _cache() -> Path | None:
     """The folder of the compiled kernels, None where there is none."""
-    from workers.kernel.jit import CACHE
+    from workers.kernel.cache import CACHE
 
     return CACHE

@@ -13,49 +13,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.attractors.cell import attractor_of_orbit
-from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
-from workers.attractors.search import motions_at_once
+from workers.attractors.cell import attractor_of
+from workers.attractors.record import STABLE, STATISTICAL, Attractor
+from workers.attractors.search import Search, motions_at_once
 from workers.attractors.starts import Starts
 from workers.attractors.waves import Coexistence
-from workers.cell.cells import Array
-from workers.cell.stretch import sections_from
-from workers.kernel.cells import start_motions
-from workers.kernel.motion import motions_at
-from workers.model.oscillator import Oscillator, taken
+from workers.cell.stretch import begin, sections_from
+from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
-from workers.results import BEYOND_TABLE, LABEL, SETTLED, UNKNOWN_LABEL, result_variables
+from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL, result_variables
 from workers.settings import Settings
 from workers.tile import Solution, initial_state, solve_parts
 
 
-class Table:
-    """The attractors that the reference set of one machine reaches, those of larger share first."""
+class Table(Coexistence):
+    """The attractors that the reference set of one machine reaches, those of larger share first.
+
+    A label is a place among these ``attractors``.
+    """
 
     def __init__(self, record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> None:
-        self.machine = Coexistence(record, {k: np.array([value]) for k, value in values.items()}, settings, starts)
-        self.machine.solve()
-        (self.cell,) = self.machine.cells
-        self.record, self.settings, self.starts = record, settings, starts
+        super().__init__(record, {name: np.array([value]) for name, value in values.items()}, settings, starts)
+        self.solve()
+        (self.cell,), self.record = self.cells, record
+        self.attractors = self.cell.attractors
         self.attractors.sort(key=lambda each: each.order)
-
-    @property
-    def attractors(self) -> list[Attractor]:
-        """All of them; a label is a place in this list."""
-        return self.cell.attractors
-
-    @property
-    def oscillator(self) -> Oscillator:
-        """The machine, as a record of many."""
-        return self.cell.oscillator
 
     def mirrors(self) -> NDArray[np.int64]:
         """The label of the mirror image of each attractor, -1 where none is known; of a symmetric one its own."""
         return np.array([self.label(each.image(self.cell.symmetric)) for each in self.attractors], dtype=np.int64)
 
-    def search(self, states: Array, references: bool) -> Found:
+    def solved(self, states: Array, references: bool) -> Search:
         """What motions from physical states (N, 2n) come to, compared with the attractors of the table."""
-        return self.machine.search(np.zeros(len(states), dtype=np.int64), states).solve(references)
+        search = self.search(np.zeros(len(states), dtype=np.int64), states)
+        search.solve(references)
+        return search
 
     def label(self, attractor: Attractor | None) -> int:
         """The label of an attractor of the table."""
@@ -99,18 +91,20 @@ def reference_table(system: str, values: tuple[tuple[str, float], ...], settings
 
 def _solve_part(table: Table, params: Mapping[str, Array], arrays: dict[str, NDArray[Any]]) -> None:
     """Write the results of the initial states among these parameters (N,)."""
-    found = table.search(initial_state(table.record, params), references=False)
-    label, regime = found.label.copy(), found.regime
+    search = table.solved(initial_state(table.record, params), references=False)
+    label, regime = search.label.copy(), search.regime
     for r in np.flatnonzero((label < 0) & np.isin(regime, STABLE)).tolist():  # proved anew
-        label[r] = table.label(table.cell.same(attractor_of_orbit(table.oscillator, found, r)))
-    for name, values in found.cells.found.items():
+        new = attractor_of(table.oscillators, search, r)
+        label[r] = table.label(table.cell.same(new)[0] if new else None)
+    for name, values in search.cells.found.items():
         arrays[name][:] = values
     for k, each in enumerate(table.attractors):
         for name, value in each.result.items():
             arrays[name][label == k] = value
     on_attractor = (label >= 0) | np.isin(regime, (*STABLE, *STATISTICAL))
-    arrays["periods_used"][:] = found.cells.used
-    arrays[SETTLED.name][on_attractor] = found.settled[on_attractor]
+    arrays["periods_used"][:] = search.cells.used
+    settled = np.where(search.arrival >= 0, search.arrival, search.cells.flown)
+    arrays[SETTLED.name][on_attractor] = settled[on_attractor]
     arrays[LABEL.name][:] = np.where(label >= 0, label, np.where(on_attractor, BEYOND_TABLE, UNKNOWN_LABEL))
 
 
@@ -121,19 +115,18 @@ def added(table: Table, states: Array) -> NDArray[np.int64]:
     """
     labels = np.full(len(states), UNKNOWN_LABEL, dtype=np.int64)
     for k in range(len(states)):
-        found = table.search(states[k : k + 1], references=True)
-        known = int(found.label[0])
-        labels[k] = known if known >= 0 else table.label(table.cell.put(table.starts.count + k, found, 0))
+        search = table.solved(states[k : k + 1], references=True)
+        labels[k] = table.label(table.cell.put(table.starts.count + k, search, 0))
     return labels
 
 
 def section_points(table: Table, count: int) -> Array:
     """Physical section states (A, count, 2n) of every attractor: of an orbit each once, the rest NaN."""
-    N, size = len(table.attractors), table.oscillator.to_physical.shape[1]
-    oscillators, motions = taken(table.oscillator, np.zeros(N, dtype=np.int64)), motions_at(np.zeros((N, size // 2, 2)))
+    N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([each.result["state"] for each in table.attractors]).reshape(N, size)
-    start_motions(oscillators, motions, states, np.arange(N))
-    motions.contact[:, 0] = [each.contact for each in table.attractors]
+    contact = np.array([each.contact for each in table.attractors], dtype=np.int64)
+    oscillators = taken(table.oscillators, np.zeros(N, dtype=np.int64))
+    motions, _ = begin(oscillators, np.full(N, NO_REASON, dtype=np.int8), states, contact)
     found = np.full((N, count, size), np.nan)
     counts = np.array([min(each.period or count, count) for each in table.attractors], dtype=np.int64)
     points = sections_from(oscillators, motions, counts)

@@ -2,10 +2,14 @@
 
 import numpy as np
 
-from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
-from workers.attractors.same import DIFFERENT, nearest, same_orbit, states_of_turn, turn
-from workers.model.oscillator import COLUMN, Oscillator
+from workers.attractors.record import STABLE, Attractor
+from workers.attractors.same import nearest, same_orbit, states_of_turn
+from workers.attractors.search import Search
+from workers.cell.exponents import free_exponents
+from workers.kernel.motion import axes
+from workers.model.oscillator import Oscillator, one_of
 from workers.orbit.attraction import shrinking_norm
+from workers.orbit.map import iterate, jacobian_of
 from workers.results import NO_IMPACT
 
 LONGEST_KNOWN = 32
@@ -24,56 +28,69 @@ class CellAttractors:
         self.attractors: list[Attractor] = []
         self.undecided: list[int] = []
 
-    def put(self, start: int, found: Found, r: int) -> Attractor | None:
-        """The attractor, known or new, that motion r reaches, which was solved in full from an initial state.
+    def put(self, start: int, search: Search, r: int) -> Attractor | None:
+        """The attractor, known or new, that motion r from an initial state reaches; None where that is not known."""
+        known = search.recognised(r)
+        if known is None:
+            new = attractor_of(self.oscillator, search, r)
+            if new is None:
+                self.undecided.append(start)
+                return None
+            known, search.distance[r] = self.same(new)
+            if known is None:
+                self._add(new)
+                new.starts.append(start)
+                return new
+        known.starts.append(start)
+        if known.reference is not None:
+            known.last.append(search.last(r))
+            known.pooled += 1
+            known.distance = max(known.distance, float(search.distance[r]))
+            known.seen += int(search.compared[r])
+        return known
 
-        None where that is not known.
-        """
-        regime, reference = int(found.regime[r]), found.reference[r]
-        if regime in STABLE:
-            new = attractor_of_orbit(self.oscillator, found, r)
-            known = self.same(new)
-        elif regime in STATISTICAL and reference is not None:
-            new = Attractor(regime, found.result(r), int(found.cells.contact[r]), reference=reference)
-            new.last, new.seen = [found.last[r]], int(new.result["survived"]) + int(found.compared[r])
-            place, found.distance[r] = nearest(self.alike(new), reference)
-            known = self.alike(new)[place] if found.distance[r] <= DIFFERENT else None
-        else:
-            self.undecided.append(start)
-            return None
-        if known is not None:
-            known.add(start, found, r)
-            return known
-        for each in self.attractors if self.symmetric and regime in STABLE else []:
-            if same_orbit(self.oscillator, each, new, half=True):
-                each.mirror, new.mirror = new, each
-        new.starts.append(start)
-        self.attractors.append(new)
-        return new
-
-    def same(self, new: Attractor) -> Attractor | None:
-        """The known attractor that an orbit, or motion without impact, is."""
-        return next((each for each in self.attractors if same_orbit(self.oscillator, each, new)), None)
+    def same(self, new: Attractor) -> tuple[Attractor | None, float]:
+        """The known attractor that another one is, an orbit exactly, any other by statistics; and its distance."""
+        if new.reference is None:
+            return next((each for each in self.attractors if same_orbit(self.oscillator, each, new)), None), np.nan
+        place, away = nearest(self.alike(new), new.reference)
+        return (self.alike(new)[place] if place >= 0 else None), away
 
     def alike(self, attractor: Attractor) -> list[Attractor]:
         """The known attractors of its regime."""
         return [each for each in self.attractors if each.regime == attractor.regime]
 
+    def _add(self, new: Attractor) -> None:
+        """Add an attractor, and see of which known orbit one is the mirror image."""
+        for each in self.attractors if self.symmetric and new.reference is None else []:
+            if same_orbit(self.oscillator, each, new, half=True):
+                each.mirror, new.mirror = new, each
+        self.attractors.append(new)
 
-def attractor_of_orbit(oscillator: Oscillator, found: Found, r: int) -> Attractor:
-    """The attractor that a motion has been proved to fall into: an orbit, or motion without impact."""
-    orbits, gap, regime = found.cells.orbits, oscillator.gap, int(found.regime[r])
-    new = Attractor(regime, found.result(r), int(found.cells.contact[r]))
-    new.h, new.period, new.shift = orbits.h[r].copy(), int(orbits.period[r]), float(orbits.shift[r])
-    largest = float(orbits.exponents[r, 0])
+
+def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | None:
+    """The attractor of a motion that was solved in full, as it alone shows it; None where that is not known.
+
+    An orbit or motion without impact that it has been proved to fall into, or chaos or a torus that it was followed on.
+    """
+    regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
+    new = Attractor(regime, search.result(r), int(search.cells.contact[r]), reference=reference)
+    if reference is not None:
+        new.last, new.seen = [search.last(r)], int(new.result["survived"]) + int(search.compared[r])
+        return new
+    if regime not in STABLE:
+        return None
     if regime == NO_IMPACT:
-        new.h, new.period, new.shift = np.zeros_like(new.h), 1, 0.0
-        largest = -float(gap.blocks[0][:, COLUMN.slow].min() * oscillator.period[0])
-    new.orbit = states_of_turn(oscillator, new, new.shift, new.period)[: new.period]
+        new.h, new.period, largest = np.zeros_like(orbits.h[r]), 1, float(free_exponents(oscillator)[0, 0])
+    else:
+        new.h, new.period, new.shift = orbits.h[r].copy(), int(orbits.period[r]), float(orbits.shift[r])
+        largest = float(orbits.exponents[r, 0])
+    new.orbit = states_of_turn(oscillator, new)
     if largest < 0.0 and new.period <= LONGEST_KNOWN:
-        _, _, jacobian = turn(oscillator, 0, new.h, new.contact, new.period, np.bool_(False))
-        contraction = -float(np.expm1(largest * new.period))
-        norm = shrinking_norm(gap.metric[0], jacobian, contraction)
+        osc, n = one_of(oscillator, 0), len(new.h)
+        turn = iterate(osc, new.h, new.contact, axes(n), np.zeros(0), np.zeros((0, 0)), new.period, np.bool_(False))
+        jacobian, contraction = jacobian_of(turn.V), -float(np.expm1(largest * new.period))
+        norm = shrinking_norm(osc.gap.metric, jacobian, contraction)
         if np.isfinite(norm).all():
             new.jacobian, new.contraction, new.norm = jacobian, contraction, norm
     return new

@@ -16,16 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.attractors.record import Attractor
-from workers.cell.cells import Array, Rows
-from workers.kernel.cells import physical_states, scale_at, start_motions
+from workers.cell.stretch import Rows, batch_of, begin, run
+from workers.kernel.cells import physical_states, scale_at
 from workers.kernel.jit import kernel
-from workers.kernel.motion import RUNNING, STATUS, axes, motion_with, motions_at, oscillator_of
-from workers.kernel.period import step
-from workers.model.oscillator import Oscillator, many_of, one_of
+from workers.kernel.motion import RUNNING, STATUS, Motion
+from workers.model.oscillator import Array, Oscillator, each, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
-from workers.orbit.map import jacobian_of, separation
+from workers.orbit.map import separation
 from workers.orbit.section import moved
-from workers.results import NO_IMPACT
+from workers.results import NO_IMPACT, NO_REASON
 
 NEAR_ORBIT = 1e-2
 """Distance from a known orbit, relative to the motion's scale, from which on a motion may be falling into it."""
@@ -96,50 +95,40 @@ def orbits_reached(metric, swing, sections, kept, rows, owner, known):
     return found
 
 
-@kernel
-def periods_to_settle(metric, swing, sections, kept, rows, flown, period):
-    """Periods (len(rows),) after which sections of these motions stay within NEAR_ORBIT of those a turn later.
+def norms(metric: Array, h: Array) -> Array:
+    """The energy norms (K,) of block states h (K, n, 2)."""
+    return np.asarray(np.sqrt((metric * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
 
-    flown (N,) periods gone through, of which the last ``kept`` (N,) sections are known; period (len(rows),) of the
-    orbit that each falls into.
+
+def periods_to_settle(metric: Array, swing: Array, sections: Array, flown: int, period: int) -> int:
+    """Periods after which the sections of a motion stay within NEAR_ORBIT of those a turn later.
+
+    sections (K, n, 2): the last that are known after ``flown`` periods; period: of the orbit that it falls into.
     """
-    found = np.empty(len(rows), dtype=np.int64)
-    last = sections.shape[1] - 1
-    for e in range(len(rows)):
-        r, p = rows[e], period[e]
-        k = last
-        near = NEAR_ORBIT * scale_at(metric[r], swing[r], sections[r, last])
-        while k - p > last - kept[r] and separation(metric[r], sections[r, k], sections[r, k - p]) <= near:
-            k -= 1
-        found[e] = flown[r] - (last - k) - p + 1
-    return found
+    away = norms(metric, sections[period:] - sections[:-period])
+    far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_at(metric, swing, sections[-1])))
+    return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
 
-@kernel
-def turn(oscillators, r, h, contact, steps, half):
-    """Some steps of the map from a block state h (n, 2) of oscillator r.
-
-    Returns each state, h the first, NaN from where the motion cannot be followed; the last one's contact; the Jacobian.
-    """
-    osc = oscillator_of(oscillators, r)
-    motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
-    states = np.full((steps + 1, h.shape[0], 2), np.nan)
-    states[0] = h
-    for k in range(steps):
-        step(osc, motion, half)
-        if motion.tally[STATUS] != RUNNING:
-            break
-        states[k + 1] = motion.h
-    return states, motion.contact[0], jacobian_of(motion.V)
-
-
-def states_of_turn(oscillator: Oscillator, orbit: Attractor, shift: float, steps: int, half: bool = False) -> Array:
-    """Block states (steps + 1, n, 2) of an orbit at t = shift T, and after each step of the map from there."""
+def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
+    """An orbit on the section t = (k + shift) T: its oscillator as seen from there, and its motion."""
     osc = one_of(oscillator, 0)
-    first = moved(osc, orbit.h, orbit.contact, shift)
-    there = many_of(osc._replace(tau=osc.tau + 2.0 * np.pi * shift))
-    states: Array = turn(there, 0, first.h, int(first.contact[0]), steps, np.bool_(half))[0]
-    return states
+    return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), moved(osc, orbit.h, orbit.contact, shift)
+
+
+def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
+    """Block states (period, n, 2) of an orbit on the section where it was proved."""
+    osc, motion = seen_from(oscillator, orbit, orbit.shift)
+    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]), orbit.period)
+    batch.periods[0] = orbit.period
+    run(batch, np.zeros(1, dtype=np.int64))
+    return batch.sections[0]
+
+
+def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
+    """Where the mirror image of a motion at block state h (n, 2) is, with its contact; NaN where that is not known."""
+    later = moved(osc, h, contact, 0.5)
+    return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
 
 
 def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
@@ -148,20 +137,17 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
         return False
     if old.regime == NO_IMPACT and not half:
         return True
-    h, metric = states_of_turn(oscillator, new, old.shift, int(half), half)[-1], oscillator.gap.metric[0]
-    away = metric * (old.orbit[..., 0] - h[:, 0]) ** 2 + (old.orbit[..., 1] - h[:, 1]) ** 2
-    return bool(np.sqrt(away.sum(axis=-1)).min() < SAME_ORBIT * scale_at(metric, oscillator.swing[0], h))
+    osc, motion = seen_from(oscillator, new, old.shift)
+    h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h
+    return bool(norms(osc.gap.metric, old.orbit - h).min() < SAME_ORBIT * scale_at(osc.gap.metric, osc.swing, h))
 
 
 def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
     """Physical states (N, 2n) on the mirror images of N motions through these ones, with their contacts (N,)."""
-    N, n = oscillators.gap_row.shape
-    motions, rows = motions_at(np.zeros((N, n, 2))), np.arange(N)
-    start_motions(oscillators, motions, states, rows)
-    for r in range(N):
-        after, motions.contact[r, 0], _ = turn(oscillators, r, motions.h[r], int(contact[r]), 1, np.bool_(True))
-        motions.h[r] = after[1]
-    return np.asarray(physical_states(oscillators, motions, rows)), motions.contact[:, 0]
+    motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, contact)
+    for r in range(len(states)):
+        motions.h[r], motions.contact[r] = image_of(one_of(oscillators, r), motions.h[r], int(contact[r]))
+    return physical_states(oscillators, motions, np.arange(len(states))), motions.contact[:, 0]
 
 
 def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
@@ -186,7 +172,7 @@ def distance(one: Array, other: Array) -> float:
 
 
 def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[int, float]:
-    """The place of that chaos or torus which batches (k, 4n) are nearest to, and their distance; (-1, inf) of none."""
+    """The place of that chaos or torus which batches (k, 4n) are nearest to, -1 where all differ; and the distance."""
     apart = [np.inf if known.reference is None else distance(known.reference, batches) for known in attractors]
-    place = int(np.argmin(apart)) if apart else -1
-    return place, min(apart, default=np.inf)
+    away = min(apart, default=np.inf)
+    return apart.index(away) if away <= DIFFERENT else -1, away

@@ -1,14 +1,18 @@
 """Motions that are compared with known attractors, and solved in full where they reach none of them."""
 
+from typing import Any
+
 import numpy as np
 
 from workers.attractors import same
-from workers.attractors.record import STATISTICAL, Attractor, Found
+from workers.attractors.record import STATISTICAL, Attractor
 from workers.attractors.same import KnownOrbits, batch_moments, nearest, orbits_reached, periods_to_settle
-from workers.cell.cells import Array, Cells, Mask, Reasons, Rows
+from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER, Course
 from workers.cell.outcome import end_impact_free, end_stopped
-from workers.model.oscillator import Oscillator
+from workers.cell.stretch import Mask, Reasons, Rows
+from workers.kernel.cells import physical_states
+from workers.model.oscillator import Array, Oscillator
 from workers.results import result_variables
 from workers.settings import Settings
 from workers.tile import MEMORY_AT_ONCE, result_arrays
@@ -37,17 +41,14 @@ class Known:
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
         n = oscillators.gap_row.shape[1]
         self.attractors = [each for attractors in of_cells for each in attractors]
-        owner = np.repeat(np.arange(len(of_cells)), [len(attractors) for attractors in of_cells])
-        self.places = np.array([k for k, a in enumerate(self.attractors) if a.jacobian is not None], dtype=np.int64)
-        self.references: list[list[int]] = [[] for _ in of_cells]
-        for k, each in enumerate(self.attractors):
-            if each.reference is not None:
-                self.references[owner[k]].append(k)
-        ends = np.searchsorted(owner[self.places], np.arange(len(of_cells) + 1))
-        some = [self.attractors[k] for k in self.places]
+        ends = np.cumsum([0, *map(len, of_cells)])
+        self.places = np.flatnonzero([each.jacobian is not None for each in self.attractors])
+        of_chaos = np.flatnonzero([each.reference is not None for each in self.attractors])
+        self.references = np.split(of_chaos, np.searchsorted(of_chaos, ends[1:-1]))
+        some, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
         self.orbits = KnownOrbits(
-            first=ends[:-1],
-            last=ends[1:],
+            first=of_cell[:-1],
+            last=of_cell[1:],
             h=np.array([a.h for a in some]).reshape(-1, n, 2),
             period=np.array([a.period for a in some], dtype=np.int64),
             jacobian=np.array([a.jacobian for a in some], dtype=np.float64).reshape(-1, 2 * n, 2 * n),
@@ -57,11 +58,19 @@ class Known:
 
 
 class Search:
-    """N motions, each compared with the known attractors of its cell, ``owner`` (N,), and what they have come to.
+    """N motions, each compared with the known attractors of its cell, ``owner`` (N,), and what they come to.
 
     They begin at physical states (N, 2n), with contacts (N,) if they go on from there; those with a reason have no
     oscillator. Their course ends where they fall into a known orbit. Those whose transients are over leave it where
     chaos or a torus is known of their cell, to be compared with that.
+
+    cells        with the results of those that were solved in full
+    regime       of each motion, PENDING where it was recognised
+    label        place of the known attractor that each has reached, -1 for none
+    arrival      periods until it was within a hundredth of its scale on a known orbit, -1 where it reached none
+    distance     in standard errors from the attractor that it was put to by statistics
+    reference    of motions on a new chaos or torus, their batches
+    compared     periods on the attractor after its class was known
     """
 
     def __init__(
@@ -74,58 +83,72 @@ class Search:
         owner: Rows,
         contact: Rows | None = None,
     ) -> None:
-        arrays = result_arrays(result_variables(settings), settings, len(owner), states.shape[1])
+        N = len(owner)
+        arrays = result_arrays(result_variables(settings), settings, N, states.shape[1])
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
-        self.known, self.owner, self.found = known, owner, Found(self.cells)
-        self.to_compare = np.zeros(len(owner), dtype=np.bool_)
         self.course = Course(self.cells, self._is_known, self._leaves)
+        self.known, self.owner, self.regime = known, owner, arrays["regime"]
+        self.label, self.arrival = np.full((2, N), -1)
+        self.distance = np.full(N, np.nan)
+        self.reference: dict[int, Array] = {}
+        self.compared = np.zeros(N, dtype=np.int64)
+        self.to_compare = np.zeros(N, dtype=np.bool_)
 
-    def solve(self, references: bool = True) -> Found:
-        """What the motions come to; with ``references`` also what a new chaos or torus is told by."""
-        with np.errstate(all="ignore"):
-            self.course.take(self.cells.ready)
-            self._compare()
-            if references:
-                self._refer()
-        return self.found
+    def result(self, r: int) -> dict[str, Any]:
+        """The results of one motion."""
+        return {name: values[r].copy() for name, values in self.cells.found.items()}
 
-    def watch(self, periods: Rows) -> Found:
-        """What they come to in ``periods`` (N,): recognised, on an orbit, or on as they were, regime PENDING."""
+    def recognised(self, r: int) -> Attractor | None:
+        """The known attractor that one motion has reached."""
+        return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
+
+    def last(self, r: int) -> tuple[Array, int]:
+        """The physical state that one motion has come to, and its contact."""
+        motions = self.cells.batch.motions
+        return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.contact[r, 0])
+
+    @np.errstate(all="ignore")
+    def solve(self, references: bool = True) -> None:
+        """Take the motions to their attractors; with ``references`` also to what a new chaos or torus is told by."""
+        self.course.take()
+        self._compare()
+        if references:
+            self._refer()
+
+    @np.errstate(all="ignore")
+    def watch(self, periods: Rows) -> None:
+        """Take them on for ``periods`` (N,): recognised, on an orbit, or on as they were, regime PENDING."""
         rows, flown = self.cells.ready, self.cells.flown
-        with np.errstate(all="ignore"):
-            while len(rows):
-                rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
-                rows = rows[flown[rows] < periods[rows]]
-            self.found.keep_last(np.arange(len(self.owner)))
-        return self.found
+        while len(rows):
+            rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
+            rows = rows[flown[rows] < periods[rows]]
 
+    @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = same.REFERENCE) -> tuple[Rows, Array]:
         """Those of these motions that go on for this many batches, on no orbit; and the batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
-        with np.errstate(all="ignore"):
-            for k in range(batches if len(rows) else 0):
-                rows = self._advance(rows, same.BATCH)
-                means[rows, k] = batch_moments(self.cells.batch.sections, rows, same.BATCH)
-        self.found.compared[rows] += batches * same.BATCH
-        self.found.keep_last(rows)
+        for k in range(batches if len(rows) else 0):
+            rows = self._advance(rows, same.BATCH)
+            means[rows, k] = batch_moments(self.cells.batch.sections, rows, same.BATCH)
+        self.compared[rows] += batches * same.BATCH
         return rows, means[rows]
 
     def _is_known(self, rows: Rows) -> Mask:
         """Which of these motions fall into a known orbit; they have its label."""
         cells, orbits = self.cells, self.known.orbits
         metric, swing, sections = cells.oscillators.gap.metric, cells.oscillators.swing, cells.batch.sections
-        found = orbits_reached(metric, swing, sections, cells.kept(), rows, self.owner, orbits)
+        kept = cells.kept()
+        found = orbits_reached(metric, swing, sections, kept, rows, self.owner, orbits)
         reached = found >= 0
-        rows, found = rows[reached], found[reached]
-        self.found.label[rows] = self.known.places[found]
-        self.found.arrival[rows] = periods_to_settle(
-            metric, swing, sections, cells.kept(), rows, cells.flown, orbits.period[found]
-        )
+        self.label[rows[reached]] = self.known.places[found[reached]]
+        for r, period in zip(rows[reached], orbits.period[found[reached]], strict=True):
+            known = sections[r, sections.shape[1] - kept[r] :]
+            self.arrival[r] = periods_to_settle(metric[r], swing[r], known, cells.flown[r], period)
         return np.asarray(reached)
 
     def _leaves(self, rows: Rows) -> Mask:
         """Of whose cell chaos or a torus is known."""
-        self.to_compare[rows] = [bool(self.known.references[c]) for c in self.owner[rows]]
+        self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int) -> Rows:
@@ -139,19 +162,20 @@ class Search:
 
     def _compare(self) -> None:
         """Put motions to the chaos or the torus that they are on; go on with those that are on none of them."""
-        rows, found, known = np.flatnonzero(self.to_compare), self.found, self.known
+        rows, known = np.flatnonzero(self.to_compare), self.known
         for batches in (same.FIRST_LOOK, same.SECOND_LOOK):
             rows, means = self.sample(rows, batches)
             for r, of_motion in zip(rows, means, strict=True):
                 labels = known.references[self.owner[r]]
                 place, away = nearest([known.attractors[k] for k in labels], of_motion)
-                if away <= same.DIFFERENT:
-                    found.label[r], found.distance[r] = labels[place], away
-            rows = rows[found.label[rows] < 0]
-        found.compared[rows] = 0
+                if place >= 0:
+                    self.label[r], self.distance[r] = labels[place], away
+            rows = rows[self.label[rows] < 0]
+        self.compared[rows] = 0
         self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # they were to decide nothing
+        self.cells.going[rows] = True
         self.course.observe(rows)
-        self.course.take(rows)
+        self.course.take()
 
     def _refer(self) -> None:
         """Go on with those motions that are on a chaos or torus that is not known, to tell what it is by.
@@ -160,12 +184,11 @@ class Search:
         """
         arrays = self.cells.found
         before = {name: values.copy() for name, values in arrays.items()}
-        new = np.flatnonzero((self.found.label < 0) & np.isin(self.found.regime, STATISTICAL))
+        new = np.flatnonzero((self.label < 0) & np.isin(self.regime, STATISTICAL))
         for variable in result_variables(self.cells.settings):
             arrays[variable.name][new] = variable.fill
         self.cells.framed[new] = False
         going, means = self.sample(new)
         for name, values in arrays.items():
             values[going] = before[name][going]
-        for r, of_motion in zip(going, means, strict=True):
-            self.found.reference[r] = of_motion
+        self.reference = dict(zip(going.tolist(), means, strict=True))

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workers.attractors.cell import CellAttractors
-from workers.attractors.record import STABLE, STATISTICAL, Attractor, Found
-from workers.attractors.same import DIFFERENT, mirrored, nearest
+from workers.attractors.record import STABLE, STATISTICAL, Attractor
+from workers.attractors.same import mirrored, nearest
 from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
-from workers.cell.cells import Array, Rows
-from workers.model.oscillator import taken
+from workers.cell.stretch import Rows
+from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
 from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON, result_variables
 from workers.settings import Settings
@@ -66,7 +66,7 @@ def solve_attractors(
 class Coexistence:
     """N cells of these parameters (N,) each, and the attractors that are known of them.
 
-    used (N,) forcing periods, tried (N,) initial states that have a motion; first: results of the cells' own
+    used (N,) forcing periods, tried (N,) initial states that have a motion; own: the search from the cells' own
     """
 
     def __init__(self, record: System, params: Mapping[str, Array], settings: Settings, starts: Starts) -> None:
@@ -76,7 +76,6 @@ class Coexistence:
             self.states = initial_states(starts, self.oscillators, record.states, initial_state(record, params))
         self.cells = [CellAttractors(taken(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
         self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
-        self.first: list[dict[str, Any]] = []
 
     def solve(self) -> None:
         """Solve the initial states wave by wave, then see whether what looks chaotic lasts."""
@@ -89,21 +88,6 @@ class Coexistence:
         self._watch()
         self._pair()
 
-    def _solve_wave(self, cells: Rows, wave: range) -> None:
-        owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
-        there = np.isfinite(self.states[owner, number]).all(axis=1) | (number == 0)
-        owner, number = owner[there], number[there]
-        if not len(owner):
-            return
-        search = self.search(owner, self.states[owner, number])
-        found = search.solve()
-        np.add.at(self.used, owner, found.cells.used)
-        if wave.start == 0:
-            self.first = [found.result(r) for r in range(len(owner))]
-        moving = np.flatnonzero((found.label >= 0) | (found.regime != INVALID))
-        np.add.at(self.tried, owner[moving], 1)
-        self._assign(owner, number, search, moving)
-
     def search(
         self, owner: Rows, states: Array, contact: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
     ) -> Search:
@@ -115,14 +99,25 @@ class Coexistence:
         oscillators, reasons = taken(self.oscillators, owner), self.reasons[owner]
         return Search(oscillators, reasons, states, self.settings, known, owner, contact)
 
-    def _assign(self, owner: Rows, number: Rows, search: Search, rows: Rows) -> None:
-        """Put each motion to its attractor, one that is known or a new one; in the order of the initial states."""
+    def _solve_wave(self, cells: Rows, wave: range) -> None:
+        owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
+        there = np.isfinite(self.states[owner, number]).all(axis=1) | (number == 0)
+        owner, number = owner[there], number[there]
+        if not len(owner):
+            return
+        search = self.search(owner, self.states[owner, number])
+        search.solve()
+        if wave.start == 0:
+            self.own = search
+        moving = np.flatnonzero((search.label >= 0) | (search.regime != INVALID))
+        np.add.at(self.tried, owner[moving], 1)
+        self._put(search, number, moving)
+
+    def _put(self, search: Search, number: Rows, rows: Rows) -> None:
+        """Put these motions to their attractors, in the order of the initial states, by number; count what all cost."""
+        np.add.at(self.used, search.owner, search.cells.used)
         for r in rows.tolist():
-            label, start = search.found.label[r], int(number[r])
-            if label >= 0:
-                search.known.attractors[label].add(start, search.found, r)
-            else:
-                self.cells[owner[r]].put(start, search.found, r)
+            self.cells[search.owner[r]].put(int(number[r]), search, r)
 
     def _watch(self) -> None:
         """Watch what looks chaotic beside a stable orbit until it has survived, or ends.
@@ -134,19 +129,17 @@ class Coexistence:
             suspects = [(c, each, missing) for c, each, missing in every if missing > 0]
             if not suspects:
                 return
-            counts = [len(each.starts) for _, each, _ in suspects]
-            owner = np.repeat([c for c, _, _ in suspects], counts)
+            of = np.repeat(np.arange(len(suspects)), [len(each.starts) for _, each, _ in suspects])
+            owner = np.array([c for c, _, _ in suspects])[of]
+            periods = np.array([-(-missing // len(each.starts)) for _, each, missing in suspects])[of]
             number = np.concatenate([each.starts for _, each, _ in suspects])
-            states, contact = _stacked([state for _, each, _ in suspects for state in each.last])
-            periods = np.repeat([-(-missing // len(each.starts)) for _, each, missing in suspects], counts)
-            search = self.search(owner, states, contact, STABLE)
-            found = search.watch(periods)
-            np.add.at(self.used, owner, found.cells.used)
-            ended = (found.label >= 0) | np.isin(found.regime, STABLE)
-            parts = np.split(np.arange(len(owner)), np.cumsum(counts)[:-1])
-            for (c, each, _), rows in zip(suspects, parts, strict=True):
-                self._part(self.cells[c], each, number, found, rows, rows[~ended[rows]], last=last)
-            self._assign(owner, number, search, np.flatnonzero(ended))
+            search = self.search(owner, *_stacked([state for _, each, _ in suspects for state in each.last]), STABLE)
+            search.watch(periods)
+            ended = (search.label >= 0) | np.isin(search.regime, STABLE)
+            for k, (c, each, _) in enumerate(suspects):
+                each.seen += int(search.cells.flown[of == k].sum())
+                self._part(self.cells[c], each, number, search, np.flatnonzero((of == k) & ~ended), last=last)
+            self._put(search, number, np.flatnonzero(ended))
 
     def _missing(self, cell: CellAttractors, each: Attractor, last: bool) -> int:
         """Periods for which an attractor is still to be watched."""
@@ -157,12 +150,11 @@ class Coexistence:
         return self.settings.survival - each.seen
 
     def _part(
-        self, cell: CellAttractors, each: Attractor, number: Rows, found: Found, rows: Rows, stay: Rows, last: bool
+        self, cell: CellAttractors, each: Attractor, number: Rows, search: Search, stay: Rows, last: bool
     ) -> None:
         """Take an attractor for a transient where not all of its motions stay; those that do may be nowhere at last."""
-        each.seen += int(found.cells.flown[rows].sum())
-        each.transient |= len(stay) < len(rows)
-        each.starts, each.last = number[stay].tolist(), [found.last[r] for r in stay]
+        each.transient |= len(stay) < len(each.starts)
+        each.starts, each.last = number[stay].tolist(), [search.last(r) for r in stay]
         if each.transient and (last or not len(stay)):
             cell.attractors.remove(each)
             cell.undecided += each.starts
@@ -178,14 +170,14 @@ class Coexistence:
         if not alone:
             return
         owner = np.array([c for c, _ in alone])
-        states, contact = mirrored(taken(self.oscillators, owner), *_stacked([each.last[0] for _, each in alone]))
-        search = self.search(owner, states, contact, ())
+        images = mirrored(taken(self.oscillators, owner), *_stacked([each.last[0] for _, each in alone]))
+        search = self.search(owner, *images, ())
         going, means = search.sample(search.cells.ready)
         np.add.at(self.used, owner, search.cells.used)
         for r, of_image in zip(going, means, strict=True):
             c, each = alone[r]
-            place, away = nearest(self.cells[c].alike(each), of_image)
-            if away <= DIFFERENT:
+            place, _ = nearest(self.cells[c].alike(each), of_image)
+            if place >= 0:
                 each.mirror = self.cells[c].alike(each)[place]
         for _, each in alone:
             if each.mirror is not None and each.mirror.mirror is not each:
@@ -202,17 +194,16 @@ class Coexistence:
             if self.tried[c]:
                 found["unseen_share"][c] = unseen_share(self.tried[c])
             if not shown:
-                _put(found, c, 0, self.first[c])
+                _write(found, c, 0, self.own.result(c))
             for k, each in enumerate(shown):
-                _put(found, c, k, each.result | _of_share(len(each.starts), int(self.tried[c])))
-                found["exact"][c, k] = each.regime in STABLE
-                found["lumped"][c, k] = each.pooled
-                if each.pooled:
-                    found["lumped_distance"][c, k] = each.distance
-                if each.regime in (CHAOTIC, APERIODIC):
-                    found["survived"][c, k] = each.seen
-                mirror = each.image(cell.symmetric)
-                found["mirror"][c, k] = next((i for i, a in enumerate(shown) if a is mirror), -1)
+                more = _of_share(len(each.starts), int(self.tried[c])) | {
+                    "exact": each.regime in STABLE,
+                    "lumped": each.pooled,
+                    "lumped_distance": each.distance if each.pooled else np.nan,
+                    "survived": each.seen if each.regime in (CHAOTIC, APERIODIC) else each.result["survived"],
+                    "mirror": next((i for i, a in enumerate(shown) if a is each.image(cell.symmetric)), -1),
+                }
+                _write(found, c, k, each.result | more)
                 if 0 in each.starts:
                     found["own"][c] = k
 
@@ -228,7 +219,7 @@ def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
     return np.stack([state for state, _ in states]), np.array([contact for _, contact in states], dtype=np.int64)
 
 
-def _put(found: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:
+def _write(found: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:
     for name, value in result.items():
         if name != "periods_used":
             found[name][cell, place] = value

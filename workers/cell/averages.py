@@ -2,11 +2,13 @@
 
 import numpy as np
 
-from workers.cell.cells import Array, Average, Cells, Mask, Rows
+from workers.cell.cells import Average, Cells
 from workers.cell.exponents import impact_count
-from workers.kernel.cells import mean_growth, reset_frames, restart_counts
-from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED
-from workers.model.oscillator import taken
+from workers.cell.stretch import Mask, Rows
+from workers.kernel.averages import COUNT, MEAN
+from workers.kernel.cells import reset_frames, standard_errors
+from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, axes
+from workers.model.oscillator import Array, taken
 
 CLEAR = 4.0
 """Standard errors above zero from which an exponent is called positive."""
@@ -16,6 +18,9 @@ GROWN = 15.0
 
 CHANGED = 3.0
 """Standard errors by which two averages of one motion do not differ."""
+
+NEVER_RESTARTED = np.isin(np.arange(TALLIES), (WORK, STATUS))
+"""What a motion counts from its start to its end."""
 
 FARTHEST = 1e9
 """Ratio of error to tolerance above which its size does not matter: no budget has the periods."""
@@ -36,25 +41,23 @@ def under_way(cells: Cells, rows: Rows) -> Average:
 
     Without tangent vectors it has the impacts alone. Where all directions are lost the mean is exact.
     """
-    motions = cells.batch.motions
-    mean, error, periods = mean_growth(cells.batch.levels, rows)
-    if not cells.vectors:
-        periods = cells.flown[rows] - cells.restarted[rows]
+    motions, levels = cells.batch.motions, cells.batch.levels
+    periods = levels[rows, 0, COUNT] if cells.vectors else cells.flown[rows] - cells.began[rows]
     lost = motions.tally[rows, LOST] >= cells.directions
     return Average(
-        mean=np.where(lost, -np.inf, mean),
-        error=np.where(lost, 0.0, error),
+        mean=np.where(lost, -np.inf, levels[rows, 0, MEAN]),
+        error=np.where(lost, 0.0, standard_errors(levels, rows)),
         periods=np.where(cells.averaging[rows], periods, 0.0),
         growth=motions.growth[rows],
         impacts=impact_count(motions.tally[rows]),
     )
 
 
-def whole_average(cells: Cells, rows: Rows, *, stationary: bool = False) -> Average:
+def whole_average(cells: Cells, rows: Rows) -> tuple[Average, Array]:
     """The earlier average of these cells and the one under way as one, with the error that results give.
 
     It is at least the standard error by the difference of the two averages: far apart in time, each may be too short to
-    see how slowly the motion changes. Not where motion is taken to be ``stationary``.
+    see how slowly the motion changes. The second result is the error without that, as if motion were stationary.
     """
     now, e = under_way(cells, rows), taken(cells.earlier, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # or too short to have an error
@@ -63,13 +66,14 @@ def whole_average(cells: Cells, rows: Rows, *, stationary: bool = False) -> Aver
     both = (count > 0.0) & (e.periods > 0.0)
     apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0)
     plain = np.hypot(e.error * e.periods, error * count) / total
-    return Average(
+    whole = Average(
         mean=(e.mean * e.periods + mean * count) / total,
-        error=plain if stationary else np.maximum(plain, apart),
+        error=np.maximum(plain, apart),
         periods=total,
         growth=growth + e.growth,
         impacts=impacts + e.impacts,
     )
+    return whole, plain
 
 
 def has_changed(cells: Cells, rows: Rows) -> Mask:
@@ -86,10 +90,10 @@ def close(cells: Cells, rows: Rows) -> None:
 
 
 def forget(cells: Cells, rows: Rows) -> None:
-    """Take the earlier average of these cells for none."""
+    """Take the average under way of these cells for the first, and what was counted before it for nothing."""
     for field in cells.earlier:
         field[rows] = 0.0
-    forget_counts(cells, rows)
+    cells.tallied[rows], cells.first[rows] = NOTHING_COUNTED, cells.began[rows]
 
 
 def lose_all(cells: Cells, rows: Rows) -> None:
@@ -100,30 +104,28 @@ def lose_all(cells: Cells, rows: Rows) -> None:
 
 
 def counts(cells: Cells, rows: Rows) -> tuple[Array, Rows]:
-    """What was counted of these cells since forget_counts, (rows, TALLIES), and over how many periods (rows,)."""
+    """What was counted of these cells since the first average that counts, (rows, TALLIES), and the periods (rows,)."""
     before, now = cells.tallied[rows], cells.batch.motions.tally[rows]
     both = before + now
     both[:, MIN_SPEED] = np.minimum(before[:, MIN_SPEED], now[:, MIN_SPEED])
     for column in (MAX_SPEED, LOST):
         both[:, column] = np.maximum(before[:, column], now[:, column])
-    return both, cells.counted[rows] + cells.flown[rows] - cells.restarted[rows]
-
-
-def forget_counts(cells: Cells, rows: Rows) -> None:
-    """Forget what was counted before the counts under way."""
-    cells.tallied[rows], cells.tallied[rows, MIN_SPEED], cells.counted[rows] = 0.0, np.inf, 0
+    return both, cells.flown[rows] - cells.first[rows]
 
 
 def begin(cells: Cells, rows: Rows) -> None:
     """The growth of these cells counts from here on; of those without an earlier average, all that is counted."""
     restart(cells, rows)
     cells.averaging[rows] = True
-    forget_counts(cells, rows[cells.earlier.periods[rows] == 0.0])
+    forget(cells, rows[cells.earlier.periods[rows] == 0.0])
 
 
 def restart(cells: Cells, rows: Rows) -> None:
-    """Average these cells from here on, and count on."""
-    cells.tallied[rows], cells.counted[rows] = counts(cells, rows)
-    cells.restarted[rows] = cells.flown[rows]
-    restart_counts(cells.oscillators.gap.metric, cells.batch.motions, rows)
-    cells.batch.levels[rows], cells.batch.weighted[rows] = 0.0, 0.0
+    """Average these cells from here on, and count on. Frames that lost directions start anew."""
+    motions, batch = cells.batch.motions, cells.batch
+    cells.tallied[rows], _ = counts(cells, rows)
+    cells.began[rows] = cells.flown[rows]
+    motions.V[rows[motions.tally[rows, LOST] > 0.0]] = axes(motions.h.shape[1])[: cells.vectors]
+    motions.tally[rows] = np.where(NEVER_RESTARTED, motions.tally[rows], NOTHING_COUNTED)
+    reset_frames(cells.oscillators.gap.metric, motions, rows)
+    motions.growth[rows], batch.levels[rows], batch.weighted[rows] = 0.0, 0.0, 0.0

@@ -5,18 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.stretch import batch_of, begin, ended, run
-from workers.kernel.motion import LOST, MIN_SPEED, TALLIES, WORK, motions_at
-from workers.model.oscillator import Oscillator
+from workers.cell.stretch import Mask, Reasons, Rows, batch_of, begin, ended, run
+from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
+from workers.model.oscillator import Array, Oscillator
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
 from workers.settings import Settings
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
-"""Which cells."""
-Mask = NDArray[np.bool_]
-Reasons = NDArray[np.int8]
 Results = dict[str, NDArray[Any]]
 """Result arrays (N, ...) by name."""
 
@@ -54,13 +49,14 @@ class Cells:
     a motion are written invalid at once. contact (N,) is that of motions that go on from these states; without it each
     state shows its own.
 
-    ready      the cells that have a motion
+    going      whether the cell has to go on
     framed     whether tangent vectors are carried along; averaging: and their growth counts
     used       periods that the cell has cost
-    flown      periods that its motion has gone through; since: how many of them before it looked chaotic
+    flown      periods that its motion has gone through; since: how many of them before it looked chaotic, began: before
+               the average and the counts under way, first: before the first average that counts
     earlier    the average that was closed before the one under way; of no periods where there is none
-    tallied    (N, TALLIES) what was counted in ``counted`` periods before the counts under way, which began at
-               ``restarted`` periods
+    tallied    (N, TALLIES) what was counted between ``first`` and ``began``
+    directions of the state, 2n; vectors: those that are carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
     """
@@ -77,30 +73,28 @@ class Cells:
         N, n = oscillators.gap_row.shape
         adaptive = settings.method == "adaptive"
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
+        self.directions = 2 * n
         self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n}[settings.exponents]
         self.oscillators, self.settings, self.found = oscillators, settings, found
-        motions = motions_at(np.zeros((N, n, 2)), vectors=self.vectors)
+        motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
         self.batch = batch_of(oscillators, motions, kept)
         without_frames = motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0)))
         self.bare = self.batch._replace(motions=without_frames)
-        reasons = begin(oscillators, reasons, motions, starts, contact)
         invalid = reasons != NO_REASON
         found["regime"][invalid], found["reason"][invalid] = INVALID, reasons[invalid]
-        self.ready = np.flatnonzero(~invalid)
+        self.going = ~invalid
         budgets = (settings.max_periods, settings.survival), (settings.transient_periods, settings.periods)
         motions.tally[:, WORK] = work_allowed(sum(budgets[0 if adaptive else 1]))
         self.framed, self.averaging = np.zeros((2, N), dtype=np.bool_)
-        self.used, self.flown, self.since, self.contact = np.zeros((4, N), dtype=np.int64)
+        self.used, self.flown, self.since, self.began, self.first, self.contact = np.zeros((6, N), dtype=np.int64)
         self.orbits = no_orbits(N, n)
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N))
-        self.tallied = np.zeros((N, TALLIES))
-        self.tallied[:, MIN_SPEED] = np.inf
-        self.counted, self.restarted = np.zeros((2, N), dtype=np.int64)
+        self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
 
     @property
-    def directions(self) -> int:
-        """Directions of the state, 2n."""
-        return 2 * self.batch.motions.h.shape[1]
+    def ready(self) -> Rows:
+        """The cells that have to go on."""
+        return np.flatnonzero(self.going)
 
     def aim(self, rows: Rows, periods: Rows | int) -> None:
         """Give these cells a stretch of this many periods to go."""

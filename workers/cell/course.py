@@ -14,10 +14,11 @@ import numpy as np
 
 from workers.cell import averages, outcome
 from workers.cell.averages import clearly_positive, periods_for, under_way
-from workers.cell.cells import RETURNS, Array, Cells, Mask, Rows
+from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import LONG_PERIOD, NEAR, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
-from workers.model.oscillator import COLUMN, Oscillator
+from workers.cell.stretch import Mask, Rows
+from workers.model.oscillator import COLUMN, Array, Oscillator
 from workers.orbit.newton import far_from_closing
 from workers.results import NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED, UNDETERMINED
 
@@ -77,12 +78,10 @@ def none_of(rows: Rows) -> Mask:
 
 
 class Course:
-    """N cells on their way through the stages; each stage is a method that returns the cells that have to go on.
+    """N cells on their way through the stages; each stage is a method of those cells that have ended a stretch in it.
 
     stage      of each cell; stretch: periods that it is to go next
-    memory     periods that its transient should take, NaN until known; transient: those that it takes
-    began      periods that its motion had gone through when the average under way began; first: when the first of
-               those began that count
+    memory     periods that its transient should take, NaN until known
     watched    periods of watching
     weighted   the weighted average of its last stretch
     half       standard error of an average over half of the periods that the tolerance takes
@@ -106,42 +105,43 @@ class Course:
         self.stage = np.full(N, SEARCHING)
         self.stretch = np.full(N, FIRST_STRETCH)
         self.memory, self.weighted = np.full((2, N), math.nan)
-        self.transient = np.full(N, LEAST_TRANSIENT)
-        self.began, self.first, self.watched = np.zeros((3, N), dtype=np.int64)
+        self.watched = np.zeros(N, dtype=np.int64)
 
-    def take(self, ready: Rows) -> None:
-        """Take these cells through their stages and write their results."""
-        waiting = np.zeros(len(self.cells.used), dtype=np.bool_)
-        while len(ready) or waiting.any():
-            waiting[self.begin(ready)] = True
-            through = self.cells.run(np.flatnonzero(waiting))
-            waiting[through] = False
-            ready = self.look(through)
+    def take(self) -> None:
+        """Take the cells that have to go on through their stages, to their results."""
+        ready = self.cells.ready
+        while self.cells.going.any():
+            self.begin(ready)
+            through = self.cells.run(self.cells.ready)
+            self.look(through)
+            ready = through[self.cells.going[through]]
 
-    def begin(self, ready: Rows) -> Rows:
-        """Give each cell its next stretch; those that have one."""
+    def begin(self, ready: Rows) -> None:
+        """Give each cell its next stretch, or its result where it has no more periods."""
         ready = outcome.end_impact_free(self.cells, ready)
         length = np.minimum(self.stretch[ready], self._left(ready))
         self._end(ready[length <= 0])
         self.cells.aim(ready[length > 0], length[length > 0])
-        return ready[length > 0]
 
-    def look(self, through: Rows) -> Rows:
-        """See what the stretch has shown of each cell; those that have to go on."""
+    def look(self, through: Rows) -> None:
+        """See what the stretch has shown of each cell."""
         cells = self.cells
-        through = outcome.end_stopped(cells, through)
-        warming = self.stage[through] == WARMING
-        near = np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
-        rows = self.end_on_orbits(through[~warming], cells.budget(), near)
+        rows = outcome.end_stopped(cells, through)
+        stage, near = self.stage[rows], np.where(cells.flown <= FIRST_STRETCH, NEAR, NEAR_LATER)
+        self.warming(rows[stage == WARMING])
+        rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
         resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
         self._end_at_rest(rows[resting])
-        rows = np.concatenate([through[warming], rows[~resting]])
-        stage, stages = self.stage[rows], (self.searching, self.warming, self.averaging, self.watching)
-        return np.concatenate([act(rows[stage == k]) for k, act in enumerate(stages)])
+        rows, stage = rows[~resting], self.stage[rows[~resting]]
+        self.searching(rows[stage == SEARCHING])
+        self.averaging(rows[stage == AVERAGING])
+        self.watching(rows[stage == WATCHING])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
         """Write the results of cells that are proved to fall into an orbit; of the others those not known already."""
-        return end_on_orbits(self.cells, rows[~self.is_known(rows)], budget, near)
+        known = self.is_known(rows)
+        self.cells.going[rows[known]] = False
+        return end_on_orbits(self.cells, rows[~known], budget, near)
 
     def _left(self, rows: Rows) -> Rows:
         """Periods that these cells' motions may still go in the stage they are in."""
@@ -150,8 +150,8 @@ class Course:
 
     def _end(self, rows: Rows) -> None:
         """Write what is known of cells that do not go on."""
-        relaxed = ~(self.first[rows] < self.memory[rows])
-        outcome.put_by_average(self.cells, rows, clear=np.where(relaxed, np.int8(NO_REASON), np.int8(NOT_RELAXED)))
+        unrelaxed = self.cells.first[rows] < self.memory[rows]
+        outcome.put_by_average(self.cells, rows, clear=np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON)))
 
     def _end_at_rest(self, rows: Rows) -> None:
         """Write the results of cells whose one mass has rested: those of its orbit, or that its period is unknown."""
@@ -165,20 +165,20 @@ class Course:
 
     # Searching
 
-    def searching(self, rows: Rows) -> Rows:
+    def searching(self, rows: Rows) -> None:
         """The motion forgets where it began: some relaxation times, LEAST_TRANSIENT periods at least."""
         cells, flown = self.cells, self.cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
         hits = impact_count(cells.batch.motions.tally[new]) / cells.flown[new]
         self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits)
         most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
-        self.transient[new] = np.clip(self.memory[new], LEAST_TRANSIENT, most)
-        self.stretch[rows] = np.minimum(flown, np.maximum(self.transient[rows] - flown, 1))
-        over = rows[flown >= self.transient[rows]]
+        transient = np.fmax(np.floor(np.minimum(self.memory[rows], most)), LEAST_TRANSIENT)
+        self.stretch[rows] = np.minimum(flown, np.maximum(transient - flown, 1))
+        over = rows[flown >= transient]
         cells.since[over] = cells.flown[over]
         leaves = self.leaves(over)
+        cells.going[over[leaves]] = False
         self.observe(over[~leaves])
-        return np.setdiff1d(rows, over[leaves], assume_unique=True)
 
     def observe(self, rows: Rows) -> None:
         """Warm these cells up, whose transients are over, or watch them where there are no exponents."""
@@ -189,98 +189,92 @@ class Course:
             self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
         else:
             averages.begin(cells, rows)
-            self.stage[rows] = WATCHING
-            self._aim_watch(rows)
+            self._watch(rows, self._missing(rows))
 
     # Warming
 
-    def warming(self, rows: Rows) -> Rows:
+    def warming(self, rows: Rows) -> None:
         """Tangent vectors have turned into the right directions: average from here on.
 
         A second average is to be as long as the first should have been.
         """
         cells = self.cells
         averages.begin(cells, rows)
-        self.stage[rows], self.began[rows], self.weighted[rows] = AVERAGING, cells.flown[rows], math.nan
+        self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
         earlier = cells.earlier.periods[rows]
-        self.first[rows[earlier == 0.0]] = cells.flown[rows[earlier == 0.0]]
         wanted = periods_for(earlier, cells.earlier.error[rows], self.half)
         self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
-        return rows
 
     # Averaging
 
-    def averaging(self, rows: Rows) -> Rows:
+    def averaging(self, rows: Rows) -> None:
         """The growth of tangent vectors is averaged.
 
         Clearly positive, and known to half of the accuracy that is asked for (in periods): chaotic so far. Zero on two
         stretches: a torus. Clearly negative: a long orbit is sought.
         """
         second = self.cells.earlier.periods[rows] > 0.0
-        return np.concatenate([self._judge_first(rows[~second]), self._judge_second(rows[second])])
+        self._judge_first(rows[~second])
+        self._judge_second(rows[second])
 
-    def _judge_first(self, rows: Rows) -> Rows:
+    def _judge_first(self, rows: Rows) -> None:
         """Half of the budget is enough to call a cell chaotic, too."""
         now = under_way(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
         chaotic = positive & ((now.error <= self.half) | half_spent)
-        self._close(rows[chaotic])
         missing = np.where(positive, periods_for(now.periods, now.error, self.half) - now.periods, math.inf)
         self._average_on(rows[~chaotic], missing[~chaotic])
-        return np.concatenate([rows[chaotic], self._find_order(rows[~chaotic])])
+        self._find_order(rows[~chaotic])
+        self._close(rows[chaotic])
 
-    def _judge_second(self, rows: Rows) -> Rows:
+    def _judge_second(self, rows: Rows) -> None:
         """Both averages together are to have the accuracy asked for unless they differ, and chaos to have survived.
 
         What is positive is to be clearly so.
         """
-        whole, error = averages.whole_average(self.cells, rows), under_way(self.cells, rows).error
+        (whole, _), error = averages.whole_average(self.cells, rows), under_way(self.cells, rows).error
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
-        precise = (averages.has_changed(self.cells, rows) | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
+        changed = averages.has_changed(self.cells, rows)
+        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half)
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
         wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
         self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
-        return np.concatenate([rows[~enough], self._compare(rows[enough])])
+        self._end(rows[enough & ~changed])
+        self._go_on_changed(rows[enough & changed])
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
         """The next stretch of an average of which periods are ``missing``: at most as long as what there is of it."""
-        longest = self.cells.flown[rows] - self.began[rows]
+        longest = self.cells.flown[rows] - self.cells.began[rows]
         self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
-    def _compare(self, rows: Rows) -> Rows:
-        """End cells whose two averages agree; where motion has changed the later one counts. Those that go on."""
+    def _go_on_changed(self, rows: Rows) -> None:
+        """Where motion has changed the later average counts."""
         cells = self.cells
-        changed = averages.has_changed(cells, rows)
-        self._end(rows[~changed])
-        rows = rows[changed]
         before, now = cells.earlier.mean[rows], under_way(cells, rows)
         averages.forget(cells, rows)
-        self.first[rows] = self.began[rows]
         positive, out = clearly_positive(now.mean, now.error, now.periods), self._left(rows) <= 0
-        outcome.put_by_average(cells, rows[out & ~positive])
+        outcome.put_by_average(cells, rows[out], clear=NOT_STATIONARY)
         uncertain = out & positive
-        outcome.put_chaotic(cells, rows[uncertain], NOT_STATIONARY)
         outcome.put(cells, rows[uncertain], error=np.maximum(now.error, np.abs(now.mean - before))[uncertain])
         chaotic = rows[~out & positive]
-        cells.since[chaotic] = self.began[chaotic]
+        cells.since[chaotic] = cells.began[chaotic]
         self._close(chaotic)
         self.stretch[rows[~out & ~positive]] = now.periods[~out & ~positive]
-        return rows[~out]
 
     def _close(self, rows: Rows) -> None:
         """Close the average of these cells and watch them, or go on to the next average if there is no need to."""
         averages.close(self.cells, rows)
-        missing = self._missing(rows) > 0
-        self.warming(rows[~missing])  # the frame is as it was
-        rest = rows[missing]
-        self.cells.framed[rest], self.cells.averaging[rest], self.stage[rest] = False, False, WATCHING
-        self._aim_watch(rest)
+        missing = self._missing(rows)
+        self.warming(rows[missing <= 0])  # the frame is as it was
+        rows, missing = rows[missing > 0], missing[missing > 0]
+        self.cells.framed[rows], self.cells.averaging[rows] = False, False
+        self._watch(rows, missing)
 
-    def _find_order(self, rows: Rows) -> Rows:
-        """Look for tori and, where the exponent is clearly negative, for long orbits; those that have to go on."""
+    def _find_order(self, rows: Rows) -> None:
+        """Look for tori and, where the exponent is clearly negative, for long orbits."""
         cells, batch = self.cells, self.cells.batch
         previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
         self.weighted[rows] = now
@@ -294,25 +288,23 @@ class Course:
         rows, now = rows[~flat], now[~flat]
         mean, error, periods, _, _ = under_way(cells, rows)
         late = (batch.periods[rows] >= LONG_PERIOD) & (now < -TORUS_LIMIT)
-        negative = clearly_positive(-mean, error, periods) | late
-        return np.concatenate([rows[~negative], end_on_long_orbits(cells, rows[negative])])
+        end_on_long_orbits(cells, rows[clearly_positive(-mean, error, periods) | late])
 
     # Watching
 
-    def watching(self, rows: Rows) -> Rows:
+    def watching(self, rows: Rows) -> None:
         """What looks chaotic goes on without tangent vectors for most of the time that it has to survive.
 
         Then it is averaged once more: where the two averages agree they are one, otherwise the motion has changed, and
         the later one takes the place of the earlier. Without exponents it is aperiodic then.
         """
         self.watched[rows] += self.cells.batch.done[rows]
-        missing = self._missing(rows) > 0
-        self._aim_watch(rows[missing])
+        missing = self._missing(rows)
+        self._watch(rows[missing > 0], missing[missing > 0])
         if self.cells.vectors:
-            self.observe(rows[~missing])
-            return rows
-        outcome.put_chaotic(self.cells, rows[~missing])
-        return rows[missing]
+            self.observe(rows[missing <= 0])
+        else:
+            outcome.put_chaotic(self.cells, rows[missing <= 0])
 
     def _watchable(self, rows: Rows) -> Rows:
         """Periods for which these cells may still be watched: what proofs have taken of both budgets is gone."""
@@ -329,7 +321,8 @@ class Course:
         """Periods for which these cells are still to be watched before an average as long as the last one."""
         return self._to_watch(rows) - self.cells.earlier.periods[rows].astype(np.int64)
 
-    def _aim_watch(self, rows: Rows) -> None:
-        """The next stretch of watching: long enough for a long orbit to return in it."""
+    def _watch(self, rows: Rows, missing: Rows) -> None:
+        """Watch these cells for a stretch of the ``missing`` periods: long enough for a long orbit to return in it."""
         least = max(LEAST_WATCH, self.settings.max_period + 1)
-        self.stretch[rows] = np.maximum(np.minimum(self.cells.survived(rows) // 2, self._missing(rows)), least)
+        self.stage[rows] = WATCHING
+        self.stretch[rows] = np.maximum(np.minimum(self.cells.survived(rows) // 2, missing), least)

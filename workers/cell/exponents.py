@@ -3,12 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.kernel.motion import LOST, LOWER, STUCK, UPPER
-from workers.model.oscillator import COLUMN, Oscillator
-
-Array = NDArray[np.float64]
+from workers.model.oscillator import COLUMN, Array, Oscillator
 
 
 def free_exponents(osc: Oscillator) -> Array:

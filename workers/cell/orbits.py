@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from workers.cell.cells import Array, Cells, Mask, Rows
+from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
-from workers.cell.stretch import batch_of, run
-from workers.model.oscillator import COLUMN, taken
-from workers.orbit.newton import no_orbits, settle_each
+from workers.cell.stretch import Mask, Rows, batch_of, run
+from workers.model.oscillator import Array, taken
+from workers.orbit.newton import settle_each
 from workers.orbit.rest import rest_to_rest
 
 NEAR = 1e-2
@@ -36,18 +36,18 @@ def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
 
     Cells whose budget does not allow for that are not tried.
     """
-    tried = cells.budget()[rows] > LONG_PERIOD + 1
-    parts = [rows[tried][first : first + LONG_AT_ONCE] for first in range(0, np.count_nonzero(tried), LONG_AT_ONCE)]
-    proved = np.concatenate([rows[:0], *(some[_prove_long(cells, some)] for some in parts)])
-    put_periodic(cells, proved)
-    return np.setdiff1d(rows, proved, assume_unique=True)
+    tried = rows[cells.budget()[rows] > LONG_PERIOD + 1]
+    for first in range(0, len(tried), LONG_AT_ONCE):
+        some = tried[first : first + LONG_AT_ONCE]
+        put_periodic(cells, some[_prove_long(cells, some)])
+    return rows[cells.going[rows]]
 
 
 def _prove_long(cells: Cells, rows: Rows) -> Mask:
     """Motions at rest are looked at after a rest, where rounding has grown least."""
     every, length, budget = np.arange(len(rows)), LONG_PERIOD + 1, cells.budget()[rows]
     batch = batch_of(taken(cells.oscillators, rows), taken(cells.bare.motions, rows), length)
-    orbits, spent, proved = no_orbits(len(rows), batch.motions.h.shape[1]), 0 * every, np.zeros(len(rows), np.bool_)
+    orbits, spent, proved = taken(cells.orbits, rows), 0 * every, np.zeros(len(rows), np.bool_)
     batch.periods[:] = length
     resting = cells.at_rest(rows)
     run(batch, every[~resting])
@@ -60,8 +60,7 @@ def _prove_long(cells: Cells, rows: Rows) -> Mask:
     )  # fmt: skip
     cells.used[rows] += flown + spent
     for mine, new in zip(cells.orbits, orbits, strict=True):
-        mine[rows[proved]] = new[proved]
-    cells.orbits.near[rows] |= orbits.near
+        mine[rows] = new
     return proved
 
 
@@ -72,12 +71,10 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
     can hold at some phase of the force has another: what follows a release repeats with the next rest.
     """
-    o, gap, held = cells.oscillators, cells.oscillators.gap, cells.oscillators.held
-    b_upper, b_lower, block = o.b_upper[rows], o.b_lower[rows], gap.blocks[rows]
-    load, push = held.mode.amplitude[rows], held.push[rows]
-    damped = np.all((block[..., COLUMN.eta] > 0.0) & (block[..., COLUMN.load] == 0.0), axis=-1)
-    stays_inside = gap.amplitude[rows] < np.minimum(b_upper, b_lower)
-    upper = np.isfinite(b_upper) & (load + push[:, 0] > 0.0)
-    lower = np.isfinite(b_lower) & (load - push[:, 1] > 0.0)
-    can_rest = (cells.directions == 2) & (upper | lower) & (o.R[rows] < 1.0)
+    osc = taken(cells.oscillators, rows)
+    damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1)
+    stays_inside = osc.gap.amplitude < np.minimum(osc.b_upper, osc.b_lower)
+    upper = np.isfinite(osc.b_upper) & (osc.held.mode.amplitude + osc.held.push[:, 0] > 0.0)
+    lower = np.isfinite(osc.b_lower) & (osc.held.mode.amplitude - osc.held.push[:, 1] > 0.0)
+    can_rest = (cells.directions == 2) & (upper | lower) & (osc.R < 1.0)
     return np.asarray(cells.orbits.near[rows] | (damped & stays_inside) | can_rest)

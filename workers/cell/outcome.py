@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from workers import results
 from workers.cell.averages import clearly_positive, counts, whole_average
-from workers.cell.cells import Array, Average, Cells, Rows
+from workers.cell.cells import Average, Cells
 from workers.cell.exponents import free_exponents, impact_count, kaplan_yorke, sum_law_holds, sum_of_exponents
 from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
-from workers.cell.stretch import sections_from, stop_reasons
+from workers.cell.stretch import Rows, sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.kernel.contact import COMPLETION
-from workers.model.oscillator import Oscillator, taken
+from workers.model.oscillator import Array, Oscillator, taken
+from workers.orbit.newton import Orbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 """By reason."""
@@ -29,10 +30,12 @@ order in what is cut. At most half of this in 630 random orbits followed ten tho
 
 
 def put(cells: Cells, rows: Rows, **values: Any) -> None:
-    """Write result variables of these cells, those that are asked for."""
+    """Write result variables of these cells, those that are asked for. Cells that have a regime do not go on."""
     for name, value in values.items():
         if name in cells.found:
             cells.found[name][rows] = value
+    if "regime" in values:
+        cells.going[rows] = False
 
 
 def end_stopped(cells: Cells, rows: Rows) -> Rows:
@@ -62,30 +65,20 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     if not len(rows):
         return
     oscillators = taken(cells.oscillators, rows)
-    exponents = free_exponents(oscillators)
-    steady = steady_state(oscillators, h)
-    put(
-        cells,
-        rows,
-        **_spectrum(exponents),
-        error=np.abs(exponents[:, 0]) * 1e-15,
-        sum_law_defect=np.sum(exponents, axis=1) - sum_of_exponents(oscillators, 0.0),
-        regime=results.NO_IMPACT,
-        period=1,
-        impacts_per_period=0.0,
-        impact_energy=0.0,
-        peak_to_peak=free_range(oscillators, steady),
-        stuck_fraction=0.0,
-        periods_used=cells.used[rows],
-    )
-    put_states(cells, rows, steady, np.zeros((len(rows), 1), np.int64), np.ones(len(rows), np.int64))
+    steady, exponents = steady_state(oscillators, h), free_exponents(oscillators)
+    tally, error = np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), np.abs(exponents[:, 0]) * 1e-15
+    orbits = no_orbits(*h.shape[:2])._replace(h=steady, exponents=exponents, tally=tally, error=error)
+    defect = _defect(oscillators, np.sum(exponents, axis=1), tally, 0.0)
+    reach = free_range(oscillators, steady)
+    _put_orbits(cells, rows, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
 
 
 def put_periodic(cells: Cells, rows: Rows) -> None:
     """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet's.
 
-    Their error is at least what their sum misses of its exact value: where a stiff machine hits a stop slowly under a
-    large load, rounding takes more than one more turn shows.
+    The error of the largest is that of rounding or of chatter that is cut short, but at least what the sum of all
+    misses of its exact value: where a stiff machine hits a stop slowly under a large load, the rounding error of one
+    more turn is too small. Exponents of minus infinity are exact.
     """
     orbits = taken(cells.orbits, rows)
     cells.used[rows] += orbits.period
@@ -95,35 +88,35 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
     if not len(rows):
         return
-    oscillators, exponents = taken(cells.oscillators, rows), orbits.exponents
-    tally, period = orbits.tally, orbits.period
-    hits = impact_count(tally) / period
-    defect = _defect(oscillators, np.sum(exponents, axis=1), tally, hits)
+    oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
+    defect = _defect(oscillators, np.sum(orbits.exponents, axis=1), tally, impact_count(tally) / orbits.period)
+    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
+    error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
+    orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
+    reach = impact_range(oscillators, tally, orbits.h, orbits.contact, orbits.period)
+    _put_orbits(cells, rows, orbits, regime=results.PERIODIC, sum_law_defect=defect, peak_to_peak=reach)
+
+
+def _put_orbits(cells: Cells, rows: Rows, orbits: Orbits, **more: Any) -> None:
+    """Write what the orbits of these cells show, and some more."""
+    exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
+    impacts = np.where(tally[:, motion.STUCK, None] > 0.0, -1.0, tally[:, [motion.UPPER, motion.LOWER]])
     put(
         cells,
         rows,
-        **_spectrum(exponents),
-        error=orbit_error(exponents[:, 0], orbits.error, defect, sticks),
-        sum_law_defect=defect,
-        regime=results.PERIODIC,
+        largest=exponents[:, 0],
+        error=orbits.error,
+        spectrum=exponents,
+        kaplan_yorke=kaplan_yorke(exponents),
         period=period,
-        impacts_upper=np.where(sticks, -1.0, tally[:, motion.UPPER]),
-        impacts_lower=np.where(sticks, -1.0, tally[:, motion.LOWER]),
+        impacts_upper=impacts[:, 0],
+        impacts_lower=impacts[:, 1],
         symmetric=orbits.symmetric,
-        peak_to_peak=impact_range(oscillators, tally, orbits.h, orbits.contact, period),
         periods_used=cells.used[rows],
+        **more,
     )
-    put_contacts(cells, rows, tally, period, hits)
+    put_contacts(cells, rows, tally, period, impact_count(tally) / period)
     put_states(cells, rows, orbits.h, orbits.contact, period)
-
-
-def orbit_error(largest: Array, rounding: Array, defect: Array, sticks: Array) -> Array:
-    """Error of the largest exponents of orbits: rounding, what misses the sum law, and chatter that is cut short.
-
-    Exponents of minus infinity are exact.
-    """
-    chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
-    return np.where(np.isneginf(largest), 0.0, np.fmax(np.maximum(rounding, chatter), np.abs(defect)))
 
 
 def put_averaged(cells: Cells, rows: Rows) -> None:
@@ -136,7 +129,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
         return
     motions = cells.batch.motions
     reset_frames(cells.oscillators.gap.metric, motions, rows[cells.averaging[rows]])
-    average = whole_average(cells, rows)
+    average, _ = whole_average(cells, rows)
     counted = np.flatnonzero(average.periods > 0.0)
     some, average = rows[counted], taken(average, counted)
     tally, periods = counts(cells, some)
@@ -147,8 +140,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     put(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
     put(cells, rows, periods_used=cells.used[rows])
-    no_period = np.zeros(len(rows), dtype=np.int64)
-    put_states(cells, rows, motions.h[rows], motions.contact[rows], no_period)
+    put_states(cells, rows, motions.h[rows], motions.contact[rows], 0 * rows)
 
 
 def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
@@ -202,10 +194,9 @@ def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) 
     put_averaged(cells, rows)
     put(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
     if "spectrum" in cells.found:
-        cells.found["spectrum"][rows, 0] = weighted
-        # Rounding must not decide whether a torus has a dimension: its first exponent is zero.
         spectrum = cells.found["spectrum"][rows]
-        spectrum[:, 0] = 0.0
+        cells.found["spectrum"][rows, 0] = weighted
+        spectrum[:, 0] = 0.0  # rounding must not decide whether a torus has a dimension
         put(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
 
 
@@ -219,8 +210,8 @@ def put_by_average(
     """
     if not len(rows):
         return
-    both = (whole_average(cells, rows, stationary=each) for each in (True, False))
-    chaotic, clearly = (clearly_positive(average.mean, average.error, average.periods) for average in both)
+    whole, plain = whole_average(cells, rows)
+    chaotic, clearly = (clearly_positive(whole.mean, error, whole.periods) for error in (plain, whole.error))
     reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
     put_chaotic(cells, rows[chaotic], reasons[chaotic])
     put_averaged(cells, rows[~chaotic])
@@ -242,12 +233,7 @@ def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) 
         put(cells, rows, section=states[every[:, None], np.arange(K) % kept[:, None]])
 
 
-def _spectrum(exponents: Array) -> dict[str, Array]:
-    """The variables of all exponents (N, 2n), largest first."""
-    return {"largest": exponents[:, 0], "spectrum": exponents, "kaplan_yorke": kaplan_yorke(exponents)}
-
-
-def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array) -> Array:
+def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
     """A sum of exponents minus its exact value; NaN where that law does not hold, see exponents.sum_law_holds."""
     holds = sum_law_holds(tally)
     exact = sum_of_exponents(oscillators, hits)

@@ -1,14 +1,11 @@
 """How far the gap coordinate goes: its range over an orbit, over motion without impact, over some periods of chaos."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from workers.cell.stretch import Rows
 from workers.kernel.cells import excursions
 from workers.kernel.motion import FREE, LOWER, UPPER
-from workers.model.oscillator import Oscillator
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+from workers.model.oscillator import Array, Oscillator
 
 FOLLOWED = 64
 """Periods over which the range of a motion is looked for that neither closes nor reaches both stops."""
@@ -36,15 +33,14 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
     motion does not decay.
     """
     N, harmonics = oscillators.gap.sin_part.shape
-    still = (h[..., 1] == 0.0) & ((h[..., 0] == 0.0) | (oscillators.gap.lam == 0.0))
-    steady = np.all(still, axis=1)
-    closed = steady if harmonics == 1 else np.zeros(N, dtype=np.bool_)
-    contact, periods = np.full((N, 1), FREE, dtype=np.int64), np.where(steady, 1, FOLLOWED)
+    steady = np.all((h[..., 1] == 0.0) & ((h[..., 0] == 0.0) | (oscillators.gap.lam == 0.0)), axis=1)
+    closed = steady & (harmonics == 1)
+    contact, periods = np.full((N, 1), FREE), np.where(steady, 1, FOLLOWED)
     followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~closed))
-    return np.where(closed, 2.0 * np.asarray(oscillators.gap.amplitude), followed)
+    return np.where(closed, 2.0 * oscillators.gap.amplitude, followed)
 
 
-def _followed(oscillators: Oscillator, h: Array, contact: Rows, periods: Rows, cells: Rows) -> NDArray[np.float64]:
+def _followed(oscillators: Oscillator, h: Array, contact: Rows, periods: Rows, cells: Rows) -> Array:
     """The range that excursions finds of these cells, 0 for a motion that stays where it is; NaN of the others."""
     allowance = np.maximum(LEAST_WORK, WORK_PER_PERIOD * periods)
     ends = excursions(oscillators, h, contact, periods, allowance, cells)

@@ -7,10 +7,11 @@ becomes of a cell does not depend on the others.
 import numpy as np
 
 from workers.cell import averages
-from workers.cell.cells import Cells, Rows
+from workers.cell.cells import Cells
 from workers.cell.course import Course
 from workers.cell.orbits import NEAR, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
+from workers.cell.stretch import Rows
 from workers.results import UNDETERMINED
 
 
@@ -18,7 +19,7 @@ def solve(cells: Cells) -> None:
     """Take cells to their results, by the schedule of their settings."""
     with np.errstate(all="ignore"):
         if cells.settings.method == "adaptive":
-            Course(cells).take(cells.ready)
+            Course(cells).take()
         else:
             _solve_fixed(cells)
 
@@ -36,12 +37,12 @@ def _solve_fixed(cells: Cells) -> None:
     averages.begin(cells, ready)
     ready = _through(cells, ready, settings.periods)
     put_averaged(cells, ready)
-    names = {"average", "sum_law_defect", "state", "section"} & cells.found.keys()
-    averaged = {name: cells.found[name][ready] for name in names}
+    kept = {"average", "sum_law_defect", "state", "section"} & cells.found.keys()
+    averaged = {name: cells.found[name].copy() for name in kept}
     rest = end_impact_free(cells, ready)
     rest = end_on_orbits(cells, rest, np.full_like(cells.used, settings.max_periods), np.full(len(cells.used), NEAR))
-    known = ~np.isin(ready, rest)
-    put(cells, ready[known], **{name: values[known] for name, values in averaged.items()})
+    known = np.setdiff1d(ready, rest)
+    put(cells, known, **{name: values[known] for name, values in averaged.items()})
     mean, error, periods, _, _ = averages.under_way(cells, rest)
     chaotic = averages.clearly_positive(mean, error, periods)
     put_chaotic(cells, rest[chaotic])

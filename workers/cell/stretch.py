@@ -4,15 +4,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers import results
-from workers.kernel.averages import LEVELS, Averages, no_averages
+from workers.kernel.averages import LEVELS
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.lanes.layout import LANES
 from workers.kernel.lanes.run import Batch, run_batch
-from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion
-from workers.model.oscillator import COLUMN, Oscillator, each, many_of
+from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, motions_at
+from workers.model.oscillator import COLUMN, Array, Oscillator, each, many_of
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+"""Which cells, or a number of each."""
+Mask = NDArray[np.bool_]
 Reasons = NDArray[np.int8]
 
 REASON_OF = np.array(
@@ -22,27 +23,34 @@ REASON_OF = np.array(
 
 
 def begin(
-    oscillators: Oscillator, reasons: Reasons, motions: Motion, states: Array, contact: Rows | None = None
-) -> Reasons:
-    """Start N motions at physical section states (N, 2n), where their oscillator has no ``reasons`` against it.
+    oscillators: Oscillator,
+    reasons: Reasons,
+    states: Array,
+    contact: Rows | None = None,
+    vectors: int = 0,
+    record: int = 0,
+) -> tuple[Motion, Reasons]:
+    """N motions from physical section states (N, 2n), and why some of them cannot be: ``reasons`` (N,) and more.
 
-    Gives the reason of each that has no motion. contact (N,) is that of motions that go on from these states; without
-    it each state shows its own.
+    contact (N,) is that of motions that go on from these states; without it each state shows its own.
     """
+    N, size = states.shape
+    motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
     scales = start_motions(oscillators, motions, states, np.flatnonzero(reasons == results.NO_REASON))
     if contact is not None:
         motions.contact[:, 0] = contact
     found = np.where(np.isfinite(scales), reasons, np.int8(results.ENERGY_OUT_OF_DOUBLES))
-    return np.where(motions.contact[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), found)
+    return motions, np.where(motions.contact[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), found)
 
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
     """Why each of these motions cannot go on, NO_REASON where it can."""
-    tally, finite = motions.tally[cells], np.isfinite(motions.h[cells]).all(axis=(1, 2))
-    running = np.where(
-        finite, np.where(tally[:, WORK] < 0.0, np.int8(results.WORK_SPENT), results.NO_REASON), results.NOT_FINITE
-    )
-    return np.where(tally[:, STATUS] == RUNNING, running, REASON_OF[tally[:, STATUS].astype(np.int64)])
+    tally = motions.tally[cells]
+    found = REASON_OF[tally[:, STATUS].astype(np.int64)]
+    runs, finite = tally[:, STATUS] == RUNNING, np.isfinite(motions.h[cells]).all(axis=(1, 2))
+    found[runs & (tally[:, WORK] < 0.0)] = results.WORK_SPENT
+    found[runs & ~finite] = results.NOT_FINITE
+    return found
 
 
 def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
@@ -59,13 +67,13 @@ def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
     )
 
 
-def ended(batch: Batch) -> NDArray[np.bool_]:
+def ended(batch: Batch) -> Mask:
     """Of which cells nothing is left to do: their periods are complete, or their motion or their work ends."""
     tally = batch.motions.tally
     return (batch.done >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
 
-def run(batch: Batch, cells: NDArray[np.int64], *, to_end: bool = True, lanes: int = LANES) -> None:
+def run(batch: Batch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
     """Take these cells of a batch on, in place, until each has ended; at most ``lanes`` <= LANES at a time.
 
     Unless it is to run to the end, it returns once half of the lanes have nothing to do, so that others can take their
@@ -94,21 +102,9 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
     return states
 
 
-def run_periods(
-    osc: Oscillator,
-    motion: Motion,
-    periods: int,
-    averages: Averages | None = None,
-    sections: Array | None = None,
-) -> int:
-    """Take a motion through some periods, in place; the periods completed, fewer where it or its work ends.
-
-    averages take the growth of its first tangent vector, sections (K, n, 2) its last K block states.
-    """
+def run_periods(osc: Oscillator, motion: Motion, periods: int) -> int:
+    """Take a motion through some periods, in place; the periods completed, fewer where it or its work ends."""
     batch = batch_of(many_of(osc), each(motion, lambda field: field[None]))
-    levels, weighted = averages or no_averages()
-    sections = np.zeros((0, *motion.h.shape)) if sections is None else sections
-    batch = batch._replace(levels=levels[None], weighted=weighted[None], sections=sections[None])
     batch.periods[0] = periods
     run(batch, np.zeros(1, dtype=np.int64))
     return int(batch.done[0])

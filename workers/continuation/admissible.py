@@ -64,7 +64,7 @@ def _contacts(
 ) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
     span, t, sides = float(itinerary.span(lin)[0]), points.t[0], itinerary.sides
-    _, v, a, _ = at_impacts(lin, itinerary, points)[:, 0]
+    _, v, a = at_impacts(lin, itinerary, points)[:, 0]
     off = [i for i, side in enumerate(sides) if i != lost and side * v[i] <= 0.0]
     if off:
         return Fault(LOST, off[0])
@@ -76,7 +76,7 @@ def _contacts(
     start = t[0] if len(t) else 0.0
     for s in grazes:
         time = float(s) - math.floor((s - start) / span) * span
-        y, _, bend, _ = motion_at(lin, itinerary, points, np.array([[time]]))[:, 0, 0]
+        y, _, bend = motion_at(lin, itinerary, points, np.array([[time]]))[:, 0, 0]
         found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(lin.lower[0]) else -1, 0.0, float(bend)))
     found.sort()
     outward = (contact for contact in found if not contact.v and contact.side * contact.a >= 0.0)
@@ -96,7 +96,7 @@ def _next_contact(
     signal: Mode, motion: Motion, here: _Contact, duration: float, there: _Contact | None = None
 ) -> Fault | None:
     """A contact on the flight from one contact to the next, before it; None if there is none."""
-    lin, h = motion[0], np.ascontiguousarray(block_state(*motion, np.array([[here.time]]))[:, 0, :, 0].T)
+    lin, h = motion[0], np.ascontiguousarray(block_state(*motion, np.array([[here.time]]))[0, ..., 0])
     H = duration - (_open_for(there, derivative_bounds(signal.blocks, signal.numbers, h)[2]) if there else 0.0)
     if H <= 0.0:
         return None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Itinerary, Orbit, unpacked
+from workers.continuation.equations import Orbit, unpacked
 from workers.continuation.events import (
     Event,
     LocatedEvent,
@@ -27,7 +27,7 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, Condition, Extended, solve
 from workers.continuation.oscillator import Array, Family
-from workers.continuation.same import Reduction, is_minimal
+from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
 
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
@@ -116,13 +116,10 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     _, critical = square.at(square.pack(orbit, none, values)).borders[0]
     critical = critical * square.unit[: len(critical)] * np.copysign(1.0, critical[0])  # either sign is a null vector
     w = unpacked(critical[None], square.m, len(critical) - 2 * square.m)
-    (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
-    span = float(orbit.itinerary.span(square.model(values))[0])
-    itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
-    times = np.concatenate([orbit.times, orbit.times + span])
-    whole = Orbit(itinerary, times, np.concatenate([orbit.speeds, sign * orbit.speeds]), orbit.offset)
+    whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
     equations = Extended(family, whole, (), values, widths)
-    change = Orbit(itinerary, np.append(w.t, -w.t), np.append(w.v, -sign * w.v), float(w.offset[0]))
+    speeds = np.append(w.v, -orbit.itinerary.sign * w.v)
+    change = Orbit(whole.itinerary, np.append(w.t, -w.t), speeds, float(w.offset[0]))
     unit = equations.pack(change, none, np.zeros(1)) / equations.scale
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
@@ -193,9 +190,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
     eq, here = walk.equations, walk.X
     if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
-        stalled = Step(eq, here, here)
-        to = halves_met(stalled)
-        return _Passage(STALLED) if to is None else _meeting(stalled, to)
+        return _meeting(Step(eq, here, here)) or _Passage(STALLED)
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
@@ -209,10 +204,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     step, slid = Step(after.equations, here, there), not is_minimal(*eq.motion(there))
     if (slid or _went_too_far(seen, after)) and walk.length > SHORTEST * walk.longest:
         return None
-    to = halves_met(step)
-    if to is not None:
-        return _meeting(step, to)
-    return _Passage(SHORTER) if slid else _passage(step, seen, after, end, until)
+    return _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
 
 
 def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
@@ -224,8 +216,11 @@ def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
     return bool(gained or np.sum(other > 1.0 - DOUBT) < np.sum(one > 1.0 + DOUBT))
 
 
-def _meeting(step: Step, to: Reduction) -> _Passage:
-    """The end where a branch meets the orbit that it left."""
+def _meeting(step: Step) -> _Passage | None:
+    """The end where a branch meets the orbit that it left; None where it does not."""
+    to = halves_met(step)
+    if to is None:
+        return None
     found = origin(step, to)
     return _Passage(SHORTER) if found is None else _Passage(found.event.kind, (found.event,), (found.event.point,))
 

@@ -7,6 +7,7 @@ from workers.continuation.equations import Orbit
 from workers.continuation.events import Event
 from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
 from workers.continuation.oscillator import Array, Family
+from workers.continuation.walk import tangent_at
 
 
 def curve(
@@ -42,7 +43,7 @@ def curve(
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
     equations = equations.at(X)
     # the nearest point of the curve: across its tangent as it is known there
-    tangent = np.linalg.svd(equations.with_jacobian(X[None])[1][0] * equations.scale)[2][-1]
+    tangent = tangent_at(equations, equations.with_jacobian(X[None])[1][0], np.ones(len(X)))
     found = solve(equations, X, tangent / equations.scale)
     if not found.converged:
         raise ValueError(f"Newton's method finds no {event.kind} there")

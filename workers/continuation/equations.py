@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.oscillator import Array, ModalOscillator, rigid_mode
-from workers.continuation.pulses import answers, before_impacts, forced_motion, green, jacobian
+from workers.continuation.pulses import answers, before_impacts, forced_motion, jacobian
 from workers.model.oscillator import COLUMN
 
 Table = NDArray[Any]
@@ -120,7 +120,7 @@ def unknown_offset(lin: ModalOscillator, itinerary: Itinerary) -> bool:
 
 
 def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """y and its first three derivatives (4, N, m) just before each impact."""
+    """y and its first two derivatives (3, N, m) just before each impact."""
     found: Array = before_impacts(lin.gap, *_plain(lin, itinerary, points))
     return found
 
@@ -132,38 +132,31 @@ def _plain(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple
 
 
 def motion_at(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
-    """y and its first three derivatives (4, N, K) at times s (N, K), any times but those of impacts."""
-    since, kicks = _latest_kicks(lin, itinerary, points, s)
-    answer = green(lin.gap, itinerary.span(lin), float(itinerary.sign), since)
-    found: Array = forced_motion(lin.gap, lin.tau, np.ascontiguousarray(s)) - np.sum(kicks * answer, axis=3)
-    found[0] += points.offset[:, None]
-    return found
+    """y and its first two derivatives (3, N, K) at times s (N, K), any times but those of impacts."""
+    u, gap = block_state(lin, itinerary, points, s), lin.gap
+    y, v = (np.sum(row[..., None] * u, axis=2) for row in (gap.row, gap.row1))
+    a = (gap.c0 * gap.load)[..., None] - 2.0 * gap.eta[..., None] * v - gap.lam[..., None] * y
+    found: Array = forced_motion(gap.waves, gap.numbers, lin.tau, np.ascontiguousarray(s))
+    return found + np.sum([y, v, a], axis=2)
 
 
 def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
-    """Block coordinates h, h' (2, N, n, K) at times s (N, K), forced response and rest position taken off."""
-    since, kicks = _latest_kicks(lin, itinerary, points, s)
-    u = answers(lin.gap.blocks, itinerary.span(lin), float(itinerary.sign), since)
-    found: Array = -np.sum(kicks[:, None] * u, axis=4)
+    """Block coordinates (h, h') (N, n, 2, K) at times s (N, K), forced response and rest position taken off."""
+    span, sign = itinerary.span(lin), float(itinerary.sign)
+    apart = s[..., None] - points.t[:, None]
+    turns = np.floor(apart / span[:, None, None])
+    kicks = (1.0 + lin.R)[:, None, None] * points.v[:, None] * sign**turns
+    u, _ = answers(lin.gap.blocks, span, sign, apart - turns * span[:, None, None])
+    found: Array = -np.sum(kicks[:, None, None] * u, axis=4)
     rigid = rigid_mode(lin)
     if rigid is not None:
-        found[0, :, rigid] += (points.offset / lin.gap.row[:, rigid, 0])[:, None]
+        found[:, rigid, 0] += (points.offset / lin.gap.row[:, rigid, 0])[:, None]
     return found
-
-
-def _latest_kicks(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> tuple[Array, Array]:
-    """Of each impact the time (N, K, m) since its latest kick before times s (N, K), and what that kick is."""
-    start, span = points.t[:, :1] if itinerary.sides else 0.0, itinerary.span(lin)[:, None]
-    turns = np.floor((s - start) / span)
-    since = (s - turns * span)[..., None] - points.t[:, None]
-    earlier = since < 0.0
-    flips = np.where((turns[..., None] + earlier) % 2.0 == 0.0, 1.0, float(itinerary.sign))
-    return since + earlier * span[..., None], (1.0 + lin.R)[:, None, None] * points.v[:, None] * flips
 
 
 def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
     """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
-    y, v, _, _ = at_impacts(lin, itinerary, points)
+    y, v, _ = at_impacts(lin, itinerary, points)
     parts = [y - stops(lin, itinerary), v - points.v]
     if unknown_offset(lin, itinerary):  # (1 + R) k sum_i v_i - load span of the rigid mode
         j = rigid_mode(lin)

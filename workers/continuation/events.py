@@ -70,12 +70,7 @@ class TestFunctions(NamedTuple):
     fault: Fault | None
 
 
-def point_of(equations: Extended, X: Array) -> Point:
-    """The point of unknowns X (N,)."""
-    return _with_others(equations, X)[0]
-
-
-def _with_others(equations: Extended, X: Array) -> tuple[Point, Complex]:
+def _point(equations: Extended, X: Array) -> tuple[Point, Complex]:
     """The point of unknowns X (N,), and its finite multipliers besides those that the conditions fix."""
     mu = multipliers(*equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
@@ -92,7 +87,7 @@ def _with_others(equations: Extended, X: Array) -> tuple[Point, Complex]:
 def monitored(equations: Extended, X: Array) -> TestFunctions:
     """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
     equations = equations.at(X)
-    (point, others), motion, own = _with_others(equations, X), equations.motion(X), equations.conditions
+    (point, others), motion, own = _point(equations, X), equations.motion(X), equations.conditions
     kind = own[0].kind if own else None
     found = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
@@ -171,11 +166,10 @@ class Event(NamedTuple):
 
 
 class LocatedEvent(NamedTuple):
-    """An event at a share of a step; whether its orbit is admissible, the event's own grazes allowed."""
+    """An event at a share of a step."""
 
     share: float
     event: Event
-    admissible: bool
 
 
 def changed(before: TestFunctions, after: TestFunctions) -> list[str]:
@@ -206,7 +200,7 @@ def leaving(step: Step, why: Fault) -> LocatedEvent | None:
     low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
         found = _of_fault(step, X, why)
-        if found is not None and found.admissible:
+        if found is not None:
             return found
         half = 0.5 * (low + high)
         middle = step.solution(half)
@@ -232,7 +226,7 @@ def origin(step: Step, to: Reduction) -> LocatedEvent | None:
     share = a / (a + b)
     guess = step.guess(share)
     found = _solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
-    return None if found is None else _event(*found, share)
+    return None if found is None else LocatedEvent(share, _event(*found))
 
 
 def halves_met(step: Step) -> Reduction | None:
@@ -250,15 +244,20 @@ def halves_met(step: Step) -> Reduction | None:
 def _solved(
     step: Step, guess: Array, conditions: tuple[Condition, ...], contact: tuple[float, ...] = ()
 ) -> LocatedEvent | None:
-    """The event with these conditions near a guess, if on the step; ``contact``: the time of a new graze."""
+    """The event with these conditions near a guess, if on the step; ``contact``: the time of a new graze.
+
+    The orbit of one at which orbits cease, its own grazes allowed, has to be admissible.
+    """
     eq = step.equations
     found = _solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
     share = None if found is None else step.share_of(found[1])
     if found is None or share is None or not is_minimal(*found[0].motion(found[1])):
         return None
-    met = _event(*found, share)
-    kappa = abs(met.event.kappa)
-    return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else met
+    if conditions[-1].kind in (GRAZE, SPEED) and fault(*found):
+        return None
+    event = _event(*found)
+    kappa = abs(event.kappa)
+    return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else LocatedEvent(share, event)
 
 
 def _solution(
@@ -276,12 +275,11 @@ def _solution(
     return (square.at(found.X), found.X) if found.converged else None
 
 
-def _event(square: Extended, X: Array, share: float) -> LocatedEvent:
+def _event(square: Extended, X: Array) -> Event:
     """The event that unknowns X of a square system are."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     kind = name_of(square.conditions, square.itinerary.symmetric)
-    event = Event(kind, square.conditions, point_of(square, X), 0.5 * next(totals, math.nan))
-    return LocatedEvent(share, event, fault(square, X) is None)
+    return Event(kind, square.conditions, _point(square, X)[0], 0.5 * next(totals, math.nan))
 
 
 def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:

@@ -158,7 +158,7 @@ class Extended:
         parts, graze = [residual(*motion)], 0
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
-                y, v, _, _ = motion_at(*motion, contacts[:, graze : graze + 1])
+                y, v, _ = motion_at(*motion, contacts[:, graze : graze + 1])
                 parts += [y - (lin.upper if condition.side > 0 else -lin.lower)[:, None], v]
                 graze += 1
             elif condition.kind == SPEED:

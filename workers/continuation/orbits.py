@@ -27,8 +27,9 @@ from workers.continuation.newton import Rows, newton
 from workers.continuation.oscillator import Array, Family, family_of, modal
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
+from workers.kernel.cells import physical_states
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at
+from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at, motions_at
 from workers.kernel.period import propagate
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System
@@ -190,10 +191,7 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(points.t / period - shift, 1.0)
     points = points._replace(t=np.where(since <= AT_SECTION, points.t - AT_SECTION * period, points.t))
-    parts = block_state(lin, itinerary, points, (np.arange(itinerary.periods) + shift) * period)
-    angles = (lin.tau[:, None] + 2.0 * np.pi * shift) * np.arange(1.0, oscillators.gap.forced.shape[3] + 1.0)
-    waves = np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, None, None]
-    still = oscillators.rest + np.sum(oscillators.gap.forced * waves, axis=(3, 4))
-    blocks = np.moveaxis(parts, (0, 3), (3, 1)) + still[:, None]
-    flat = blocks.reshape(count, itinerary.periods, -1)
-    return np.asarray(np.einsum("nij,nkj->nki", oscillators.to_physical, flat))
+    h = block_state(lin, itinerary, points, (np.arange(itinerary.periods) + shift) * period)
+    there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
+    states = [physical_states(there, motions_at(h[..., k]), rows) for k in range(itinerary.periods)]
+    return np.stack(states, axis=1)

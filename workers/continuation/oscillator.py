@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.family import FreeMotions
-from workers.model.free import phase_of
-from workers.model.oscillator import Mode, Oscillator
+from workers.model.oscillator import NUMBER, Mode, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
 
@@ -34,7 +33,7 @@ class ModalOscillator(NamedTuple):
     @property
     def omega(self) -> Array:
         """The forcing frequency (N,)."""
-        return np.asarray(self.gap.omega)
+        return self.gap.numbers[:, NUMBER.omega]
 
 
 class NoOscillatorError(ValueError):
@@ -68,13 +67,12 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     motions = FreeMotions(system, values, free)
 
     def model(rows: Array) -> ModalOscillator:
-        found = motions(rows)
-        if np.any(found.reasons != NO_REASON):
-            bad = int(np.flatnonzero(found.reasons != NO_REASON)[0])
+        found, reasons = motions(rows)
+        if np.any(reasons != NO_REASON):
+            bad = int(np.flatnonzero(reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
-            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[found.reasons[bad]].text}")
-        own, machines = found.free, found.machines
-        return ModalOscillator(own.gap, own.b_upper, own.b_lower, phase_of(machines.tau), machines.R)
+            raise NoOscillatorError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
+        return ModalOscillator(*found)
 
     return Family(free, model)
 

@@ -1,6 +1,7 @@
 """Whether two orbits are one: begun later by some forcing periods, or mirror images; or a shorter orbit repeated."""
 
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,22 +22,17 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
         return np.inf
-    if not a.sides:
-        return 0.0
-    sides_a, times_a, speeds_a = _whole(one, omega)
-    sides_b, times_b, speeds_b = _whole(other, omega)
-    length, fastest = 2.0 * np.pi * a.periods, np.max(np.abs(speeds_a))
-    best = np.inf
-    for mirror in (1, -1):
-        for turn in range(len(sides_b)):
-            if not np.array_equal(mirror * np.roll(sides_b, -turn), sides_a):
-                continue
-            later = np.roll(times_b + length * (np.arange(len(times_b)) < turn), -turn) - times_a
+    one, other = (doubled(orbit, np.pi * a.periods / omega) if a.symmetric else orbit for orbit in (one, other))
+    sides, others = np.array(one.itinerary.sides), np.array(other.itinerary.sides)
+    times, m = np.append(other.times, other.times + 2.0 * np.pi * a.periods / omega), len(sides)
+    best = np.inf if m else 0.0
+    for mirror, turn in product((1, -1), range(m)):
+        if np.array_equal(mirror * np.roll(others, -turn), sides):
             # whole forcing periods apart, an image half a period more
-            unit = later - (0.0 if mirror > 0 else np.pi)
-            shift = 2.0 * np.pi * np.round(np.mean(unit) / (2.0 * np.pi))
-            speeds = mirror * np.roll(speeds_b, -turn) - speeds_a
-            best = min(best, max(np.max(np.abs(unit - shift)), np.max(np.abs(speeds)) / fastest))
+            later = omega * (times[turn : turn + m] - one.times) - (0.0 if mirror > 0 else np.pi)
+            later -= 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
+            speeds = mirror * np.roll(other.speeds, -turn) - one.speeds
+            best = min(best, max(np.max(np.abs(later)), np.max(np.abs(speeds)) / np.max(np.abs(one.speeds))))
     return float(best)
 
 
@@ -45,14 +41,12 @@ def same_orbit(one: Orbit, other: Orbit, omega: float, tolerance: float = SAME) 
     return distance(one, other, omega) < tolerance
 
 
-def _whole(orbit: Orbit, omega: float) -> tuple[Array, Array, Array]:
-    """Sides, times in radians of the force and speeds of all impacts of an orbit, in order from the first one given."""
-    sides, times, speeds = np.array(orbit.itinerary.sides), orbit.times * omega, orbit.speeds
-    if orbit.itinerary.symmetric:
-        half = np.pi * orbit.itinerary.periods
-        sides, speeds = np.concatenate([sides, -sides]), np.concatenate([speeds, -speeds])
-        times = np.concatenate([times, times + half])
-    return sides, times, speeds
+def doubled(orbit: Orbit, span: float) -> Orbit:
+    """Two turns of length ``span`` of an orbit as one: of a symmetric orbit the whole of it, of others it twice."""
+    (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
+    itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
+    times, speeds = np.append(orbit.times, orbit.times + span), np.append(orbit.speeds, sign * orbit.speeds)
+    return Orbit(itinerary, times, speeds, orbit.offset)
 
 
 class Reduction(NamedTuple):

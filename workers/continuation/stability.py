@@ -7,19 +7,28 @@ from numpy.typing import NDArray
 
 from workers.continuation.equations import Impacts, Itinerary, at_impacts
 from workers.continuation.oscillator import Array, ModalOscillator
-from workers.continuation.pulses import flights
+from workers.kernel.contact import saltation
+from workers.kernel.flow import flow_with_tangent
+from workers.kernel.jit import kernel
+from workers.kernel.motion import axes
+from workers.orbit.map import copy_into, jacobian_of
 
 
-def saltations(lin: ModalOscillator, v: Array, a: Array) -> Array:
-    """S (N, K, 2n, 2n) of impacts at velocity v and acceleration a (N, K): physics of one gap coordinate.
+@kernel
+def flights(blocks, s, R, ratio):
+    """The maps (N, K, 2n, 2n) of flights of durations s (N, K), each with the impact at its end.
 
-    S = I - (1 + R) [k (cA) + (A k) c - (a / v) k c].
+    Of blocks (N, n, columns). R (N,), ratio (N, K) = a / v just before it; (N, 0) for no impacts.
     """
-    gap, (N, n) = lin.gap, lin.gap.metric.shape
-    row, row1, kick, kick1 = (field.reshape(N, 1, 2 * n) for field in (gap.row, gap.row1, gap.kick, gap.kick1))
-    bent = row1 - (a / v)[..., None] * row
-    outer = kick[..., :, None] * bent[..., None, :] + kick1[..., :, None] * row[..., None, :]
-    return np.eye(2 * n) - (1.0 + lin.R)[:, None, None, None] * outer
+    (N, K), n = s.shape, blocks.shape[1]
+    found = np.empty((N, K, 2 * n, 2 * n))
+    for r, i in np.ndindex(N, K):
+        V = axes(n)
+        flow_with_tangent(blocks[r], s[r, i], np.zeros((n, 2)), V)
+        if ratio.shape[1] > 0:
+            saltation(blocks[r], R[r], V, ratio[r, i])
+        copy_into(found[r, i], jacobian_of(V))
+    return found
 
 
 def pieces(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
@@ -27,12 +36,10 @@ def pieces(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array
 
     Without impacts one flight. The last factor changes sign for symmetric orbits.
     """
-    span = itinerary.span(lin)[:, None]
-    if not itinerary.sides:
-        return itinerary.sign * flights(lin.gap, span)
-    _, v, a, _ = at_impacts(lin, itinerary, points)
-    following = np.concatenate([points.t[:, 1:], points.t[:, :1] + span], axis=1)
-    factors = np.roll(saltations(lin, v, a), -1, axis=1) @ flights(lin.gap, following - points.t)
+    span, t = itinerary.span(lin)[:, None], points.t
+    _, v, a = at_impacts(lin, itinerary, points)
+    durations = np.concatenate([t[:, 1:], t[:, :1] + span], axis=1) - t if itinerary.sides else span
+    factors: Array = flights(lin.gap.blocks, durations, lin.R, np.roll(a / v, -1, axis=1))
     factors[:, -1] *= itinerary.sign
     return factors
 

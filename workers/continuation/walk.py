@@ -82,16 +82,8 @@ class PseudoArclength:
 
 def tangent_at(equations: Extended, jacobian: Array, direction: Array) -> Array:
     """The unit tangent of the solutions, in units of the scale, on the side of a direction in these units."""
-    size = np.linalg.norm(direction)
-    matrix = np.vstack([jacobian * equations.scale, direction / size])
-    right = np.zeros(len(matrix))
-    right[-1] = 1.0
-    try:
-        tangent = np.linalg.solve(matrix, right)
-    except np.linalg.LinAlgError:
-        tangent = np.linalg.svd(jacobian * equations.scale)[2][-1]
-        tangent = tangent * (1.0 if tangent @ direction >= 0.0 else -1.0)
-    return np.asarray(tangent / np.linalg.norm(tangent))
+    tangent = np.linalg.qr((jacobian * equations.scale).T, mode="complete")[0][:, -1]
+    return np.asarray(tangent * np.copysign(1.0, tangent @ direction))
 
 
 class Step(NamedTuple):

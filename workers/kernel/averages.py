@@ -1,10 +1,8 @@
 """Running averages of the tangent growth per forcing period, Lyapunov exponents, with their standard errors."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.kernel.elementary import exp_minus
 from workers.kernel.jit import inlined, kernel
@@ -13,27 +11,11 @@ LEVELS = 40
 """Levels of the blocking analysis: enough for 2^40 periods."""
 
 COUNT, MEAN, SQUARES, UNPAIRED = range(4)
-"""Columns of Averages.levels."""
+"""Columns of the levels (LEVELS, 4) of an average: count, mean and sum of squared deviations of blocks of 2^k periods,
+and the newest block while it has no partner."""
 
 FEWEST_BLOCKS = 32
 """Blocks that a level of the blocking analysis needs before its error bar counts."""
-
-
-class Averages(NamedTuple):
-    """Running averages of the growth of the first tangent vector per period.
-
-    levels   (LEVELS, 4)  count, mean and sum of squared deviations of blocks of 2^k periods, and the
-                          newest one while it has no partner: COUNT, MEAN, SQUARES, UNPAIRED
-    weighted (2,)         sum of w g and of w over the latest stretch, w the weight of Birkhoff averaging
-    """
-
-    levels: NDArray[np.float64]
-    weighted: NDArray[np.float64]
-
-
-def no_averages() -> Averages:
-    """Averages of nothing yet."""
-    return Averages(np.zeros((LEVELS, 4)), np.zeros(2))
 
 
 @inlined
@@ -76,10 +58,10 @@ def standard_error(levels):
 
 @inlined
 def add_growth(levels, weighted, growth, k, periods):
-    """Count the growth of the first vector in period k of a stretch of so many.
+    """Count the growth g of the first vector in period k of a stretch of ``periods``.
 
-    Besides the plain mean, weighted (2,) takes the weighted Birkhoff sum over these periods, w = exp(-1 / (u (1 - u))),
-    which converges faster than any power of their number on a torus (Das et al. 2017).
+    Besides the plain mean, weighted (2,) takes the sums of w g and of w over the stretch, for the weighted Birkhoff
+    average, w = exp(-1 / (u (1 - u))). It converges faster than any power of ``periods`` on a torus (Das et al. 2017).
     """
     u = (k + 0.5) / periods
     weight = exp_minus(1.0 / (u * (1.0 - u)))

@@ -11,7 +11,7 @@ from numba import types
 from numba.core.cgutils import create_struct_proxy, get_null_value
 from numba.extending import lower_builtin, type_callable
 
-__all__ = ["borrowed"]
+__all__ = ["borrowed", "without_counts"]
 
 Given = TypeVar("Given")
 
@@ -28,14 +28,14 @@ def _typed(context: Any) -> Any:
 
 @lower_builtin(borrowed, types.Any)
 def _compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    return _without_counts(context, builder, signature.return_type, arguments[0])
+    return without_counts(context, builder, signature.return_type, arguments[0])
 
 
-def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     """A value of this type whose arrays are known to no reference count."""
     if isinstance(kind, types.BaseTuple):
         parts: Any = enumerate(kind)  # type: ignore[arg-type]
-        fields = [_without_counts(context, builder, part, builder.extract_value(value, i)) for i, part in parts]
+        fields = [without_counts(context, builder, part, builder.extract_value(value, i)) for i, part in parts]
         return context.make_tuple(builder, kind, fields)
     if not isinstance(kind, types.Array):
         return value

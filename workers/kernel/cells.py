@@ -7,22 +7,11 @@ import math
 
 import numpy as np
 
-from workers.kernel.averages import COUNT, MEAN, standard_error
+from workers.kernel.averages import standard_error
 from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
-from workers.kernel.motion import (
-    FREE,
-    LOST,
-    MIN_SPEED,
-    RUNNING,
-    STATUS,
-    TALLIES,
-    WORK,
-    motion_of,
-    motion_with,
-    oscillator_of,
-)
+from workers.kernel.motion import FREE, RUNNING, STATUS, WORK, motion_of, motion_with, oscillator_of
 from workers.kernel.period import OVERDRAFT, advance
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame_of
@@ -91,25 +80,6 @@ def impact_free(oscillators, motions, cells):
 
 
 @kernel
-def restart_counts(metric, motions, cells):
-    """Count from here on: impacts and their speeds, time at rest, growth. A frame that lost directions starts anew."""
-    for r in cells:
-        motion = motion_of(motions, r)
-        V, tally = motion.V, motion.tally
-        if tally[LOST] > 0.0:
-            for i in range(V.shape[0]):
-                for j in range(V.shape[1]):
-                    V[i, j, 0], V[i, j, 1] = 1.0 if i == 2 * j else 0.0, 1.0 if i == 2 * j + 1 else 0.0
-        work, status = tally[WORK], tally[STATUS]
-        for k in range(TALLIES):
-            tally[k] = 0.0
-        tally[WORK], tally[STATUS], tally[MIN_SPEED] = work, status, np.inf
-        reset_frame_of(metric[r], motion)
-        for k in range(motion.growth.shape[0]):
-            motion.growth[k] = 0.0
-
-
-@kernel
 def reset_frames(metric, motions, cells):
     """Make the frames orthonormal and count their growth."""
     for r in cells:
@@ -127,13 +97,12 @@ def physical_states(oscillators, motions, cells):
 
 
 @kernel
-def mean_growth(levels, cells):
-    """Mean growth per period of the first vector, its standard error, and the periods averaged, of these cells."""
-    mean, error, count = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells))
+def standard_errors(levels, cells):
+    """The standard errors of the averages of these cells."""
+    error = np.empty(len(cells))
     for e in range(len(cells)):
-        of_cell = levels[cells[e]]
-        mean[e], error[e], count[e] = of_cell[0, MEAN], standard_error(of_cell), of_cell[0, COUNT]
-    return mean, error, count
+        error[e] = standard_error(levels[cells[e]])
+    return error
 
 
 @kernel

@@ -55,9 +55,7 @@ def turning_points(gap, start, phase, duration, own, kind, low, high):
     _, v, a, _, _ = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)
     # The zero of y' is a stop of that signal: the upper one where y falls, the lower one where it rises.
     falls = own > 0 or (own == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
-    zero = np.int64(0)
-    if kind != ON_STOP_MOVING and own != 0:
-        zero = np.int64(own)
+    zero = np.int64(0 if kind == ON_STOP_MOVING else own)
     zero_kind = ON_STOP_AT_REST if kind == ON_STOP_RELEASED else ON_STOP_MOVING
     t, spent = 0.0, 0
     while True:

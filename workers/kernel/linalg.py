@@ -3,8 +3,10 @@
 import math
 
 import numpy as np
+from numba import types
 
-from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
+from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
 
 EPS = float(np.finfo(np.float64).eps)
 
@@ -157,24 +159,24 @@ def exponent_of(matrix):
     return math.frexp(largest)[1]
 
 
-@kernel
-def moduli(matrix):
-    """|eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite.
+@apart(FLOATS[2], FLOATS[1])
+def fill_moduli(matrix, found):
+    """Write the |eigenvalues| of a real matrix, by the QR method with shifts; infinity where it is not finite.
 
     Of the matrix with its entries brought to the range of one, where no product of two that count underflows.
     """
+    matrix, found = lent_matrix(matrix), lent_row(found)
     size = len(matrix)
-    failed, found = np.empty(size), np.empty(size)
     A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
     cosines, sines = np.empty(size), np.empty(size, dtype=np.complex128)
     for i in range(size):
-        failed[i] = np.inf
+        found[i] = np.inf
         for k in range(size):
             A[i, k] = matrix[i, k]
     for i in range(size):
         for k in range(size):
             if not math.isfinite(A[i, k]):
-                return failed
+                return
     exponent = exponent_of(A)
     for i in range(size):
         for k in range(size):
@@ -193,19 +195,29 @@ def moduli(matrix):
             end, sweeps = end - 1, 0
             found[end] = math.ldexp(abs(H[end, end]), exponent)
         elif sweeps == MOST_SWEEPS:
-            return failed
+            for i in range(size):
+                found[i] = np.inf
+            return
         else:
             sweeps += 1
             shift = near_eigenvalue(H[end - 2, end - 2], H[end - 2, end - 1], H[end - 1, end - 2], H[end - 1, end - 1])
             if sweeps % 10 == 0:  # out of a cycle
                 shift = H[end - 1, end - 1] + abs(H[end - 1, end - 2])
             rotate_once(H, cosines, sines, start, end, shift)
+
+
+@kernel_within
+def moduli(matrix):
+    """|eigenvalues| of a real matrix, in any order; infinity where it is not finite."""
+    found = np.empty(len(matrix))
+    fill_moduli(matrix, found)
     return found
 
 
-@inline_always
+@apart(FLOATS[2], result=types.float64)
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
+    matrix = lent_matrix(matrix)
     return highest(moduli(matrix), 0, len(matrix))
 
 

@@ -3,12 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from workers.kernel.apart import FLOATS, lent
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import inlined, kernel
-from workers.model.oscillator import Held, Mode, Oscillator
+from workers.model.oscillator import Held, Mode, Oscillator, each
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 """Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no motion."""
@@ -21,6 +23,9 @@ FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 the square of y', time at rest; evaluations, evaluations still allowed, directions lost, spread of the frame since it
 was last orthonormal, impacts recorded, status. An impact that completes a chatter to rest is the fastest and takes
 speed off like any other, but is neither counted at its stop nor summed: their number is infinite."""
+
+NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
+"""The tally (TALLIES,) of a motion that has gone nowhere, and may cost nothing."""
 
 RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND = range(5)
 """Status: fine, or why a cell cannot go on."""
@@ -52,6 +57,21 @@ class Motion(NamedTuple):
     impacts: NDArray[np.float64]
     extremes: NDArray[np.float64]
     scratch: NDArray[np.float64]
+
+
+def _record(kind: type, *fields: int | types.Type) -> types.NamedTuple:
+    """The type of a record in kernels; a number stands for a float64 array with that many axes."""
+    return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
+
+
+MODE = _record(Mode, 2, 1, 2, 1, 4)
+HELD_MOTION = _record(Held, MODE, 2, 2, 3, 3, 1)
+OSCILLATOR = _record(Oscillator, MODE, 2, 2, 2, 2, 1, 1, types.float64, HELD_MOTION)
+MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 2)
+"""Types of records in kernels."""
+
+lent_oscillator, lent_motion = lent(OSCILLATOR), lent(MOTION)
+"""The records that a function apart is given."""
 
 
 @inlined
@@ -91,8 +111,7 @@ def motion_with(
     watched: bool = False,
 ) -> Motion:
     """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
-    tally = np.zeros(TALLIES)
-    tally[MIN_SPEED] = np.inf
+    tally = NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
     contacts = np.full(1, contact)
     extremes = np.full(2 if watched else 0, np.inf)
@@ -115,21 +134,11 @@ def motions_at(
 ) -> Motion:
     """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
     N, n = h.shape[:2]
-    tally = np.zeros((N, TALLIES))
-    tally[:, MIN_SPEED], tally[:, WORK] = np.inf, WORK_OF_A_TRIAL
-    return Motion(
-        h=h.copy(),
-        contact=np.zeros((N, 1), dtype=np.int64) if contact is None else contact.copy(),
-        V=np.tile(np.eye(2 * n)[:vectors].reshape(1, vectors, n, 2), (N, 1, 1, 1)),
-        growth=np.zeros((N, vectors)),
-        triangle=np.zeros((N, 0, 0)),
-        tally=tally,
-        impacts=np.zeros((N, record, 3)),
-        extremes=np.zeros((N, 0)),
-        scratch=np.zeros(h.shape),
-    )
+    one = motion_at(np.zeros((n, 2)), FREE, vectors, record)
+    many: Motion = each(one, lambda field: np.repeat(field[None], N, axis=0))
+    return many._replace(h=h.copy(), contact=many.contact if contact is None else contact.copy())
 
 
 def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
-    return Motion(*(field[0] for field in motions_at(h[None], np.array([[contact]]), vectors, record)))
+    return motion_with(h, contact, axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0)), record)

@@ -4,8 +4,9 @@ Between sections the phase runs from tau to tau + 2 pi; absolute time never ente
 """
 
 import numpy as np
+from numba import types
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.apart import apart
 from workers.kernel.contact import (
     LEAVE,
     REBOUND,
@@ -24,7 +25,7 @@ from workers.kernel.contact import (
 from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
-from workers.kernel.jit import inline_always, inlined, kernel, kernel_and_part
+from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -36,6 +37,8 @@ from workers.kernel.motion import (
     MARCH_GAVE_UP,
     MAX_SPEED,
     MIN_SPEED,
+    MOTION,
+    OSCILLATOR,
     OUT_OF_WORK,
     RECORDED,
     RUNNING,
@@ -46,6 +49,8 @@ from workers.kernel.motion import (
     STUCK,
     UPPER,
     WORK,
+    lent_motion,
+    lent_oscillator,
 )
 from workers.kernel.signal import evaluate
 from workers.kernel.tangent import (
@@ -151,14 +156,10 @@ def watch_flight(gap, motion, phase, s, own, kind, top, bottom):
     spend(tally, evaluations)
 
 
-@kernel_and_part
-def propagate(osc, motion, duration):
-    """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
-
-    The one loop of mode, first guard and reset. Stops early with tally[STATUS] set if it cannot be completed, at once
-    where it starts beyond a stop.
-    """
-    osc, motion = borrowed(osc), borrowed(motion)
+@apart(OSCILLATOR, MOTION, types.float64)
+def through_impacts(osc, motion, duration):
+    """The one loop of mode, first guard and reset: see propagate."""
+    osc, motion = lent_oscillator(osc), lent_motion(motion)
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
     blocks, waves, metric, omega = gap.blocks, gap.waves, gap.metric, gap.numbers[NUMBER.omega]
     R, cA2k, top, bottom = osc.head[HEAD.R], osc.head[HEAD.cA2k], osc.head[HEAD.top], osc.head[HEAD.bottom]
@@ -235,6 +236,15 @@ def propagate(osc, motion, duration):
             kind = ON_STOP_AT_REST
             tally[LOST] = max(tally[LOST], 1.0)
             reset_frame_of(metric, motion)
+
+
+@kernel_within
+def propagate(osc, motion, duration):
+    """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
+
+    Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
+    """
+    through_impacts(osc, motion, duration)
 
 
 @inline_always

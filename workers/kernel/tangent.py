@@ -3,7 +3,9 @@
 import math
 
 import numpy as np
+from numba import types
 
+from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row, lent_vectors
 from workers.kernel.crossing import TINY
 from workers.kernel.elementary import cosc_sinc, exp, log, sin_cos
 from workers.kernel.flow import flow
@@ -25,7 +27,7 @@ def inner(metric, V, i, W, k):
     return total
 
 
-@kernel
+@apart(FLOATS[1], FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def orthonormalise(metric, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
@@ -33,6 +35,7 @@ def orthonormalise(metric, V, growth, triangle, rank):
     lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
     rows divided by exp(growth): it stays in range where the product itself would not.
     """
+    metric, V, growth, triangle = lent_row(metric), lent_vectors(V), lent_row(growth), lent_matrix(triangle)
     m = V.shape[0]
     for i in range(min(rank, m)):
         norm = math.sqrt(inner(metric, V, i, V, i))
@@ -69,7 +72,7 @@ def add_row(triangle, growth, i, k, factor):
             triangle[i, c] += factor * triangle[k, c]
 
 
-@kernel
+@apart(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def graded_flow(blocks, s, V, growth, triangle, rank):
     """Move the tangent vectors V (m, n, 2) on by s, however far, as V exp(growth) triangle; rows of blocks: eta, lam...
 
@@ -77,6 +80,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
     elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
     growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
     """
+    blocks, V, growth, triangle = lent_matrix(blocks), lent_vectors(V), lent_row(growth), lent_matrix(triangle)
     n, m = len(blocks), V.shape[0]
     X = np.empty((2 * n, m))
     back = np.zeros((2 * n, 2))

@@ -1,28 +1,20 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.model.expression import Expression
-from workers.model.free import ULPS, finite
+from workers.model.free import ULPS
 from workers.model.oscillator import Array, Machines
 from workers.model.parameter import OMEGA, TAU
-from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
 NO_STOP = {"upper": math.inf, "lower": -math.inf}
-MATRICES = frozenset(("mass", "damping", "stiffness"))
-_KEYS = (
-    "coordinates", "velocities", "mass", "damping", "stiffness", "harmonics", "load", "gap", "restitution", "upper",
-    "lower", "let",
-)  # fmt: skip
-"""The order of a table's entries, which digests of curves depend on."""
 
 
 class Harmonic(NamedTuple):
@@ -41,105 +33,66 @@ class Definition:
         lower <= y <= upper,  y = gap . x;  at a stop y' -> -R y'
 
     ``let`` are names for expressions that others may use, each after those it uses itself. A stop that is None does
-    not exist; so does one at an infinite position.
+    not exist; so does one at an infinite position. Tables have the order of these fields, which digests of curves
+    depend on.
     """
 
     coordinates: tuple[str, ...]
     velocities: tuple[str, ...]
-    let: tuple[tuple[str, Expression], ...]
     mass: Matrix
     damping: Matrix
     stiffness: Matrix
     harmonics: tuple[Harmonic, ...]
     load: Row
     gap: Row
+    restitution: Expression
     upper: Expression | None
     lower: Expression | None
-    restitution: Expression
+    let: tuple[tuple[str, Expression], ...]
 
+    @np.errstate(all="ignore")
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
-        return Machines(**self.fields(values, Machines._fields))
-
-    def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
-        """Some fields of the machines of many values (N,) of each parameter, by name."""
-        if values[OMEGA].size != 1:
-            return self._fields(values, wanted)
-        # Of a lone number numpy computes a power by other means, and its last bits would depend on the others' absence.
-        pair = self._fields({name: np.repeat(value, 2) for name, value in values.items()}, wanted)
-        return {name: field[:1] for name, field in pair.items()}
-
-    def depending(self, names: Collection[str]) -> set[str]:
-        """The fields of machines that depend on parameters of these names."""
-        known = set(names)
-        for name, expression in self.let:
-            if expression.names & known:
-                known.add(name)
-        force = tuple((each.force, each.phase) for each in self.harmonics)
-        entries = self._entries() | {"force_sin": force, "force_cos": force}
-        return {name for name, each in entries.items() if _names(each) & known} | ({OMEGA, TAU} & known)
-
-    def _entries(self) -> dict[str, Any]:
-        """What each field of machines is made of, but for the force: an expression, a row or a matrix of them."""
-        stops = {"upper": self.upper, "lower": self.lower}
-        return {
-            "mass": self.mass, "damping": self.damping, "stiffness": self.stiffness, "gap_row": self.gap,
-            "load": self.load, "R": self.restitution,
-        } | {name: stop for name, stop in stops.items() if stop is not None}  # fmt: skip
-
-    def _fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
+        if values[OMEGA].size == 1:
+            # Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
+            pair = self.machines({name: np.repeat(value, 2) for name, value in values.items()})
+            return Machines(*(field[:1] for field in pair))
         named = dict(values)
         for name, expression in self.let:
             named[name] = expression(named)
         count = named[OMEGA].size
-        found = {name: np.full(count, end) for name, end in NO_STOP.items() if name in wanted}
-        found |= {name: _evaluated(each, named) for name, each in self._entries().items() if name in wanted}
-        found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
-        found |= {name: named[name] for name in (OMEGA, TAU) if name in wanted}
-        if "force_sin" in wanted or "force_cos" in wanted:
-            found["force_sin"], found["force_cos"] = self._force(named)
-        return found
+        force_sin, force_cos = self._force(named)
+        machines = Machines(
+            mass=symmetrised(_evaluated(self.mass, named)),
+            damping=symmetrised(_evaluated(self.damping, named)),
+            stiffness=symmetrised(_evaluated(self.stiffness, named)),
+            gap_row=_evaluated(self.gap, named),
+            force_sin=force_sin,
+            force_cos=force_cos,
+            load=_evaluated(self.load, named),
+            omega=named[OMEGA],
+            tau=named[TAU],
+            upper=np.full(count, NO_STOP["upper"]) if self.upper is None else self.upper(named),
+            lower=np.full(count, NO_STOP["lower"]) if self.lower is None else self.lower(named),
+            R=self.restitution(named),
+        )
+        return Machines(*map(np.ascontiguousarray, machines))
 
     def _force(self, named: Mapping[str, Array]) -> tuple[Array, Array]:
         """The force (N, H, n) as amplitudes of the sines and of the cosines."""
         count, n = named[OMEGA].size, len(self.coordinates)
         force_sin = np.zeros((count, max(each.order for each in self.harmonics), n))
         force_cos = np.zeros_like(force_sin)
-        for order, force, phases in self.harmonics:
-            for i, (amplitude, phase) in enumerate(zip(force, phases, strict=True)):
-                size = amplitude(named)
-                if phase.constant == 0.0:
-                    force_sin[:, order - 1, i] = size
-                else:
-                    angle = phase(named)
-                    force_sin[:, order - 1, i], force_cos[:, order - 1, i] = size * np.cos(angle), size * np.sin(angle)
+        for order, force, phase in self.harmonics:
+            size, angle = _evaluated(force, named), _evaluated(phase, named)
+            force_sin[:, order - 1], force_cos[:, order - 1] = size * np.cos(angle), size * np.sin(angle) + 0.0
         return force_sin, force_cos
 
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
-        found = {key: _written(getattr(self, key)) for key in _KEYS}
-        found["harmonics"] = [{key: _written(of) for key, of in each._asdict().items()} for each in self.harmonics]
+        found = {field.name: _written(getattr(self, field.name)) for field in fields(self)}
         found["let"] = {name: _written(each) for name, each in self.let}
         return {key: entry for key, entry in found.items() if entry not in (None, {})}
-
-
-def faults(machines: Machines, of: Collection[str] = Machines._fields) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as the numbers of some fields alone tell.
-
-    Matrices have to be symmetric to rounding, the lower stop below the upper one, and 0 <= R <= 1.
-    """
-    reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    for name in MATRICES & set(of):
-        matrix = getattr(machines, name)
-        reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
-    if not {"lower", "upper", "R"}.isdisjoint(of):
-        ranges = (machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0)
-        reasons[~ranges] = OUT_OF_RANGE
-    for name in of:
-        field = getattr(machines, name)
-        known = ~np.isnan(field) if name in ("upper", "lower") else finite((field,))  # a stop may be infinitely far
-        reasons[~known] = OUT_OF_DOUBLES
-    return reasons
 
 
 def symmetrised(matrices: Array) -> Array:
@@ -156,18 +109,18 @@ def symmetrised(matrices: Array) -> Array:
     return np.where(near & (matrices != other), 0.5 * matrices + 0.5 * other, matrices)
 
 
-def _names(entries: Any) -> set[str]:
-    return entries.names if isinstance(entries, Expression) else set().union(*map(_names, entries))
-
-
-def _evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
-    """An expression (N,), a row (N, n) or a matrix (N, n, n) of them."""
-    if isinstance(entries, Expression):
-        return entries(named)
-    return np.stack([_evaluated(entry, named) for entry in entries], axis=1)
+def _evaluated(entries: Row | Matrix, named: Mapping[str, Array]) -> Array:
+    """A row (N, n) or a matrix (N, n, n) of expressions."""
+    grid = np.array(entries, dtype=object)
+    found = np.empty((named[OMEGA].size, *grid.shape))
+    for index, entry in np.ndenumerate(grid):
+        found[:, *index] = entry(named) if entry.constant is None else entry.constant
+    return found
 
 
 def _written(entries: Any) -> Any:
+    if isinstance(entries, Harmonic):
+        return {key: _written(of) for key, of in entries._asdict().items()}
     if isinstance(entries, tuple):
         return [_written(entry) for entry in entries]
     if not isinstance(entries, Expression):

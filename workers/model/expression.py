@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from itertools import pairwise
 from typing import Any
 
@@ -45,7 +45,6 @@ RESERVED = (PI, *FUNCTIONS)
 _BINARY: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
 }  # fmt: skip
-_ARITHMETIC = (*_BINARY, ast.BinOp, ast.UnaryOp, ast.UAdd, ast.USub, ast.Call, ast.Name, ast.Load, ast.Constant)
 _TOKEN = re.compile(
     r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][A-Za-z_0-9]*|\*\*|[-+*/(),])|[ \t\r\n]+|(.)", re.ASCII | re.DOTALL
 )
@@ -66,7 +65,7 @@ class Expression:
         """The names whose values it takes."""
         return {node.id[1:] for node in ast.walk(_tree(self.text)) if isinstance(node, ast.Name)}.difference(RESERVED)
 
-    @property
+    @cached_property
     def constant(self) -> float | None:
         """Its value where it is one number, and no name or operation; else None."""
         return _constant(_tree(self.text))
@@ -187,24 +186,19 @@ def _check_order(tokens: list[str]) -> None:
 
 
 def _check_names(tree: ast.expr, known: Collection[str]) -> None:
-    """ExpressionError at a part that is not arithmetic, an unknown name, or a wrong number of arguments."""
+    """ExpressionError at the first name that is unknown, or has a wrong number of arguments."""
     nodes = list(ast.walk(tree))
-    for node in nodes:
-        if not isinstance(node, _ARITHMETIC):
-            raise ExpressionError(f"found {type(node).__name__}, must be arithmetic")
     arguments = {node.func: len(node.args) for node in nodes if isinstance(node, ast.Call)}
     names = [node for node in nodes if isinstance(node, ast.Name)]
     for node in sorted(names, key=lambda node: node.col_offset):
-        if node in arguments:
-            _check_call(node.id[1:], arguments[node])
-        elif node.id[1:] not in (PI, *known):
-            raise ExpressionError(unknown_name("name", node.id[1:], [*known, PI]))
-
-
-def _check_call(name: str, count: int) -> None:
-    if name not in FUNCTIONS:
-        raise ExpressionError(unknown_name("function", name, FUNCTIONS))
-    _, least, most = FUNCTIONS[name]
-    if not least <= count <= most:
-        wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
-        raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
+        name, count = node.id[1:], arguments.get(node)
+        if count is None:
+            if name not in (PI, *known):
+                raise ExpressionError(unknown_name("name", name, [*known, PI]))
+            continue
+        if name not in FUNCTIONS:
+            raise ExpressionError(unknown_name("function", name, FUNCTIONS))
+        _, least, most = FUNCTIONS[name]
+        if not least <= count <= most:
+            wanted = "1 argument" if most == 1 else f"{least} to {most} arguments"
+            raise ExpressionError(f"found {name} of {count}, must be of {wanted}")

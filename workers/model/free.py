@@ -15,170 +15,129 @@ from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE,
 UNSEEN = 1e-9
 """Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
 
-
 ULPS = 8.0
 """Units in the last place by which entries of a machine may be wrong: what a few operations leave of exact ones."""
 
 
-class Frame(NamedTuple):
-    """What mass, damping, stiffness and gap row alone decide, of N machines.
+class Flow(NamedTuple):
+    """What mass, damping and stiffness alone decide of a mode, and its guard's row, of N machines.
 
-    modes; inverse_mass M^-1 (N, n, n); accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; columns, see
-    ``columns_of``; trace (N,), see Oscillator.
+    modes; inverse_mass (N, n, n); blocks (N, n, columns), see Block, without a load, their metric that of elastic ones.
     """
 
     modes: Modes
     inverse_mass: Array
-    accelerance: Array
-    inverse_gap_mass: Array
-    columns: Array
-    trace: Array
-
-    @property
-    def row(self) -> Array:
-        """c (N, n, 2)."""
-        return self.columns[..., :2]
+    blocks: Array
 
 
 class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
-    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
-    Oscillator; block (N, n, columns), see Mode, whose metric is that of elastic blocks.
+    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')', direct (N, H) to the guard itself; load
+    (N, n), rest (N, n, 2), see Oscillator.
     """
 
     waves: Any
+    direct: Any
     load: Array
     rest: Array
-    block: Array
 
 
-class Driven(NamedTuple):
-    """Blocks with what force and load do to them.
+class Frame(NamedTuple):
+    """What matrices, force and load alone decide of the free flight of N machines.
 
-    modes; metric and load (N, n), rest (N, n, 2), block (N, n, columns); forced (N, n, 2, H, 2); resonant (N,).
+    flow, push; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g.
     """
 
-    modes: Modes
-    metric: Array
-    load: Array
-    rest: Array
-    block: Array
-    forced: Array
-    resonant: NDArray[np.bool_]
+    flow: Flow
+    push: Loading
+    accelerance: Array
+    inverse_gap_mass: Array
+
+    def gap(self, blocks: Array) -> Array:
+        """y (N,) at these coordinates of blocks (N, n, 2)."""
+        return np.asarray(np.sum(self.flow.blocks[..., COLUMN.c0 : COLUMN.c1 + 1] * blocks, axis=(1, 2)))
 
 
-class Free(NamedTuple):
-    """The free motion of N machines: its blocks, the gap signal, the stops seen from rest, and whether a rigid mode is
-    one that the gap does not see.
+class AtRest(NamedTuple):
+    """The loading of N machines, its rest positions between the stops where machines are balanced; the stops seen from
+    there; and whether a rigid mode is one that the gap does not see.
     """
 
-    driven: Driven
-    gap: Mode
+    push: Loading
     b_upper: Array
     b_lower: Array
     unseen: NDArray[np.bool_]
 
 
-def frame_of(mass: Array, damping: Array, stiffness: Array, gap_row: Array) -> Frame:
-    """The frame of matrices (N, n, n) and gap rows (N, n)."""
-    N, n = gap_row.shape
-    accelerance = stacked(np.linalg.solve, (N, n, 1), mass, gap_row[..., None])[..., 0]
+def frame_of(machines: Machines) -> Frame:
+    """The frame of machines: their guard is the gap coordinate, their kick M^-1 g / (g.M^-1 g) on the velocities."""
+    mass, gap_row = machines.mass, machines.gap_row
+    accelerance = stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
     inverse_gap_mass = dot(gap_row, accelerance)
-    d = accelerance / inverse_gap_mass[:, None]
-    modes = split(mass, damping, stiffness)
-    row = times(np.concatenate([gap_row, np.zeros((N, n))], axis=1), modes.to_physical).reshape(N, n, 2)
-    column = np.concatenate([np.zeros((N, n)), d], axis=1)
-    kick = (modes.to_blocks @ column[..., None])[..., 0].reshape(N, n, 2)
+    none = np.zeros_like(gap_row)
+    row = np.concatenate([gap_row, none], axis=1)
+    kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
+    flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
+    force = machines.force
     return Frame(
-        modes=modes,
-        inverse_mass=stacked(np.linalg.inv, (N, n, n), mass),
-        accelerance=accelerance,
-        inverse_gap_mass=inverse_gap_mass,
-        columns=columns_of(row, kick, modes),
-        trace=2.0 * np.sum(modes.eta, axis=1),
+        flow, loading_of(flow, force, machines.load, np.zeros_like(force[..., 0])), accelerance, inverse_gap_mass
     )
 
 
-def loading_of(modes: Modes, inverse_mass: Array, force: Any, load: Array) -> Loading:
-    """What force (N, H, n) and load (N, n) are to blocks; inverse_mass is M^-1.
+def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
+    """The flow of matrices (N, n, n) with a guard's row and a kick (N, 2n) of displacements and velocities."""
+    modes, shape = split(mass, damping, stiffness), (*mass.shape[:2], 2)
+    c = times(row, modes.to_physical).reshape(shape)
+    k = (modes.to_blocks @ kick[..., None])[..., 0].reshape(shape)
+    c1 = derivative(c, modes)
+    k1 = np.stack([k[..., 1], -modes.lam * k[..., 0] - 2.0 * modes.eta * k[..., 1]], axis=-1)
+    blocks = make_blocks(modes.eta, modes.lam)
+    blocks[..., OF_FLOW:] = np.concatenate([c, c1, k, k1, derivative(c1, modes)], axis=-1)
+    return Flow(modes, stacked(np.linalg.inv, mass.shape, mass), blocks)
+
+
+def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
+    """What force (N, H, n) and load (N, n) are to blocks, and direct (N, H) to the guard.
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
-    N, n = modes.eta.shape
-    into = modes.to_blocks[:, :, n:] @ inverse_mass  # (N, 2n, n)
+    modes, (N, n) = flow.modes, load.shape
+    into = modes.to_blocks[:, :, n:] @ flow.inverse_mass  # (N, 2n, n)
     waves = (into[:, None] @ force[..., None])[..., 0].reshape(N, force.shape[1], n, 2)
     steady = (into @ load[..., None])[..., 0].reshape(N, n, 2)
     rigid = modes.lam == 0.0
     l0, l1 = steady[..., 0], steady[..., 1]
     p = l1 + 2.0 * modes.eta * l0
     at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
-    loads = np.where(rigid, p, 0.0)
-    return Loading(
-        waves=waves,
-        load=loads,
-        rest=np.stack([at_rest, -l0], axis=-1),
-        block=make_blocks(modes.eta, modes.lam, modes.lam, loads),
-    )
+    return Loading(waves, direct, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
-def free_motion(frame: Frame, push: Loading, machines: Machines) -> Free:
-    """The free motion of machines of that frame under that push."""
-    push, b_upper, b_lower, unseen = centred(push, frame, machines)
-    driven = drive(frame.modes, push, machines.omega)
-    none = np.zeros(push.waves.shape[:2], dtype=np.complex128)
-    gap = mode_of(driven, frame.columns, none, machines.omega)
-    return Free(driven, gap, b_upper, b_lower, unseen)
+def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, NDArray[np.bool_]]:
+    """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
-
-def faults_of(free: Free) -> list[tuple[int, NDArray[np.bool_]]]:
-    """The reasons why free motion may be none, and where they hold (N,), the weightiest last."""
-    modes, block = free.driven.modes, free.gap.blocks
-    turns = np.where(block[..., COLUMN.d] > 0.0, block[..., COLUMN.w], 0.0) * (2.0 * np.pi / free.gap.omega)[:, None]
-    return [
-        (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
-        (RESONANCE, free.driven.resonant),
-        (COUPLED_DAMPING, modes.inseparable),
-        (RIGID_MODE, free.unseen | (modes.rigid > 1)),
-        (UNSTABLE, modes.unstable),
-    ]
-
-
-def phase_of(tau: Array) -> Array:
-    """The forcing phase at a section, between -pi and pi."""
-    phase = np.fmod(tau, 2.0 * np.pi)
-    return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
-
-
-def complex_force(machines: Machines) -> Any:
-    """The force (N, H, n) as amplitudes of e^(i k phi), whose imaginary part counts."""
-    return machines.force_sin + 1j * machines.force_cos
-
-
-def orders_of(force: Any) -> Array:
-    """The orders k (H,) of the harmonics of a force (N, H, ...)."""
-    return np.arange(1.0, force.shape[1] + 1.0)
-
-
-def drive(modes: Modes, push: Loading, omega: Array) -> Driven:
-    """The blocks with the forced response and the rest position that a push gives them."""
-    metric = modes.lam
-    block, rigid = push.block, modes.lam == 0.0
-    if np.any(rigid):
-        metric = np.where(rigid, omega[:, None] ** 2, modes.lam)
-        block = block.copy()
-        block[..., COLUMN.metric] = metric
-    forced, resonant = _response(modes, push.waves, omega)
-    return Driven(modes, metric, push.load, push.rest, block, forced, resonant)
-
-
-def _response(modes: Modes, waves: Any, omega: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2); resonance (N,).
-
-    Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w) with w = k omega, and i w Z - l0 of the velocity.
+    The guard is c . blocks + direct sin(k phi).
     """
-    w = omega[:, None, None] * orders_of(waves)[None, :, None]
-    eta, lam = modes.eta[:, None], modes.lam[:, None]
+    (N, H, n), direct = push.waves.shape[:3], push.direct
+    w = omega[:, None] * np.arange(1.0, H + 1.0)
+    forced, resonant = _response(flow.modes, push.waves, w)
+    blocks, lam = flow.blocks.copy(), flow.modes.lam
+    metric = np.where(lam == 0.0, omega[:, None] ** 2, lam)
+    blocks[..., COLUMN.metric], blocks[..., COLUMN.load] = metric, push.load
+    row = blocks[..., COLUMN.c0 : COLUMN.c1 + 1].reshape(N, 1, 2 * n)
+    parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
+    waves = np.stack([direct.real + parts[..., 0], direct.imag + parts[..., 1]], axis=-1)
+    sizes = np.hypot(waves[..., 0], waves[..., 1])
+    numbers = (omega, *(np.sum(size, axis=1) for size in (sizes, sizes * w**2, sizes * w**3, sizes * w**4)))
+    return Mode(blocks, metric, waves, np.stack(numbers, axis=-1), forced), resonant
+
+
+def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2) of frequencies (N, H); resonance (N,).
+
+    Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w), and i w Z - l0 of the velocity.
+    """
+    w, eta, lam = frequencies[:, :, None], modes.eta[:, None], modes.lam[:, None]
     l0, l1 = waves[..., 0], waves[..., 1]
     push = l1 + (2.0 * eta + 1j * w) * l0
     re, im = lam - w**2, 2.0 * eta * w
@@ -193,37 +152,51 @@ def _response(modes: Modes, waves: Any, omega: Array) -> tuple[Array, NDArray[np
     return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
 
 
-def centred(push: Loading, frame: Frame, machines: Machines) -> tuple[Loading, Array, Array, NDArray[np.bool_]]:
-    """The push with rest positions midway between the stops where machines are balanced; the stops seen from rest; and
-    where a rigid mode is one that the gap does not see.
+def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, list[tuple[int, NDArray[np.bool_]]]]:
+    """The free flight of machines at forcing frequencies (N,); the reasons why it may be none, and where they hold
+    (N,), the weightiest last.
+    """
+    modes = frame.flow.modes
+    gap, resonant = mode_of(frame.flow, at_rest.push, omega)
+    turns = np.where(gap.d > 0.0, gap.w, 0.0) * (2.0 * np.pi / omega)[:, None]
+    return gap, [
+        (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
+        (RESONANCE, resonant),
+        (COUPLED_DAMPING, modes.inseparable),
+        (RIGID_MODE, at_rest.unseen | (modes.rigid > 1)),
+        (UNSTABLE, modes.unstable),
+    ]
+
+
+def phase_of(tau: Array) -> Array:
+    """The forcing phase at a section, between -pi and pi."""
+    phase = np.fmod(tau, 2.0 * np.pi)
+    return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
+
+
+def centred(frame: Frame, machines: Machines) -> AtRest:
+    """The loading of machines of that frame with rest positions midway between the stops where machines are balanced.
 
     A rigid mode's position is counted from between the stops, or from the only one.
     """
-    upper, lower, modes = machines.upper, machines.lower, frame.modes
+    upper, lower, modes, push = machines.upper, machines.lower, frame.flow.modes, frame.push
     rigid, even = modes.lam == 0.0, balanced(machines)
     moving = np.any(rigid, axis=1)
-    share = np.sum(np.where(rigid, frame.row[..., 0], 0.0), axis=1)
+    share = np.sum(np.where(rigid, frame.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
     unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.inverse_gap_mass))
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
-    rest, load, block = push.rest.copy(), push.load, push.block
-    move = np.where(moving & ~unseen, (middle - _at_rest(frame, rest)) / np.where(share != 0.0, share, 1.0), 0.0)
+    rest = push.rest.copy()
+    move = np.where(moving & ~unseen, (middle - frame.gap(rest)) / np.where(share != 0.0, share, 1.0), 0.0)
     rest[..., 0] += np.where(rigid, move[:, None], 0.0)
-    rounding = np.where(even, middle - _at_rest(frame, rest), 0.0)
+    rounding = np.where(even, middle - frame.gap(rest), 0.0)
     if np.any(rounding != 0.0):
         d = frame.accelerance / frame.inverse_gap_mass[:, None] * rounding[:, None]
         rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
-    if np.any(load[even] != 0.0):
-        load, block = np.where(even[:, None], 0.0, load), block.copy()
-        block[..., COLUMN.load] = load
-    y0, half = _at_rest(frame, rest), 0.5 * (upper - lower)
+    load = np.where(even[:, None], 0.0, push.load)
+    y0, half = frame.gap(rest), 0.5 * (upper - lower)
     b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
-    return push._replace(rest=rest, load=load, block=block), b_upper, b_lower, unseen
-
-
-def _at_rest(frame: Frame, rest: Array) -> Array:
-    """y (N,) at rest."""
-    return np.asarray(np.sum(frame.row * rest, axis=(1, 2)))
+    return AtRest(push._replace(rest=rest, load=load), b_upper, b_lower, unseen)
 
 
 def balanced(machines: Machines) -> NDArray[np.bool_]:
@@ -237,6 +210,8 @@ def balanced(machines: Machines) -> NDArray[np.bool_]:
     middle = 0.5 * (machines.upper + machines.lower)
     found = np.isnan(middle) | (~np.any(load != 0.0, axis=1) & (middle == 0.0))  # NaN: both are infinitely far away
     rows = np.flatnonzero(~found & np.isfinite(middle))
+    if not rows.size:
+        return found
     K, g, n = stiffness[rows], row[rows], row.shape[1]
     size = np.max(np.abs(K), axis=(1, 2), initial=0.0)
     size = np.where(size > 0.0, size, 1.0)[:, None]  # for the border to be of the size of the rest
@@ -255,39 +230,11 @@ def balanced(machines: Machines) -> NDArray[np.bool_]:
 
 def finite(record: Any) -> NDArray[np.bool_]:
     """Which of many records hold finite numbers only."""
-    fields = (finite(field) if isinstance(field, tuple) else _finite(field) for field in record)
-    return np.asarray(np.logical_and.reduce(list(fields)))
-
-
-def _finite(field: Array) -> NDArray[np.bool_]:
-    """Which rows are finite; to ask of all at once, which is the rule, costs a tenth."""
-    known = np.isfinite(field)
-    all_known = np.ones(len(field), dtype=np.bool_)
-    return all_known if known.all() else np.asarray(known.all(axis=tuple(range(1, field.ndim))))
-
-
-def mode_of(driven: Driven, columns: Array, direct: Any, omega: Array) -> Mode:
-    """The mode of these blocks whose guard is c . blocks + direct sin(k phi); direct (N, H).
-
-    columns (N, n, COLUMN - OF_FLOW) are those that the flow does not decide, see Block.
-    """
-    (N, n), H = columns.shape[:2], direct.shape[1]
-    row = columns[..., :2]
-    parts = (row.reshape(N, 1, 2 * n) @ driven.forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
-    waves = np.stack([direct.real + parts[..., 0], direct.imag + parts[..., 1]], axis=-1)
-    sizes = np.hypot(waves[..., 0], waves[..., 1])
-    w = omega[:, None] * orders_of(direct)
-    numbers = (omega, *(np.sum(size, axis=1) for size in (sizes, sizes * w**2, sizes * w**3, sizes * w**4)))
-    blocks = driven.block.copy()
-    blocks[..., OF_FLOW:] = columns
-    return Mode(blocks, driven.metric, waves, np.stack(numbers, axis=-1), driven.forced)
-
-
-def columns_of(row: Array, kick: Array, modes: Modes) -> Array:
-    """The columns of Block that the flow does not decide, of rows c (N, n, 2) and columns k (N, n, 2)."""
-    row1 = derivative(row, modes)
-    kick1 = np.stack([kick[..., 1], -modes.lam * kick[..., 0] - 2.0 * modes.eta * kick[..., 1]], axis=-1)
-    return np.concatenate([row, row1, kick, kick1, derivative(row1, modes)], axis=-1)
+    fields = [
+        finite(field) if isinstance(field, tuple) else np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
+        for field in record
+    ]
+    return np.asarray(np.logical_and.reduce(fields))
 
 
 def derivative(row: Array, modes: Modes) -> Array:

@@ -32,7 +32,6 @@ SINGULAR = 1e-10
 """Determinant, relative to its size, below which a plane's coordinates are no h and h'; its inverse bounds how much
 larger than its eigenvalues' the entries of the transformation may be."""
 
-
 NEIGHBOUR = 1e-3
 """Mixing of two modes up to which refinement takes it off."""
 
@@ -158,7 +157,8 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     idle = int(lam[0] == 0.0 and np.max(np.abs(damping[0])) <= COUPLED * size)
     inner, coupled = lam[idle:], damping[idle:, idle:]
     k = n - idle
-    unit = _time_unit(inner, coupled)
+    fastest = max(math.sqrt(np.max(inner)), float(np.max(np.abs(coupled))))
+    unit = math.ldexp(1.0, -math.frexp(fastest)[1])  # a power of two: no number of a mode is lost in another's rounding
     w = np.where(inner > 0.0, np.sqrt(np.maximum(inner, 0.0)) * unit, 1.0)  # of (w q, q') neither outweighs the other
     A = np.zeros((2 * k, 2 * k))
     A[:k, k:], A[k:, k:] = np.diag(w), -coupled * unit
@@ -178,29 +178,19 @@ def _split_planes(found: Modes, r: int, lam: Array, damping: Array, modes: Array
     to_blocks[2 * idle :, idle:n], to_blocks[2 * idle :, n + idle :] = planes[:, :k], planes[:, k:]
     if inner[0] == 0.0:
         stiffness[np.argmin(stiffness)] = 0.0
-    modal, back = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    modal[:n, :n] = modal[n:, n:] = weighted
-    back[:n, :n] = back[n:, n:] = modes
     found.eta[r, :idle], found.lam[r, :idle] = 0.0, 0.0
     found.eta[r, idle:], found.lam[r, idle:] = np.maximum(eta, 0.0), stiffness
-    found.to_blocks[r] = to_blocks @ modal
+    found.to_blocks[r] = to_blocks @ np.kron(np.eye(2), weighted)
     found.inseparable[r] = not condition < 1.0 / SINGULAR
     found.unstable[r] |= bool(np.any(eta < -LIGHT * size) or np.any(stiffness < 0.0))
     if not found.inseparable[r]:
-        found.to_physical[r] = back @ np.linalg.inv(to_blocks)
+        found.to_physical[r] = np.kron(np.eye(2), modes) @ np.linalg.inv(to_blocks)
 
 
 def _condition(planes: Array) -> float:
     """How nearly planes coincide, whose rows these are: the condition of the matrix of rows of unit length."""
-    if not np.isfinite(planes).all():
-        return math.inf
-    return float(np.linalg.cond(planes / np.linalg.norm(planes, axis=1, keepdims=True)))
-
-
-def _time_unit(lam: Array, damping: Array) -> float:
-    """A power of two near the shortest time of these modes, so that no number of one is lost in another's rounding."""
-    fastest = max(math.sqrt(np.max(lam)), float(np.max(np.abs(damping))))
-    return math.ldexp(1.0, -math.frexp(fastest)[1])
+    unit = planes / np.linalg.norm(planes, axis=1, keepdims=True)
+    return float(np.linalg.cond(unit)) if np.isfinite(unit).all() else math.inf
 
 
 def _planes(A: Array) -> tuple[Array, Array, Array]:

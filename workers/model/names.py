@@ -4,13 +4,10 @@ from workers.results import result_variables
 from workers.settings import Settings
 
 _everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
-_RESULTS = {
-    variable.name: variable
-    for attractors, basins in ((False, False), (True, False), (False, True))
-    for variable in result_variables(_everything, attractors, basins)
-}
+_KINDS = ((False, False), (True, False), (False, True))  # of atlases: with all attractors, of basins
+_RESULTS = [variable for kind in _KINDS for variable in result_variables(_everything, *kind)]
 NAMES = frozenset((
-    *_RESULTS, *(f"{name}_count" for name in _RESULTS), *(dim for each in _RESULTS.values() for dim in each.extra),
+    *(name for each in _RESULTS for name in (each.name, f"{each.name}_count", *each.extra)),
     # groups of a store
     "attractors", "curves", "labels", "machines", "overviews", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
@@ -25,10 +22,8 @@ NAMES = frozenset((
     "along", "dpi", "font_size", "height", "legend", "log", "overlay", "path", "self", "style", "title", "variable",
     "vmax", "vmin", "width", "window",
 ))  # fmt: skip
-_BOUNDS = "_bounds"
-"""The end of the name for the edges of the coarse cells along an axis."""
 
 
 def is_taken(name: str) -> bool:
-    """Whether the name is one of an atlas's own."""
-    return name in NAMES or name.endswith(_BOUNDS)
+    """Whether the name is one of an atlas's own, such as of the bounds of coarse cells along an axis."""
+    return name in NAMES or name.endswith("_bounds")

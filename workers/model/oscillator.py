@@ -4,7 +4,7 @@ They hold arrays whose shapes tell the number of masses and of harmonics. Many o
 axis in front of every field.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,12 +55,15 @@ class Block(NamedTuple):
 COLUMN = Block(*range(len(Block._fields)))
 """Columns of Mode.blocks by name."""
 
+PAIRS = {"row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0}
+"""The first column of c, cA, cA^2, k and A k, each (n, 2)."""
+
 OF_FLOW = COLUMN.c0
 """Columns that the flow alone decides: the first ones."""
 
 
-def make_blocks(eta: Array, lam: Array, metric: Array | None = None, load: Array | None = None) -> Array:
-    """Blocks (..., columns), their rows and columns zero, of that damping and stiffness (...), lam >= 0.
+def make_blocks(eta: Array, lam: Array) -> Array:
+    """Blocks (..., columns) of that damping and stiffness (...), lam >= 0, with metric lam, and all else zero.
 
     The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping, where that
     is large, its energy and q'' = -2 eta q' - lam q bound it better.
@@ -78,11 +81,8 @@ def make_blocks(eta: Array, lam: Array, metric: Array | None = None, load: Array
     grow3 = lam * root + twice * grow2
     grow4 = lam * grow2 + twice * grow3
     inv_w = np.where(w > 0.0, 1.0 / np.where(w > 0.0, w, 1.0), 0.0)
-    metric = lam if metric is None else metric
-    load = np.zeros_like(lam) if load is None else load
-    of_flow = (eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, metric, load)
     blocks = np.zeros((*lam.shape, len(COLUMN)))
-    for column, field in enumerate(of_flow):
+    for column, field in enumerate((eta, lam, d, w, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4, lam)):
         blocks[..., column] = field
     return blocks
 
@@ -109,7 +109,7 @@ class Mode(NamedTuple):
     Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t), its forced
     part Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
 
-    blocks   (n, columns)    constants of each block, see Block
+    blocks   (n, columns)    constants of each block, see Block, and PAIRS
     metric   (n,)            their column of that name
     waves    (H, 2)          sin_part and cos_part
     numbers  (NUMBER,)       see Numbers; the amplitude is reached where H = 1
@@ -123,50 +123,19 @@ class Mode(NamedTuple):
     forced: Array
 
     def __getattr__(self, name: str) -> Any:
-        """A column of the blocks, see Block, or one of the numbers, see Numbers, by its name."""
-        return _named(name, (self.blocks, COLUMN), (self.numbers, NUMBER))
-
-    @property
-    def row(self) -> Array:
-        """c (..., n, 2)."""
-        return self.blocks[..., COLUMN.c0 : COLUMN.c1 + 1]
-
-    @property
-    def row1(self) -> Array:
-        """cA (..., n, 2)."""
-        return self.blocks[..., COLUMN.cA0 : COLUMN.cA1 + 1]
-
-    @property
-    def row2(self) -> Array:
-        """cA^2 (..., n, 2)."""
-        return self.blocks[..., COLUMN.cAA0 : COLUMN.cAA1 + 1]
-
-    @property
-    def kick(self) -> Array:
-        """k (..., n, 2)."""
-        return self.blocks[..., COLUMN.k0 : COLUMN.k1 + 1]
-
-    @property
-    def kick1(self) -> Array:
-        """A k (..., n, 2)."""
-        return self.blocks[..., COLUMN.Ak0 : COLUMN.Ak1 + 1]
-
-    @property
-    def sin_part(self) -> Array:
-        """(..., H)."""
-        return self.waves[..., 0]
-
-    @property
-    def cos_part(self) -> Array:
-        """(..., H)."""
-        return self.waves[..., 1]
+        """A column of the blocks, see Block, two of them, see PAIRS, or one of the numbers, by its name."""
+        return _named(name, (self.blocks, _OF_BLOCK), (self.numbers, _OF_NUMBERS), (self.waves, _OF_WAVES))
 
 
-def _named(name: str, *tables: tuple[Array, Any]) -> Any:
-    """The column of that name of the first of these tables that has one."""
+_OF_BLOCK = COLUMN._asdict() | {name: slice(first, first + 2) for name, first in PAIRS.items()}
+_OF_NUMBERS, _OF_WAVES = NUMBER._asdict(), {"sin_part": 0, "cos_part": 1}
+
+
+def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
+    """The columns of that name of the first of these tables that has it."""
     for table, columns in tables:
-        if name in columns._fields:
-            return _plain(table[..., getattr(columns, name)])
+        if name in columns:
+            return _plain(table[..., columns[name]])
     raise AttributeError(name)
 
 
@@ -220,6 +189,8 @@ class Head(NamedTuple):
 HEAD = Head(*range(len(Head._fields)))
 """Columns of Oscillator.head by name."""
 
+_OF_HEAD = HEAD._asdict()
+
 OF_LANE = HEAD.upper
 """Numbers of an oscillator that a lane holds: the first ones."""
 
@@ -250,7 +221,7 @@ class Oscillator(NamedTuple):
 
     def __getattr__(self, name: str) -> Any:
         """One of the numbers of ``head``, see Head, by its name."""
-        return _named(name, (self.head, HEAD))
+        return _named(name, (self.head, _OF_HEAD))
 
     @property
     def b_upper(self) -> Any:
@@ -283,6 +254,11 @@ class Machines(NamedTuple):
     upper: Array
     lower: Array
     R: Array
+
+    @property
+    def force(self) -> Any:
+        """The force (N, H, n) as amplitudes of e^(i k phi), whose imaginary part counts."""
+        return self.force_sin + 1j * self.force_cos
 
 
 def each(record: Any, act: Callable[[Any], Any]) -> Any:

@@ -2,12 +2,16 @@
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
 from numbers import Real
 from reprlib import Repr
 from typing import Any
 
-from workers.model.definition import NO_STOP, Definition, Harmonic, Matrix, Row
+import numpy as np
+
+from workers.model.definition import NO_STOP, Definition, Harmonic
 from workers.model.expression import RESERVED, Expression, ExpressionError, parse
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
@@ -19,7 +23,6 @@ HARMONICS = 4
 MANY = 64
 """Parameters, and names in ``let``, of a system."""
 
-PARAMETER_KEYS = ("default", "low", "high", "low_open", "high_open", "symbol", "unit", "meaning")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi", "rho",
@@ -34,15 +37,6 @@ class DefinitionError(ValueError):
     """What is wrong with the definition of a system, in one line: the entry, what was found, what would be right."""
 
 
-def read_text(where: str, value: object, default: str | None = None) -> str:
-    """A text; DefinitionError for anything else."""
-    if value is None and default is not None:
-        return default
-    if not isinstance(value, str) or len(value) > 5000:
-        raise _found(where, value, "must be text in quotes")
-    return value
-
-
 def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tuple[str, ...]) -> tuple[Parameter, ...]:
     """All parameters in order: omega, the table's, tau, then the initial values of coordinates and velocities.
 
@@ -51,40 +45,34 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
     given = read_table("system.parameters", table)
     if len(given) > MANY:
         raise DefinitionError(f"system.parameters: found {len(given)}, must be at most {MANY}")
-    first = Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True)
-    last = [Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0)]
-    last += [Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates]
-    for name, of in zip(velocities, coordinates, strict=True):
-        last.append(Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0))
+    built_in = [
+        Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
+        Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
+        *(Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates),
+        *(
+            Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
+            for name, of in zip(velocities, coordinates, strict=True)
+        ),
+    ]
     for name in (*coordinates, *velocities):
         for key in ("low", "high"):
             if isinstance(given.get(name), Mapping) and key in given[name]:
                 where = f"system.parameters.{name}.{key}"
                 raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
-    built_in = {parameter.name: parameter for parameter in (first, *last)}
-    found = built_in | {name: _read_parameter(name, one, built_in.get(name)) for name, one in given.items()}
-    own = [name for name in given if name not in built_in]
-    return tuple(found[name] for name in (OMEGA, *own, *(parameter.name for parameter in last)))
+    known = {parameter.name: parameter for parameter in built_in}
+    own = [name for name in given if name not in known]
+    found = known | {name: _read_parameter(name, one, known.get(name)) for name, one in given.items()}
+    return tuple(found[name] for name in (OMEGA, *own, *list(known)[1:]))
 
 
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
-    table = read_table(where, given, PARAMETER_KEYS)
+    table = read_table(where, given, _PARAMETER_KEYS)
     _check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
-    known = base or Parameter(name, symbol_of(name), "1", name, 0.0)
-    found = Parameter(
-        name,
-        symbol=_read_words(f"{where}.symbol", table.get("symbol"), known.symbol),
-        unit=_read_words(f"{where}.unit", table.get("unit"), known.unit),
-        meaning=_read_words(f"{where}.meaning", table.get("meaning"), known.meaning),
-        default=read_number(f"{where}.default", table.get("default", known.default)),
-        low=read_number(f"{where}.low", table.get("low", known.low), infinite=True),
-        high=read_number(f"{where}.high", table.get("high", known.high), infinite=True),
-        low_open=_read_flag(f"{where}.low_open", table.get("low_open", known.low_open)),
-        high_open=_read_flag(f"{where}.high_open", table.get("high_open", known.high_open)),
-    )
+    read = {key: _PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
+    found = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
     if not found.low <= found.high:
         raise DefinitionError(f"{where}: low {found.low:g} must not be above high {found.high:g}")
     if name == OMEGA and not (found.low > 0.0 or (found.low == 0.0 and found.low_open)):
@@ -99,7 +87,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 
     A velocity that is not named is v with the number that ends its coordinate's name: v1 of x1, v of y.
     """
-    coordinates = _names("system.coordinates", required(table, "coordinates"))
+    coordinates = _names("system.coordinates", table["coordinates"])
     if not 1 <= len(coordinates) <= LARGEST:
         raise DefinitionError(f"system.coordinates: found {len(coordinates)}, must be 1 to {LARGEST}")
     if "velocities" in table:
@@ -119,37 +107,28 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 def read_definition(
     table: Mapping[str, Any], parameters: Collection[str], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> Definition:
-    """The definition in a table whose parameters have these names, coordinates and velocities included."""
+    """The definition in a table [system] whose parameters have these names, coordinates and velocities included."""
     n = len(coordinates)
     # The initial state is where a motion begins and no part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
     let = _read_let(table.get("let", {}), known, parameters)
     known = [*known, *(name for name, _ in let)]
-
-    def row(where: str, given: object) -> Row:
-        entries = read_list(where, given, n)
-        return tuple(read_entry(f"{where}[{i}]", entry, known) for i, entry in enumerate(entries))
-
-    def matrix(key: str) -> Matrix:
-        where, given = f"system.{key}", table.get(key, [[0.0] * n] * n)
-        return tuple(row(f"{where}[{i}]", each) for i, each in enumerate(read_list(where, given, n, "rows")))
-
     if isinstance(table.get("gap"), list) and any(isinstance(each, list) for each in table["gap"]):
-        raise _found("system.gap", table["gap"], "several gaps at once are not supported; give one row")
-    required(table, "mass")
+        raise fault("system.gap", table["gap"], "several gaps at once are not supported; give one row")
+    matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
     return Definition(
         coordinates=coordinates,
         velocities=velocities,
-        let=let,
-        mass=matrix("mass"),
-        damping=matrix("damping"),
-        stiffness=matrix("stiffness"),
-        harmonics=_read_harmonics(table, row, n),
-        load=row("system.load", table.get("load", [0.0] * n)),
-        gap=row("system.gap", required(table, "gap")),
+        mass=_read_entries("system.mass", table["mass"], known, n, n),
+        damping=_read_entries("system.damping", table.get("damping", matrix), known, n, n),
+        stiffness=_read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
+        harmonics=_read_harmonics(table, known, n),
+        load=_read_entries("system.load", table.get("load", row), known, n),
+        gap=_read_entries("system.gap", table["gap"], known, n),
+        restitution=_read_entries("system.restitution", table["restitution"], known),
         upper=_read_stop(table, "upper", known),
         lower=_read_stop(table, "lower", known),
-        restitution=read_entry("system.restitution", required(table, "restitution"), known),
+        let=let,
     )
 
 
@@ -162,7 +141,7 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
         _check_name(f"system.let.{name}", name)
         if name in taken:
             raise DefinitionError(f"system.let.{name}: {name} is a parameter already; choose another name")
-    waiting = {name: read_entry(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
+    waiting = {name: _read_entries(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
     ready: list[tuple[str, Expression]] = []
     while waiting:
         free = next((name for name, each in waiting.items() if not each.names & waiting.keys()), None)
@@ -176,10 +155,10 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
     return tuple(ready)
 
 
-def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row], n: int) -> tuple[Harmonic, ...]:
+def _read_harmonics(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Harmonic, ...]:
     given = table.get("harmonics", [])
     if not isinstance(given, list):
-        raise _found("system.harmonics", given, "must be tables [[system.harmonics]]")
+        raise fault("system.harmonics", given, "must be tables [[system.harmonics]]")
     parts = {f"system.harmonics[{i}]": one for i, one in enumerate(given)}
     if "force" in table:
         parts = {"system": {"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}} | parts
@@ -189,16 +168,16 @@ def _read_harmonics(table: Mapping[str, Any], row: Callable[[str, object], Row],
         raise DefinitionError(f"system: force missing; give a list of {n}")
     found: list[Harmonic] = []
     for where, one in parts.items():
-        part = read_table(where, one, ("order", "force", "phase"))
+        part = {"phase": [0.0] * n, **read_table(where, one, Harmonic._fields)}
         order = part.get("order")
         if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= HARMONICS:
-            raise _found(f"{where}.order", order, f"must be a whole number, 1 to {HARMONICS}")
+            raise fault(f"{where}.order", order, f"must be a whole number, 1 to {HARMONICS}")
         if order in [each.order for each in found]:
             raise DefinitionError(f"{where}.order: there is a force of order {order} already; add the two")
         if "force" not in part:
             raise DefinitionError(f"{where}: force missing; give a list of {n}")
-        force = row(f"{where}.force", part["force"])
-        found.append(Harmonic(order, force, row(f"{where}.phase", part.get("phase", [0.0] * n))))
+        rows = (_read_entries(f"{where}.{key}", part[key], known, n) for key in ("force", "phase"))
+        found.append(Harmonic(order, *rows))
     return tuple(sorted(found))
 
 
@@ -208,11 +187,15 @@ def _read_stop(table: Mapping[str, Any], key: str, known: Collection[str]) -> Ex
         raise DefinitionError(f"{where}; give one stop or both as positions of the gap coordinate")
     if key not in table or table[key] == NO_STOP[key]:
         return None
-    return read_entry(f"system.{key}", table[key], known)
+    found: Expression = _read_entries(f"system.{key}", table[key], known)
+    return found
 
 
-def read_entry(where: str, given: object, known: Collection[str]) -> Expression:
-    """The expression that a number or a text is."""
+def _read_entries(where: str, given: object, known: Collection[str], *shape: int) -> Any:
+    """The expression that a number or a text is; of a list of that shape a row or a matrix of them."""
+    if shape:
+        entries = read_list(where, given, shape[0], "rows" if len(shape) > 1 else "entries")
+        return tuple(_read_entries(f"{where}[{i}]", entry, known, *shape[1:]) for i, entry in enumerate(entries))
     if isinstance(given, str):
         try:
             return parse(given, known)
@@ -221,23 +204,51 @@ def read_entry(where: str, given: object, known: Collection[str]) -> Expression:
     return Expression(repr(read_number(where, given, "must be a number or an expression in quotes")))
 
 
+def read_text(where: str, value: object) -> str:
+    """A text; DefinitionError for anything else."""
+    if not isinstance(value, str) or len(value) > 5000:
+        raise fault(where, value, "must be text in quotes")
+    return value
+
+
+def _read_words(where: str, value: object) -> str:
+    """Words on one line that can stand beside a formula."""
+    found = read_text(where, value)
+    if not found.isprintable() or "$" in found or len(found) > 200:
+        raise fault(where, value, "must be one line of at most 200 characters without a dollar")
+    return found
+
+
+def _read_flag(where: str, given: object) -> bool:
+    if not isinstance(given, bool):
+        raise fault(where, given, "must be true or false")
+    return given
+
+
 def read_number(where: str, given: object, right: str = "must be a number", infinite: bool = False) -> float:
     """The value as a float."""
     if isinstance(given, bool) or not isinstance(given, Real):
-        raise _found(where, given, right)
+        raise fault(where, given, right)
     try:
         number = float(given) + 0.0  # -0.0 becomes 0.0: equal definitions have one digest
     except OverflowError:
-        raise _found(where, given, "must be a finite number") from None
+        raise fault(where, given, "must be a finite number") from None
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise DefinitionError(f"{where}: found {number!r}, must be a finite number")
     return number
 
 
+_read_end = partial(read_number, infinite=True)
+_PARAMETER_KEYS: dict[str, Any] = {
+    "default": read_number, "low": _read_end, "high": _read_end, "low_open": _read_flag, "high_open": _read_flag,
+    "symbol": _read_words, "unit": _read_words, "meaning": _read_words,
+}  # fmt: skip
+
+
 def read_table(where: str, given: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
     """The value, a table that has these keys at most, or any; DefinitionError for anything else."""
     if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
-        raise _found(where, given, "must be a table")
+        raise fault(where, given, "must be a table")
     for key in given:
         if keys and key not in keys:
             raise DefinitionError(unknown_name(f"key in {where}", key, keys))
@@ -249,17 +260,10 @@ def read_list(
 ) -> list[Any]:
     """The value, a list of that length; DefinitionError for anything else."""
     if not isinstance(given, list | tuple):
-        raise _found(where, given, f"must be a list of {length} {what}{each}")
+        raise fault(where, given, f"must be a list of {length} {what}{each}")
     if len(given) != length:
         raise DefinitionError(f"{where}: found {len(given)} {what}, must be {length}{each}")
     return list(given)
-
-
-def required(table: Mapping[str, Any], key: str) -> Any:
-    """The value of a key that has to be there."""
-    if key not in table:
-        raise DefinitionError(f"system: {key} missing")
-    return table[key]
 
 
 def symbol_of(name: str) -> str:
@@ -273,7 +277,7 @@ def symbol_of(name: str) -> str:
 
 def _names(where: str, given: object) -> tuple[str, ...]:
     if not isinstance(given, list | tuple):
-        raise _found(where, given, "must be a list of names")
+        raise fault(where, given, "must be a list of names")
     for i, name in enumerate(given):
         _check_name(f"{where}[{i}]", name)
     return tuple(given)
@@ -281,16 +285,16 @@ def _names(where: str, given: object) -> tuple[str, ...]:
 
 def _check_name(where: str, name: object) -> None:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise _found(where, name, "must be a name of letters, digits and underscores, 40 at most")
+        raise fault(where, name, "must be a name of letters, digits and underscores, 40 at most")
     if name in RESERVED:
         raise _taken(where, name)
 
 
 def refuse_taken(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """DefinitionError at the first name that is one of an atlas's own."""
-    names = [(f"system.coordinates[{i}]", name) for i, name in enumerate(definition.coordinates)]
-    names += [(f"system.velocities[{i}]", name) for i, name in enumerate(definition.velocities)]
-    for where, name in [*names, *((f"system.parameters.{p.name}", p.name) for p in parameters)]:
+    names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
+    names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
+    for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():
         if is_taken(name):
             raise _taken(where, name)
 
@@ -299,21 +303,8 @@ def _taken(where: str, name: str) -> DefinitionError:
     return DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
 
 
-def _read_words(where: str, value: object, default: str) -> str:
-    """Words on one line that can stand beside a formula."""
-    found = read_text(where, value, default)
-    if not found.isprintable() or "$" in found or len(found) > 200:
-        raise _found(where, value, "must be one line of at most 200 characters without a dollar")
-    return found
-
-
-def _read_flag(where: str, given: object) -> bool:
-    if not isinstance(given, bool):
-        raise _found(where, given, "must be true or false")
-    return given
-
-
-def _found(where: str, value: object, right: str) -> DefinitionError:
+def fault(where: str, value: object, right: str) -> DefinitionError:
+    """The error of an entry: what was found, and what would be right."""
     try:
         shown = _short.repr(value)
     except ValueError:  # a whole number of more digits than Python writes

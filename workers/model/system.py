@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.build import build
+from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
-from workers.model.definition import Definition, faults
+from workers.model.definition import Definition
 from workers.model.oscillator import Array, Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import (
     DefinitionError,
+    fault,
     read_coordinates,
     read_definition,
     read_list,
@@ -39,6 +40,8 @@ KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
     "harmonics", "load", "gap", "upper", "lower", "restitution", "let", "parameters",
 )  # fmt: skip
+LATEST = 1_000_000
+"""The highest version of a definition."""
 _PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec has all values, and needs no default
 
 
@@ -54,15 +57,15 @@ class System:
     """
 
     name: str
-    title: str
     parameters: tuple[Parameter, ...]
     definition: Definition
-    version: int = 1
-    packaged: bool = False
+    version: int
+    packaged: bool
+    axes: tuple[tuple[str, float, float], ...]
+    title: str
     source: str = ""
     equation: str = ""
     picture: str = ""
-    axes: tuple[tuple[str, float, float], ...] = ()
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> "System":
@@ -91,24 +94,20 @@ class System:
 
     def build(self, values: Mapping[str, float]) -> Oscillator:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
-        oscillators, reasons = self._built({k: np.array([v], dtype=np.float64) for k, v in values.items()})
+        oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return one_of(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
         """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
-        oscillators, reasons = self._built(values)
+        machines = self.definition.machines(values)
+        oscillators, reasons = build(machines)
+        wrong = faults(machines)
+        reasons = np.where(wrong != NO_REASON, wrong, reasons)
         for parameter in self.parameters:
             reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
         return oscillators, reasons
-
-    def _built(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
-        with np.errstate(all="ignore"):
-            machines = self.definition.machines(values)
-            wrong = faults(machines)
-        oscillators, reasons = build(machines)
-        return oscillators, np.where(wrong != NO_REASON, wrong, reasons)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the nearest known name otherwise."""
@@ -201,21 +200,25 @@ def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _read(given: Mapping[str, Any], packaged: bool) -> System:
     table = read_table("system", given, KEYS)
+    for key in ("coordinates", "mass", "gap", "restitution"):
+        if key not in table:
+            raise DefinitionError(f"system: {key} missing")
     name = read_text("system.name", table.get("name"))
     if not name or len(name) > 40 or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
         raise DefinitionError(f"system.name: found {name[:60]!r}, must be letters, digits and hyphens, 40 at most")
     version = table.get("version", 1)
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise DefinitionError(f"system.version: found {version!r}, must be a whole number, 1 or more")
+        raise fault("system.version", version, "must be a whole number, 1 or more")
+    if version > LATEST:
+        raise fault("system.version", version, f"must be at most {LATEST}")
     coordinates, velocities = read_coordinates(table)
     parameters = read_parameters(table.get("parameters", {}), coordinates, velocities)
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)
-    source, equation, picture = (read_text(f"system.{key}", table.get(key), "") for key in TEXTS[1:])
-    title = read_text("system.title", table.get("title"), name)
+    texts = {"title": name} | {key: read_text(f"system.{key}", table[key]) for key in TEXTS if key in table}
     axes = _read_axes(table.get("axes", {}), names)
-    return System(name, title, parameters, definition, version, packaged, source, equation, picture, axes)
+    return System(name, parameters, definition, version, packaged, axes, **texts)
 
 
 def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:

@@ -14,8 +14,12 @@ directions into which J takes d.
 import math
 
 import numpy as np
+from numba import types
 
+from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
+from workers.kernel.cells import energy_norm
 from workers.kernel.jit import inline_always, kernel
+from workers.orbit.map import squares
 
 LOOK_AHEAD = 256
 """Turns of the linear map after which a deviation that has not grown back is taken not to."""
@@ -25,21 +29,24 @@ MOST_DOUBLINGS = 30
 
 
 @inline_always
-def weight(metric, k):
-    """What the energy norm multiplies coordinate k of a block state (2n,) by."""
-    return math.sqrt(metric[k // 2]) if k % 2 == 0 else 1.0
+def deviation(h, fixed):
+    """The difference (2n,) of two block states (n, 2)."""
+    d = np.empty(h.size)
+    for k in range(h.size):
+        d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
+    return d
 
 
 @inline_always
-def product(left, right, found):
-    """Write the matrix product of two square matrices."""
-    size = len(left)
+def add_product(found, left, right):
+    """Add the product of two square matrices to a third one, in place."""
+    size = len(found)
     for i in range(size):
         for k in range(size):
             total = 0.0
             for j in range(size):
                 total += left[i, j] * right[j, k]
-            found[i, k] = total
+            found[i, k] += total
 
 
 @kernel
@@ -51,38 +58,24 @@ def shrinking_norm(metric, J, contraction):
     The sum to 2K is P + (A^K)' P A^K: all terms are squares, so that nothing cancels.
     """
     size = len(J)
-    A, P = np.empty((size, size)), np.zeros((size, size))
-    square, image = np.empty((size, size)), np.empty((size, size))
+    weight, A, P = np.ones(size), np.empty((size, size)), np.eye(size)
+    for j in range(len(metric)):
+        weight[2 * j] = math.sqrt(metric[j])
     for i in range(size):
         for k in range(size):
-            A[i, k] = J[i, k] * weight(metric, i) / (weight(metric, k) * (1.0 - 0.5 * contraction))
-        P[i, i] = 1.0
-    shrinks = False
+            A[i, k] = J[i, k] * weight[i] / (weight[k] * (1.0 - 0.5 * contraction))
     for _ in range(MOST_DOUBLINGS):
-        total = 0.0
-        for i in range(size):
-            for k in range(size):
-                total += A[i, k] * A[i, k]
-        if total <= 1.0:
-            shrinks = True
+        if squares(A) <= 1.0:
             break
-        product(P, A, image)
-        for i in range(size):
-            for k in range(i + 1):
-                term = 0.0
-                for j in range(size):
-                    term += A[j, i] * image[j, k]
-                square[i, k] = square[k, i] = term
-        for i in range(size):
-            for k in range(size):
-                P[i, k] += square[i, k]
-        product(A, A, square)
-        for i in range(size):
-            for k in range(size):
-                A[i, k] = square[i, k]
+        image, square = np.zeros((size, size)), np.zeros((size, size))
+        add_product(image, P, A)
+        add_product(P, A.T, image)
+        add_product(square, A, A)
+        A = square
+    shrinks = squares(A) <= 1.0
     for i in range(size):
         for k in range(size):
-            P[i, k] = P[i, k] * weight(metric, i) * weight(metric, k) if shrinks else np.nan
+            P[i, k] = P[i, k] * weight[i] * weight[k] if shrinks else np.nan
     return P
 
 
@@ -96,45 +89,37 @@ def squared(P, d):
     return total
 
 
-@kernel
+@apart(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
     """Whether a turn from block state h (n, 2) to ``image`` is one of falling into the orbit through ``fixed``.
 
     |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """
-    size = len(J)
-    d, r = np.empty(size), np.empty(size)
-    for k in range(size):
-        d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
-    for i in range(size):
-        r[i] = image[i // 2, i % 2] - fixed[i // 2, i % 2]
-        for k in range(size):
+    P, J, fixed, h, image = lent_matrix(P), lent_matrix(J), lent_matrix(fixed), lent_matrix(h), lent_matrix(image)
+    d, r = deviation(h, fixed), deviation(image, fixed)
+    for i in range(len(J)):
+        for k in range(len(J)):
             r[i] -= J[i, k] * d[k]
     return squared(P, r) < (0.5 * contraction) ** 2 * squared(P, d)
 
 
-@kernel
+@apart(FLOATS[1], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(metric, P, J, fixed, h, begun):
     """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and by J alone stays so.
 
     That is certain once the deviation is less in the norm of P, which no turn lets grow and is the larger of the two.
     """
-    size = len(J)
-    d, image = np.empty(size), np.empty(size)
-    for k in range(size):
-        d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
+    metric, P, J = lent_row(metric), lent_matrix(P), lent_matrix(J)
+    fixed, h = lent_matrix(fixed), lent_matrix(h)
+    d = deviation(h, fixed)
     for _ in range(LOOK_AHEAD):
-        total = 0.0
-        for k in range(size):
-            total += (weight(metric, k) * d[k]) ** 2
-        if not total < begun * begun:
+        if not energy_norm(metric, d.reshape(h.shape)) < begun:
             return False
         if squared(P, d) < begun * begun:
             break
-        for i in range(size):
-            image[i] = 0.0
-            for k in range(size):
+        image = np.zeros(len(d))
+        for i in range(len(d)):
+            for k in range(len(d)):
                 image[i] += J[i, k] * d[k]
-        for k in range(size):
-            d[k] = image[k]
+        d = image
     return True

@@ -58,31 +58,12 @@ def spread_of(logs, ends):
 
 
 @kernel
-def nothing_left(size):
-    """Logarithms (size,) of multipliers that are all zero."""
-    logs = np.empty(size)
-    for i in range(size):
-        logs[i] = -np.inf
-    return logs
-
-
-@kernel
-def leading(V, rank):
-    """A copy of the first vectors of a frame (m, n, 2)."""
-    frame = np.empty((rank, V.shape[1], 2))
-    for i in range(rank):
-        for j in range(V.shape[1]):
-            frame[i, j, 0], frame[i, j, 1] = V[i, j, 0], V[i, j, 1]
-    return frame
-
-
-@kernel
 def block_logs(rotation, growth, triangle, ends, size):
     """ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest modulus of them.
 
     Scaled so that nothing overflows. Up to ``size`` they are -infinity: directions that are lost.
     """
-    logs = nothing_left(size)
+    logs = np.full(size, -np.inf)
     largest, start = 0.0, 0
     for end in ends:
         top = highest(growth, start, end)
@@ -108,18 +89,18 @@ def floquet(osc, point, steps, half, most):
     """
     size = point.h.size
     frame = axes(point.h.shape[0])
-    logs = nothing_left(size)
+    logs = np.full(size, -np.inf)
     rounding = np.inf
     turns = 0
     for turn in range(1, most + 1):
         m = frame.shape[0]
-        motion = iterate(osc, point.h, point.contact, leading(frame, m), np.zeros(m), np.eye(m), steps, half)
+        motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), np.eye(m), steps, half)
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(osc, motion)
         rank = size - int(motion.tally[LOST])
         rotation = overlaps(osc.gap.metric, frame, motion.V, rank)
-        frame = leading(motion.V, rank)
+        frame = motion.V[:rank].copy()
         if turn == 1:
             continue
         ends = block_ends(rotation)

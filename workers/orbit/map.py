@@ -1,4 +1,4 @@
-"""The map of so many steps, whole periods P or half periods G, with its Jacobian; distances between its states.
+"""The map of some steps, whole periods P or half periods G, with its Jacobian; distances between its states.
 
 Where the gap is symmetric, G o G = P.
 """
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class FixedPoint(NamedTuple):
-    """A fixed point of so many steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
+    """A fixed point of some steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
 
     h: Array
     image: Array
@@ -29,7 +29,7 @@ class FixedPoint(NamedTuple):
 
 @kernel
 def iterate(osc, h, contact, V, growth, triangle, steps, half):
-    """The motion that so many steps of the map, half periods or whole ones, make of block state h; see motion_with.
+    """The motion that ``steps`` of the map, half periods or whole ones, make of block state h; see motion_with.
 
     Not RUNNING where it cannot get there.
     """
@@ -51,19 +51,31 @@ def iterate_alone(osc, h, contact, steps, half):
 @kernel
 def jacobian_of(V):
     """The Jacobian (2n, 2n) that has tangent vectors V (2n, n, 2) for columns."""
-    size = V.shape[0]
-    J = np.empty((size, size))
-    for i in range(size):
-        for j in range(V.shape[1]):
-            J[2 * j, i], J[2 * j + 1, i] = V[i, j, 0], V[i, j, 1]
-    return J
+    return np.ascontiguousarray(V.reshape((V.shape[0], V.shape[0])).T)
 
 
 @inline_always
 def map_with_jacobian(osc, h, contact, steps, half):
-    """The motion that so many steps of the map make of h, and the Jacobian (2n, 2n) of the map there."""
+    """The motion that ``steps`` of the map make of h, and the Jacobian (2n, 2n) of the map there."""
     motion = iterate(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
+
+
+@inline_always
+def copy_into(target, source):
+    """Write the entries of an array into another one of its shape; both are contiguous."""
+    to, values = target.ravel(), source.ravel()
+    for k in range(values.size):
+        to[k] = values[k]
+
+
+@inline_always
+def squares(values):
+    """The sum of the squares of all entries of an array."""
+    total = 0.0
+    for value in values.ravel():
+        total += value * value
+    return total
 
 
 @kernel

@@ -17,9 +17,9 @@ from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.model.oscillator import HEAD
-from workers.orbit.attraction import falls_into, shrinking_norm, stays_nearer
-from workers.orbit.floquet import floquet, nothing_left
-from workers.orbit.map import FixedPoint, iterate_alone, map_with_jacobian, separation
+from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
+from workers.orbit.floquet import floquet
+from workers.orbit.map import FixedPoint, copy_into, iterate_alone, map_with_jacobian, separation, squares
 from workers.orbit.rest import is_followed
 from workers.orbit.section import back_at_section, quiet_section, seen_later
 
@@ -53,7 +53,6 @@ class PeriodicOrbit(NamedTuple):
     h (n, 2), contact   section state on it
     steps, half         m, and whether a step is half a period (map G)
     exponents           (2n,) ln|mu| / period, in any order; -infinity where structurally lost
-    residual            |F(h) - h| in the energy norm
     error               rounding error of the exponents
     """
 
@@ -62,33 +61,25 @@ class PeriodicOrbit(NamedTuple):
     steps: int
     half: bool
     exponents: Array
-    residual: float
     error: float
 
 
 @kernel
 def corrected(h, image, J):
     """One step of Newton's method, h - (J - I)^-1 (F(h) - h); not finite where the matrix is singular."""
-    size = len(J)
-    matrix, right = J.copy(), np.empty(size)
-    for k in range(size):
+    matrix, better = J.copy(), h.copy()
+    for k in range(len(J)):
         matrix[k, k] -= 1.0
-        right[k] = image[k // 2, k % 2] - h[k // 2, k % 2]
-    change = solution(matrix, right)
-    better = np.empty(h.shape)
-    for k in range(size):
-        better[k // 2, k % 2] = h[k // 2, k % 2] - change[k]
+    change = solution(matrix, deviation(image, h))
+    for k in range(len(J)):
+        better[k // 2, k % 2] -= change[k]
     return better
 
 
 @kernel
 def is_hopeless(J):
     """Whether the spectral radius is HOPELESS or more; the Frobenius norm, a bound of it, mostly tells."""
-    square = 0.0
-    for row in J:
-        for entry in row:
-            square += entry * entry
-    return not square < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
+    return not squares(J) < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
 @inline_always
@@ -163,7 +154,7 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
 def find_orbit(osc, h, contact, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
-    The orbit closes after so many steps, or is one that closes after fewer.
+    The orbit closes after ``steps``, or is one that closes after fewer.
     """
     guess, spent = h, 0
     while True:
@@ -171,7 +162,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         turns_left = (budget - spent) // unit - RESERVED_TURNS
         point, tried = newton(osc, guess, contact, steps, half, scale, min(PROOF_STEPS, turns_left))
         spent += tried * unit
-        orbit = PeriodicOrbit(point.h, contact, steps, half, nothing_left(h.size), point.residual, 0.0)
+        orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), 0.0)
         if point.residual == np.inf:
             return NOTHING, orbit, spent
         radius = spectral_radius(point.jacobian)
@@ -198,7 +189,7 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
-    orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, point.residual, rounding / periods)
+    orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, rounding / periods)
     # Else it is too near a bifurcation for these digits.
     return SETTLED if largest < -rounding else NOTHING, orbit, spent
 
@@ -258,7 +249,7 @@ def settle(osc, motion, sections, near, longest, budget):
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
     there = borrowed(seen_later(osc, shift))
-    none = PeriodicOrbit(h, contact, 1, False, nothing_left(h.size), np.inf, 0.0)
+    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
         for half in (True, False):
@@ -294,7 +285,7 @@ class Orbits(NamedTuple):
 
 
 def no_orbits(count: int, n: int) -> Orbits:
-    """Room for the orbits of so many cells."""
+    """Room for the orbits of ``count`` cells of n blocks."""
     return Orbits(
         h=np.zeros((count, n, 2)),
         contact=np.zeros((count, 1), dtype=np.int64),
@@ -332,12 +323,8 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         here = back_at_section(osc, shift, orbit.h, orbit.contact)
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
-        for j in range(here.h.shape[0]):
-            for k in range(2):
-                orbits.h[r, j, k] = here.h[j, k]
-        for k in range(TALLIES):
-            orbits.tally[r, k] = turn.tally[k]
         sort_down(orbit.exponents)
-        for k in range(len(orbit.exponents)):
-            orbits.exponents[r, k] = orbit.exponents[k]
+        copy_into(orbits.h[r], here.h)
+        copy_into(orbits.tally[r], turn.tally)
+        copy_into(orbits.exponents[r], orbit.exponents)
     return settled

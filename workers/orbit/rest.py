@@ -1,7 +1,5 @@
 """Motion of one mass from rest to rest: what it does after a rest depends on its release alone, so that it repeats."""
 
-import math
-
 import numpy as np
 
 from workers.kernel.borrow import borrowed
@@ -9,26 +7,17 @@ from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel, kernel_within
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.period import advance
-from workers.orbit.map import separation
+from workers.orbit.map import copy_into, separation, squares
 
 FOLLOWED = 1e10
-"""How far a disturbance may grow from a release to the next rest: rounding is still small beside the motion then."""
+"""How far a disturbance may grow from a release to the next rest, by the norm of all tangent vectors: rounding is still
+small beside the motion then."""
 
 SAME_RELEASE = 1e-6
 """Distance, relative to the motion's scale, of two sections that follow the same release."""
 
 RELEASES = 16
 """Releases that a section is compared with: there are as many as the load on a stop has phases at which it ends."""
-
-
-@kernel
-def growth_of(V):
-    """The norm of the tangent vectors (2n, n, 2): the largest factor by which a disturbance may have grown."""
-    square = 0.0
-    for vector in V:
-        for block in vector:
-            square += block[0] * block[0] + block[1] * block[1]
-    return math.sqrt(square)
 
 
 @inline_always
@@ -42,10 +31,7 @@ def pass_period(osc, motion, rests):
     rests = rests or motion.tally[LOST] >= 2.0
     released = rests and abs(motion.contact[0]) != HELD
     if released:
-        fresh = axes(motion.h.shape[0])
-        for i in range(fresh.shape[0]):
-            for j in range(fresh.shape[1]):
-                motion.V[i, j, 0], motion.V[i, j, 1] = fresh[i, j, 0], fresh[i, j, 1]
+        copy_into(motion.V, axes(motion.h.shape[0]))
     return rests and not released, released
 
 
@@ -58,7 +44,7 @@ def is_followed(osc, h, contact, periods):
     for _ in range(2 * periods):
         rests, released = pass_period(osc, borrowed(motion), rests)
         begun = begun or released
-        if motion.tally[STATUS] != RUNNING or (begun and not growth_of(motion.V) < FOLLOWED):
+        if motion.tally[STATUS] != RUNNING or (begun and not squares(motion.V) < FOLLOWED**2):
             return False
     return True
 
@@ -87,8 +73,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             gone[r] += 1
             if motion.tally[STATUS] != RUNNING:
                 break
-            for j in range(n):
-                states[count, j, 0], states[count, j, 1] = motion.h[j, 0], motion.h[j, 1]
+            copy_into(states[count], motion.h)
             contacts[count] = motion.contact[0]
             if released:
                 for e in range(known):
@@ -99,14 +84,11 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
                 if known < RELEASES:
                     releases[known] = count
                     known += 1
-            elif not growth_of(motion.V) < FOLLOWED:
+            elif not squares(motion.V) < FOLLOWED**2:
                 known = count = 0
             count += int(known > 0)
         for k in range(kept[r]):
-            for j in range(n):
-                state = states[count - kept[r] + k]
-                sections[r, K - kept[r] + k, j, 0], sections[r, K - kept[r] + k, j, 1] = state[j, 0], state[j, 1]
+            copy_into(sections[r, K - kept[r] + k], states[count - kept[r] + k])
+        copy_into(moved.h, motion.h)
         moved.contact[0] = motion.contact[0]
-        for j in range(n):
-            moved.h[j, 0], moved.h[j, 1] = motion.h[j, 0], motion.h[j, 1]
     return gone

@@ -52,8 +52,7 @@ def quiet_section(osc, h, contact):
     Given is its block state at t = 0, returned that at t = shift T.
     """
     shift, there, at, tries = 0.0, h.copy(), contact, 0
-    while tries < TRIES:
-        tries += 1
+    for tries in range(1, TRIES + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
         motion = moved(osc, h, contact, shift - MARGIN)
         before = motion.contact[0]

@@ -94,7 +94,7 @@ def arrival_pass(a, n):
 
 @inline_always
 def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
-    """One round of the first n lanes, a multiple of VECTOR_WIDTH; so many harmonics besides the first.
+    """One round of the first n lanes, a multiple of VECTOR_WIDTH; ``harmonics``: those besides the first.
 
     oscillates says that all blocks of all cells are underdamped, renews that a lane may want bounds anew; chosen and c
     are overwritten. Returns what arrival_pass does.

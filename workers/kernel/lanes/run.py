@@ -59,7 +59,7 @@ class Batch(NamedTuple):
 
     oscillators, motions  records of many
     periods      (N,)     wanted; done (N,) completed, before and after
-    levels       (N, LEVELS, 4), weighted (N, 2): as in Averages
+    levels       (N, LEVELS, 4), weighted (N, 2): the averages of growth, as in add_growth
     sections     (N, K, n, 2)             the last K states
     """
 

@@ -63,7 +63,7 @@ def retreat_pass(a, n):
 
 @inlined
 def padded(count):
-    """The next multiple of VECTOR_WIDTH: how far loops over so many lanes run."""
+    """The next multiple of VECTOR_WIDTH: how far loops over ``count`` lanes run."""
     return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
 
 

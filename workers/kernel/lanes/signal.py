@@ -18,7 +18,7 @@ def fields_of(a, j):
 
 @kernel
 def fields_of_harmonic(a, blocks, k):
-    """The fields of harmonic k + 2 of all lanes, which lie behind those of so many blocks."""
+    """The fields of harmonic k + 2 of all lanes, which lie behind those of all ``blocks``."""
     first = LANE_SIZE + blocks * BLOCK_SIZE
     return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
 

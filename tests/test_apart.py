@@ -1,0 +1,59 @@
+"""Claims about functions that kernels call where they lie."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import types
+from numba.core.errors import TypingError
+
+from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
+from workers.kernel.jit import kernel
+
+
+@apart(FLOATS[2], types.float64, types.boolean, result=types.float64)
+def norm(matrix: Any, power: float, rooted: bool) -> float:
+    matrix = lent_matrix(matrix)
+    total = 0.0
+    for row in matrix:
+        for entry in row:
+            total += abs(entry) ** power
+    return total ** (1.0 / power) if rooted else total
+
+
+@apart(FLOATS[1], types.int64)
+def fill(row: Any, value: int) -> None:
+    row = lent_row(row)
+    for k in range(len(row)):
+        row[k] = value
+
+
+@kernel
+def norms_after_filling(matrix, value):
+    """Two functions apart in one kernel, one of them called twice."""
+    fill(matrix[0], value)
+    return norm(matrix, 2.0, True), norm(matrix, 2.0, False)
+
+
+@kernel
+def norm_of_a_row(row):
+    """An argument that norm does not take."""
+    return norm(row, 2.0, True)
+
+
+def test_a_function_apart_reads_and_writes_the_arrays_of_the_kernel_that_calls_it() -> None:
+    matrix = np.ones((2, 2))
+    assert norms_after_filling(matrix, 2) == pytest.approx((math.sqrt(10.0), 10.0), rel=1e-15)
+    assert matrix.tolist() == [[2.0, 2.0], [1.0, 1.0]]
+
+
+def test_python_gets_the_same_bits_from_a_function_apart_as_a_kernel_does() -> None:
+    matrix = np.linspace(0.1, 0.9, 9).reshape(3, 3)
+    matrix[0] = 1.0
+    assert norms_after_filling(matrix.copy(), 1) == (norm(matrix, 2.0, True), norm(matrix, 2.0, False))
+
+
+def test_a_kernel_that_gives_a_function_apart_another_type_is_not_compiled() -> None:
+    with pytest.raises(TypingError, match="norm"):
+        norm_of_a_row(np.ones(3))
