@@ -19,6 +19,8 @@ import atlas
 from atlas.errors import NetworkError, RunError
 from atlas.service import dispatch as fanout
 from atlas.service.fitness import Fitness, Refusal
+from atlas.service.options import RunOptions
+from atlas.service.timing import Timing
 from atlas.store.location import LocalPlace
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, done_tiles, read_header
@@ -290,7 +292,8 @@ def test_a_worker_that_refuses_is_left_out_and_named(
     fitness_refuse = Fitness.refuse
     monkeypatch.setattr(Fitness, "refuse", refuse)
     monkeypatch.setattr(fanout, "run_job", picky)
-    summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
+    once = RunOptions(timing=Timing(tick=60.0))  # the workers are looked at before the first tile and after the last
+    summary = atlas.run(plane, tmp_path / "out.zarr", two_workers, once)
     assert (summary.tiles_done, summary.failures) == (9, ())
     assert summary.refused == {unfit: "sees no store"}
     assert 1 <= noted(name).count(unfit) <= 2 * fanout.IN_FLIGHT  # no more than were under way when it refused first

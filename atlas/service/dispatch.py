@@ -96,8 +96,8 @@ def outcomes(
     A job that fails is tried again, elsewhere if there is another worker, on another machine if there is one. A worker
     at which FAILURES jobs in a row failed gets no more while others do theirs, nor does one with too little memory.
 
-    ``tick`` is called about every ``timing.tick`` seconds, and may raise to end it. Raises RunError where the cluster
-    is lost, no worker is left that may have a job, or the store has no room.
+    ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it. Raises
+    RunError where the cluster is lost, no worker is left that may have a job, or the store has no room.
     """
     return _Window(client, act, jobs, timing).run(tick)
 
@@ -138,12 +138,13 @@ class _Window(Generic[J, R]):
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:
                     self.look()
-                    tick(Workers(sum(self.threads.values()), self.fitness.left_out, self.trouble()))
+                    tick(self.workers())
                     ticked = time.monotonic()
                 self.fill()
                 if not (self.running or self.again):
                     yield from self.judged()
                     if not self.again:
+                        tick(self.workers())  # who was left out since the last one
                         return
                     continue
                 try:
@@ -174,6 +175,10 @@ class _Window(Generic[J, R]):
             self.again.append(self.running.pop(future))
         if lost:
             self.client.cancel(lost)
+
+    def workers(self) -> Workers:
+        """The workers, as far as the last look and the ends of attempts show."""
+        return Workers(sum(self.threads.values()), self.fitness.left_out, self.trouble())
 
     def trouble(self) -> str:
         """Why no job has ended for a while, empty where nothing is known to be wrong."""
