@@ -8,13 +8,14 @@ import pytest
 from numba import types
 from numba.core.errors import TypingError
 
-from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
+from workers.kernel.apart import FLOATS, apart
 from workers.kernel.jit import kernel
+from workers.kernel.lend import whole
 
 
 @apart(FLOATS[2], types.float64, types.boolean, result=types.float64)
 def norm(matrix: Any, power: float, rooted: bool) -> float:
-    matrix = lent_matrix(matrix)
+    matrix = whole(matrix)
     total = 0.0
     for row in matrix:
         for entry in row:
@@ -24,7 +25,7 @@ def norm(matrix: Any, power: float, rooted: bool) -> float:
 
 @apart(FLOATS[1], types.int64)
 def fill(row: Any, value: int) -> None:
-    row = lent_row(row)
+    row = whole(row)
     for k in range(len(row)):
         row[k] = value
 

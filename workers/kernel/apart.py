@@ -13,13 +13,13 @@ from typing import Any
 import llvmlite.binding
 from llvmlite import ir
 from numba import cfunc, config, njit, types
-from numba.core.cgutils import alloca_once_value, get_or_insert_function
-from numba.extending import intrinsic, lower_builtin, type_callable
+from numba.core.cgutils import get_or_insert_function
+from numba.extending import lower_builtin, type_callable
 
-from workers.kernel.borrow import without_counts
 from workers.kernel.cache import CACHE
+from workers.kernel.lend import lend_value, lent_as
 
-__all__ = ["FLOATS", "apart", "lent", "lent_matrix", "lent_row", "lent_vectors", "load"]
+__all__ = ["FLOATS", "apart", "load"]
 
 FLOATS = {axes: types.Array(types.float64, axes, "C") for axes in (1, 2, 3, 4)}
 """The types of float64 arrays by their number of axes."""
@@ -46,7 +46,8 @@ def load() -> None:
 def apart(*kinds: types.Type, result: types.Type = types.void) -> Callable[[Callable[..., Any]], Any]:
     """Decorator of a function of arguments of these types that kernels call where it lies.
 
-    It gets arrays and records by address, and has to take each of them with ``lent``; its result is a number.
+    It gets arrays and records lent, see lend.py: fields of records as they are, arrays with ``whole``. Its result is a
+    number.
     """
     return lambda function: function if config.DISABLE_JIT else Apart(function, kinds, result)  # type: ignore[attr-defined]
 
@@ -55,12 +56,13 @@ class Apart:
     """See apart. Called from Python it is compiled as a kernel of its own, which only tests do."""
 
     def __init__(self, function: Callable[..., Any], kinds: tuple[types.Type, ...], result: types.Type) -> None:
-        self.function, self.kinds, self.result = function, kinds, result
+        self.function, self.result = function, result
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.alone = njit(nogil=True, error_model="numpy")(function)
         update_wrapper(self, function)
+        self.lent = tuple(map(lent_as, kinds))
         type_callable(self)(self._typed)
-        lower_builtin(self, *kinds)(self._code)
+        lower_builtin(self, *(types.Any for _ in kinds))(self._code)
         _waiting.append(self)
 
     def __call__(self, *given: Any) -> Any:
@@ -70,51 +72,19 @@ class Apart:
 
     def compile(self) -> None:
         """Compile the function, or load it, and make it known to the linker."""
-        signature = self.result(*(types.voidptr if _has_memory(kind) else kind for kind in self.kinds))
-        self.compiled = cfunc(signature, cache=CACHE is not None, error_model="numpy")(self.function)
+        self.compiled = cfunc(self.result(*self.lent), cache=CACHE is not None, error_model="numpy")(self.function)
         llvmlite.binding.add_symbol(self.name, self.compiled.address)
 
     def _typed(self, context: Any) -> Callable[..., Any]:
         def typer(*given: types.Type) -> types.Type | None:
-            return self.result if given == self.kinds else None
+            return self.result if tuple(map(lent_as, given)) == self.lent else None
 
         typer.__signature__ = inspect.signature(self.function)  # type: ignore[attr-defined]
         return typer
 
     def _code(self, context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        given = []
-        for kind, value in zip(self.kinds, arguments, strict=True):
-            if _has_memory(kind):
-                given.append(builder.bitcast(alloca_once_value(builder, value), ir.IntType(8).as_pointer()))
-            else:
-                given.append(context.get_value_as_argument(builder, kind, value))
+        given = [lend_value(context, builder, *each) for each in zip(signature.args, arguments, strict=True)]
+        given = [context.get_value_as_argument(builder, *each) for each in zip(self.lent, given, strict=True)]
         kind = ir.FunctionType(context.get_argument_type(self.result), [value.type for value in given])
         found = builder.call(get_or_insert_function(builder.module, kind, self.name), given)
         return context.get_argument_value(builder, self.result, found)
-
-
-def lent(kind: types.Type) -> Any:
-    """What takes an array or record of this type that a function apart is given, borrowed from who calls it."""
-    if config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return lambda given: given
-
-    def typed(typingctx: Any, given: types.Type) -> Any:
-        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            value = arguments[0]
-            if by_address:
-                value = builder.load(builder.bitcast(value, context.get_value_type(kind).as_pointer()))
-            return without_counts(context, builder, found, value)
-
-        by_address = given == types.voidptr
-        found = kind if by_address else given  # as Python gave it
-        return found(given), code
-
-    return intrinsic(typed)
-
-
-def _has_memory(kind: types.Type) -> bool:
-    return isinstance(kind, types.BaseTuple | types.Array)
-
-
-lent_row, lent_matrix, lent_vectors = lent(FLOATS[1]), lent(FLOATS[2]), lent(FLOATS[3])
-"""The float64 arrays that a function apart is given: (n,), (n, m), and tangent vectors (m, n, 2)."""

@@ -11,6 +11,7 @@ from workers.kernel.averages import standard_error
 from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
+from workers.kernel.lend import lend
 from workers.kernel.motion import FREE, RUNNING, STATUS, WORK, motion_of, motion_with, oscillator_of
 from workers.kernel.period import OVERDRAFT, advance
 from workers.kernel.signal import derivative_bounds
@@ -44,8 +45,8 @@ def start_motions(oscillators, motions, states, cells):
     """Start motions at physical section states (N, 2n), with the contact that each shows; the scale of each (N,)."""
     scales = np.zeros(len(states))
     for r in cells:
-        osc, h = oscillator_of(oscillators, r), motions.h[r]
-        motions.contact[r, 0] = start_at(borrowed(osc), states[r], h)
+        osc, h = lend(oscillator_of(oscillators, r)), motions.h[r]
+        motions.contact[r, 0] = start_at(osc, states[r], h)
         scales[r] = scale_of(osc, h)
     return scales
 
@@ -92,7 +93,7 @@ def physical_states(oscillators, motions, cells):
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        leave_blocks(borrowed(oscillator_of(oscillators, r)), motions.h[r], motions.contact[r, 0], states[e])
+        leave_blocks(lend(oscillator_of(oscillators, r)), motions.h[r], motions.contact[r, 0], states[e])
     return states
 
 
@@ -115,7 +116,7 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
     found = np.full((len(periods), 2), np.nan)
     n = h.shape[1]
     for r in cells:
-        osc = borrowed(oscillator_of(oscillators, r))
+        osc = lend(oscillator_of(oscillators, r))
         motion = motion_with(h[r], contact[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
         motion.tally[WORK] = allowance[r] - OVERDRAFT
         for _ in range(periods[r]):

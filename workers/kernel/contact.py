@@ -51,7 +51,6 @@ def outcome(osc, h, side, v, a, scale, remaining):
     t* M3 + 2 |cA^2k| |v| <= 1e-4 |a0| with t* inside the ``remaining`` time, or if the hop is below
     rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
     """
-    osc = borrowed(osc)
     R, cA2k = osc.head[HEAD.R], osc.head[HEAD.cA2k]
     load = load_at_rest(side, v, a, cA2k)
     if is_rebound(load, v, R, cA2k, scale, remaining):
@@ -190,7 +189,7 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
 
     Returns (time, released, evaluations); released is 2 where the march gave up.
     """
-    osc, h, V = borrowed(osc), borrowed(h), borrowed(V)
+    h, V = borrowed(h), borrowed(V)
     held = osc.held.mode
     n = len(held.blocks)
     u, scratch = np.empty((n, 2)), np.empty((n, 2))

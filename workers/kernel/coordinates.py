@@ -73,7 +73,7 @@ def placed(y, v, y_error, v_error, upper, lower):
     return contact
 
 
-@inline_always
+@kernel
 def put_on_stop(row, stop, state, first):
     """Set the coordinate that weighs most in g . x, those of x from place ``first`` of the state, so that g . x = stop.
 

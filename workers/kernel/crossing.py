@@ -154,7 +154,7 @@ def next_crossing(mode, h, phase, offset, upper, lower, own, kind, H, scratch):
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
     2 where the march needed more than MAX_EVALUATIONS.
     """
-    mode, h, scratch = borrowed(mode), borrowed(h), borrowed(scratch)
+    h, scratch = borrowed(h), borrowed(scratch)
     blocks, waves, numbers = mode.blocks, mode.waves, mode.numbers
     omega = numbers[NUMBER.omega]
     M0, M2, M3, M4 = derivative_bounds(blocks, numbers, h)

@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 
-from workers.kernel.borrow import borrowed
 from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
 from workers.kernel.flow import flow
 from workers.kernel.jit import kernel_within
+from workers.kernel.lend import lend
 from workers.kernel.signal import evaluate
 from workers.model.oscillator import COLUMN, NUMBER, Mode
 
@@ -48,7 +48,6 @@ def turning_points(gap, start, phase, duration, own, kind, low, high):
     own and kind: as in next_crossing, how the flight starts on a stop. Returns also the evaluations; high is NaN where
     the search gave up.
     """
-    gap = borrowed(gap)
     velocity, offset = velocity_of(gap)
     h, scratch = start.copy(), np.empty(start.shape)
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
@@ -61,7 +60,7 @@ def turning_points(gap, start, phase, duration, own, kind, low, high):
     while True:
         upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
         s, side, evaluations = next_crossing(
-            velocity, h, phase, offset, upper, lower, zero, zero_kind, duration - t, scratch
+            lend(velocity), h, phase, offset, upper, lower, zero, zero_kind, duration - t, scratch
         )
         spent += max(1, evaluations)
         flow(blocks, s, h)

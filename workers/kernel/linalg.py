@@ -5,8 +5,9 @@ import math
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
+from workers.kernel.apart import FLOATS, apart
 from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
+from workers.kernel.lend import whole
 
 EPS = float(np.finfo(np.float64).eps)
 
@@ -165,7 +166,7 @@ def fill_moduli(matrix, found):
 
     Of the matrix with its entries brought to the range of one, where no product of two that count underflows.
     """
-    matrix, found = lent_matrix(matrix), lent_row(found)
+    matrix, found = whole(matrix), whole(found)
     size = len(matrix)
     A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
     cosines, sines = np.empty(size), np.empty(size, dtype=np.complex128)
@@ -217,7 +218,7 @@ def moduli(matrix):
 @apart(FLOATS[2], result=types.float64)
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity where it is not finite."""
-    matrix = lent_matrix(matrix)
+    matrix = whole(matrix)
     return highest(moduli(matrix), 0, len(matrix))
 
 

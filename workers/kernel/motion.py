@@ -7,7 +7,7 @@ from numba import types
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from workers.kernel.apart import FLOATS, lent
+from workers.kernel.apart import FLOATS
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import Held, Mode, Oscillator, each
@@ -69,9 +69,6 @@ HELD_MOTION = _record(Held, MODE, 2, 2, 3, 3, 1)
 OSCILLATOR = _record(Oscillator, MODE, 2, 2, 2, 2, 1, 1, types.float64, HELD_MOTION)
 MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 2)
 """Types of records in kernels."""
-
-lent_oscillator, lent_motion = lent(OSCILLATOR), lent(MOTION)
-"""The records that a function apart is given."""
 
 
 @inlined

@@ -49,8 +49,6 @@ from workers.kernel.motion import (
     STUCK,
     UPPER,
     WORK,
-    lent_motion,
-    lent_oscillator,
 )
 from workers.kernel.signal import evaluate
 from workers.kernel.tangent import (
@@ -159,7 +157,6 @@ def watch_flight(gap, motion, phase, s, own, kind, top, bottom):
 @apart(OSCILLATOR, MOTION, types.float64)
 def through_impacts(osc, motion, duration):
     """The one loop of mode, first guard and reset: see propagate."""
-    osc, motion = lent_oscillator(osc), lent_motion(motion)
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
     blocks, waves, metric, omega = gap.blocks, gap.waves, gap.metric, gap.numbers[NUMBER.omega]
     R, cA2k, top, bottom = osc.head[HEAD.R], osc.head[HEAD.cA2k], osc.head[HEAD.top], osc.head[HEAD.bottom]

@@ -5,11 +5,12 @@ import math
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row, lent_vectors
+from workers.kernel.apart import FLOATS, apart
 from workers.kernel.crossing import TINY
 from workers.kernel.elementary import cosc_sinc, exp, log, sin_cos
 from workers.kernel.flow import flow
 from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.lend import whole
 from workers.kernel.motion import LOST, SPREAD
 from workers.model.oscillator import COLUMN
 
@@ -35,7 +36,7 @@ def orthonormalise(metric, V, growth, triangle, rank):
     lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with its
     rows divided by exp(growth): it stays in range where the product itself would not.
     """
-    metric, V, growth, triangle = lent_row(metric), lent_vectors(V), lent_row(growth), lent_matrix(triangle)
+    metric, V, growth, triangle = whole(metric), whole(V), whole(growth), whole(triangle)
     m = V.shape[0]
     for i in range(min(rank, m)):
         norm = math.sqrt(inner(metric, V, i, V, i))
@@ -80,7 +81,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
     elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame, U goes into
     growth and triangle (see orthonormalise, which comes after). No entry of D is multiplied out.
     """
-    blocks, V, growth, triangle = lent_matrix(blocks), lent_vectors(V), lent_row(growth), lent_matrix(triangle)
+    blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
     n, m = len(blocks), V.shape[0]
     X = np.empty((2 * n, m))
     back = np.zeros((2 * n, 2))

@@ -16,9 +16,10 @@ import math
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart, lent_matrix, lent_row
+from workers.kernel.apart import FLOATS, apart
 from workers.kernel.cells import energy_norm
 from workers.kernel.jit import inline_always, kernel
+from workers.kernel.lend import whole
 from workers.orbit.map import squares
 
 LOOK_AHEAD = 256
@@ -95,7 +96,7 @@ def falls_into(P, J, contraction, fixed, h, image):
 
     |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """
-    P, J, fixed, h, image = lent_matrix(P), lent_matrix(J), lent_matrix(fixed), lent_matrix(h), lent_matrix(image)
+    P, J, fixed, h, image = whole(P), whole(J), whole(fixed), whole(h), whole(image)
     d, r = deviation(h, fixed), deviation(image, fixed)
     for i in range(len(J)):
         for k in range(len(J)):
@@ -109,8 +110,8 @@ def stays_nearer(metric, P, J, fixed, h, begun):
 
     That is certain once the deviation is less in the norm of P, which no turn lets grow and is the larger of the two.
     """
-    metric, P, J = lent_row(metric), lent_matrix(P), lent_matrix(J)
-    fixed, h = lent_matrix(fixed), lent_matrix(h)
+    metric, P, J = whole(metric), whole(P), whole(J)
+    fixed, h = whole(fixed), whole(h)
     d = deviation(h, fixed)
     for _ in range(LOOK_AHEAD):
         if not energy_norm(metric, d.reshape(h.shape)) < begun:

@@ -33,7 +33,6 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
 
     Not RUNNING where it cannot get there.
     """
-    osc = borrowed(osc)
     motion = motion_with(h, contact, V, growth, triangle)
     for _ in range(steps):
         step(osc, borrowed(motion), half)

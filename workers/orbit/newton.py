@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import inline_always, kernel
+from workers.kernel.lend import lend
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.model.oscillator import HEAD
@@ -248,7 +248,7 @@ def settle(osc, motion, sections, near, longest, budget):
     shift, h, contact, flown = 0.0, motion.h.copy(), motion.contact[0], 0
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
-    there = borrowed(seen_later(osc, shift))
+    there = lend(seen_later(osc, shift))
     none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
@@ -309,10 +309,10 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
     settled = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
-        osc = borrowed(oscillator_of(oscillators, r))
+        osc = lend(oscillator_of(oscillators, r))
         known = sections[r, sections.shape[1] - kept[r] :]
         result, orbit, shift, spent[r] = settle(osc, motion_of(motions, r), known, near[r], longest, budgets[r])
-        there = borrowed(seen_later(osc, shift))
+        there = lend(seen_later(osc, shift))
         settled[e] = result == SETTLED
         if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:
             settled[e] = is_followed(there, orbit.h, orbit.contact, orbit.steps)

@@ -5,6 +5,7 @@ import numpy as np
 from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel, kernel_within
+from workers.kernel.lend import lend
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.period import advance
 from workers.orbit.map import copy_into, separation, squares
@@ -38,7 +39,6 @@ def pass_period(osc, motion, rests):
 @kernel_within
 def is_followed(osc, h, contact, periods):
     """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
-    osc = borrowed(osc)
     motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
     rests = begun = False
     for _ in range(2 * periods):
@@ -60,7 +60,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     gone = np.zeros(len(oscillators.tau), dtype=np.int64)
     K = sections.shape[1]
     for r in cells:
-        osc, moved = borrowed(oscillator_of(oscillators, r)), motion_of(motions, r)
+        osc, moved = lend(oscillator_of(oscillators, r)), motion_of(motions, r)
         n, kept[r] = moved.h.shape[0], 0
         scale = scale_of(osc, moved.h)
         motion = motion_with(moved.h, moved.contact[0], axes(n), np.zeros(0), np.zeros((0, 0)))

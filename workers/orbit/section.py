@@ -11,6 +11,7 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel, kernel_within
+from workers.kernel.lend import lend, whole
 from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
 from workers.kernel.period import propagate
 from workers.model.oscillator import HEAD, Oscillator
@@ -31,9 +32,9 @@ AT_SECTION = 1e-12
 @kernel
 def seen_later(osc, shift):
     """The oscillator as it is seen from the section t = shift T."""
+    o = whole(osc)
     return borrowed(Oscillator(
-        osc.gap, osc.swing, osc.rest, osc.to_physical, osc.to_blocks, osc.gap_row, osc.head,
-        osc.tau + 2.0 * math.pi * shift, osc.held,
+        o.gap, o.swing, o.rest, o.to_physical, o.to_blocks, o.gap_row, o.head, o.tau + 2.0 * math.pi * shift, o.held,
     ))  # fmt: skip
 
 
@@ -57,9 +58,9 @@ def quiet_section(osc, h, contact):
         motion = moved(osc, h, contact, shift - MARGIN)
         before = motion.contact[0]
         motion.tally[MAX_SPEED] = 0.0
-        propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.head[HEAD.period])
+        propagate(lend(seen_later(osc, shift - MARGIN)), motion, MARGIN * osc.head[HEAD.period])
         there, at = motion.h.copy(), motion.contact[0]
-        propagate(seen_later(osc, shift), motion, MARGIN * osc.head[HEAD.period])
+        propagate(lend(seen_later(osc, shift)), motion, MARGIN * osc.head[HEAD.period])
         same = before == at and at == motion.contact[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
@@ -72,6 +73,6 @@ def back_at_section(osc, shift, h, contact):
 
     An impact at that section counts as past, also one that rounding puts up to AT_SECTION T after it.
     """
-    motion = moved(seen_later(osc, shift), h, contact, 1.0 - shift)
+    motion = moved(lend(seen_later(osc, shift)), h, contact, 1.0 - shift)
     after = moved(osc, motion.h, motion.contact[0], AT_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

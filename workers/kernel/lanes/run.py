@@ -27,6 +27,7 @@ from workers.kernel.lanes.layout import (
 from workers.kernel.lanes.rounds import take_round
 from workers.kernel.lanes.search import list_lanes, padded
 from workers.kernel.lanes.signal import fields_of_harmonic
+from workers.kernel.lend import lend
 from workers.kernel.motion import (
     EVALUATIONS,
     FREE,
@@ -167,7 +168,7 @@ def over(r, done, periods, tally):
 def go_alone(batch, r):
     """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
     motion = motion_of(batch.motions, r)
-    osc = oscillator_of(batch.oscillators, r)
+    osc = lend(oscillator_of(batch.oscillators, r))
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.metric, motion.V, motion.growth) if vectors else 0.0
     while not over(r, batch.done, batch.periods, batch.motions.tally):

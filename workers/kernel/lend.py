@@ -1,0 +1,94 @@
+"""Records and arrays that a kernel passes on by where they lie: one word, where an oscillator's arrays take 200.
+
+Who lends keeps the memory of the arrays. What is lent counts no references, see borrow.py, and ends with the function
+that lent it: no function returns it.
+"""
+
+from typing import Any, TypeVar
+
+from numba import types
+from numba.core.cgutils import alloca_once_value
+from numba.core.datamodel import models
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
+
+from workers.kernel.borrow import without_counts
+
+__all__ = ["lend", "lend_value", "lent_as", "whole"]
+
+Given = TypeVar("Given")
+
+
+def lend(given: Given) -> Given:
+    """The same record; in kernels by where it lies, with the same fields."""
+    return given
+
+
+def whole(given: Given) -> Given:
+    """The same record or array; in kernels by value, where it was lent."""
+    return given
+
+
+class Lent(types.Type):
+    """The type of a record or array of this kind that is known by where it lies."""
+
+    def __init__(self, kind: types.Type) -> None:
+        self.kind: Any = kind
+        super().__init__(f"Lent({kind})")
+
+
+def lent_as(kind: Any) -> Any:
+    """How a value of this type is lent: records and arrays by where they lie, numbers as they are."""
+    return Lent(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
+
+
+@register_model(Lent)
+class _LentModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, lent: Lent) -> None:
+        super().__init__(manager, lent, manager.lookup(lent.kind).get_value_type().as_pointer())
+
+
+@infer_getattr
+class _LentAttributes(AttributeTemplate):
+    key = Lent
+
+    def generic_resolve(self, lent: Lent, name: str) -> Any:  # type: ignore[override]
+        fields = getattr(lent.kind, "fields", ())
+        if name not in fields:
+            return None
+        field = lent.kind[fields.index(name)]
+        return Lent(field) if isinstance(field, types.BaseTuple) else field
+
+
+@lower_getattr_generic(Lent)
+def _attribute(context: Any, builder: Any, lent: Lent, place: Any, name: str) -> Any:
+    index = lent.kind.fields.index(name)
+    at = builder.gep(place, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
+    field = lent.kind[index]
+    return at if isinstance(field, types.BaseTuple) else without_counts(context, builder, field, builder.load(at))
+
+
+@type_callable(lend)
+def _lend_typed(context: Any) -> Any:
+    return lambda given: lent_as(given)
+
+
+@lower_builtin(lend, types.Any)
+def _lend_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return lend_value(context, builder, signature.args[0], arguments[0])
+
+
+def lend_value(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
+    """The value of this type as ``lent_as`` has it."""
+    return alloca_once_value(builder, value) if lent_as(kind) != kind else value
+
+
+@type_callable(whole)
+def _whole_typed(context: Any) -> Any:
+    return lambda given: given.kind if isinstance(given, Lent) else given
+
+
+@lower_builtin(whole, types.Any)
+def _whole_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    value = builder.load(arguments[0]) if isinstance(signature.args[0], Lent) else arguments[0]
+    return without_counts(context, builder, signature.return_type, value)
