@@ -1,10 +1,10 @@
-"""One rounding for a product and a sum."""
+"""One rounding for a product and a sum, and in each step of a polynomial."""
 
 from fractions import Fraction
 
 import numpy as np
 
-from workers.kernel.fma import fma
+from workers.kernel.fma import fma, horner
 from workers.kernel.jit import kernel
 
 
@@ -23,3 +23,18 @@ def test_product_and_sum_are_rounded_once() -> None:
     exact = [float(Fraction(x) * Fraction(y) + Fraction(z)) for x, y, z in zip(a, b, c, strict=True)]
     assert out.tolist() == exact
     assert np.count_nonzero(out) > 400
+
+
+@kernel
+def cubic(x, out):
+    """horner of each."""
+    for i in range(len(x)):
+        out[i] = horner((0.1, -0.7, 0.3, 1.1), x[i])
+
+
+def test_a_polynomial_is_summed_from_its_highest_power_with_one_rounding_a_step() -> None:
+    x = np.random.default_rng(4).uniform(-3.0, 3.0, 200)
+    out = np.empty(200)
+    cubic(x, out)
+    assert out.tolist() == [fma(fma(fma(0.1, value, -0.7), value, 0.3), value, 1.1) for value in x]
+    assert out.tolist() == [horner((0.1, -0.7, 0.3, 1.1), value) for value in x]

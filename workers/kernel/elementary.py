@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.fma import fma
+from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined
 
 _TO_INTEGER = 1.5 * 2.0**52
@@ -34,6 +34,14 @@ _PI2_MIDDLE = float.fromhex("0x1.10b4610p-30")
 _PI2_LOW = float.fromhex("0x1.a62633145c06ep-58")
 """pi / 2 in three parts, the first two of 28 bits: their products with integers below 2^25 are exact."""
 
+EXP = tuple(1.0 / math.factorial(k) for k in range(13, 1, -1))
+LOG = tuple(2.0 / k for k in range(23, 1, -2))
+SIN = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
+COS = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(18, 3, -2))
+COSC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(12, 1, -2))
+SINC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(13, 1, -2))
+"""The series that are summed, from their highest power down to the first that is not added by itself."""
+
 
 @inlined
 def exp_minus(x):
@@ -43,18 +51,7 @@ def exp_minus(x):
     k = shifted - _TO_INTEGER
     power = np.int64(_EXPONENT_OF_ONE - (np.float64(shifted).view(np.int64) << _EXPONENT_BITS)).view(np.float64)
     r = fma(k, _LN2_LOW, fma(k, _LN2_HIGH, -reduced))
-    p = 1.0 / 6227020800.0
-    p = fma(p, r, 1.0 / 479001600.0)
-    p = fma(p, r, 1.0 / 39916800.0)
-    p = fma(p, r, 1.0 / 3628800.0)
-    p = fma(p, r, 1.0 / 362880.0)
-    p = fma(p, r, 1.0 / 40320.0)
-    p = fma(p, r, 1.0 / 5040.0)
-    p = fma(p, r, 1.0 / 720.0)
-    p = fma(p, r, 1.0 / 120.0)
-    p = fma(p, r, 1.0 / 24.0)
-    p = fma(p, r, 1.0 / 6.0)
-    p = fma(p, r, 0.5)
+    p = horner(EXP, r)
     return 0.0 if x > _LARGEST_EXPONENT else (1.0 + fma(r * r, p, r)) * power
 
 
@@ -73,17 +70,7 @@ def log(x):
     f = np.int64((bits & _FRACTION) + _HALF_ROOT).view(np.float64) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    p = 2.0 / 23.0
-    p = fma(p, z, 2.0 / 21.0)
-    p = fma(p, z, 2.0 / 19.0)
-    p = fma(p, z, 2.0 / 17.0)
-    p = fma(p, z, 2.0 / 15.0)
-    p = fma(p, z, 2.0 / 13.0)
-    p = fma(p, z, 2.0 / 11.0)
-    p = fma(p, z, 2.0 / 9.0)
-    p = fma(p, z, 2.0 / 7.0)
-    p = fma(p, z, 2.0 / 5.0)
-    p = fma(p, z, 2.0 / 3.0)
+    p = horner(LOG, z)
     half = 0.5 * f * f
     found = fma(k, _LN2_HIGH, f - (half - fma(s, fma(z, p, half), k * _LN2_LOW)))
     found = found if x < np.inf else x
@@ -96,23 +83,9 @@ def sin_cos(x):
     k = fma(x, _TWO_OVER_PI, _TO_INTEGER) - _TO_INTEGER
     r = fma(-k, _PI2_LOW, fma(-k, _PI2_MIDDLE, fma(-k, _PI2_HIGH, x)))
     z = r * r
-    p = 1.0 / 355687428096000.0
-    p = fma(p, z, -1.0 / 1307674368000.0)
-    p = fma(p, z, 1.0 / 6227020800.0)
-    p = fma(p, z, -1.0 / 39916800.0)
-    p = fma(p, z, 1.0 / 362880.0)
-    p = fma(p, z, -1.0 / 5040.0)
-    p = fma(p, z, 1.0 / 120.0)
-    p = fma(p, z, -1.0 / 6.0)
+    p = horner(SIN, z)
     s = fma(r * z, p, r)
-    q = -1.0 / 6402373705728000.0
-    q = fma(q, z, 1.0 / 20922789888000.0)
-    q = fma(q, z, -1.0 / 87178291200.0)
-    q = fma(q, z, 1.0 / 479001600.0)
-    q = fma(q, z, -1.0 / 3628800.0)
-    q = fma(q, z, 1.0 / 40320.0)
-    q = fma(q, z, -1.0 / 720.0)
-    q = fma(q, z, 1.0 / 24.0)
+    q = horner(COS, z)
     c = fma(z * z, q, fma(-0.5, z, 1.0))
     quarter = fma(-4.0, math.floor(0.25 * k), k)
     odd = quarter == 1.0 or quarter == 3.0
@@ -124,16 +97,4 @@ def sin_cos(x):
 @inlined
 def cosc_sinc(x):
     """(cos(sqrt x), sin(sqrt x) / sqrt x) for |x| <= 0.1 of either sign, by their series in x."""
-    p = 1.0 / 479001600.0
-    p = fma(p, x, -1.0 / 3628800.0)
-    p = fma(p, x, 1.0 / 40320.0)
-    p = fma(p, x, -1.0 / 720.0)
-    p = fma(p, x, 1.0 / 24.0)
-    p = fma(p, x, -0.5)
-    q = 1.0 / 6227020800.0
-    q = fma(q, x, -1.0 / 39916800.0)
-    q = fma(q, x, 1.0 / 362880.0)
-    q = fma(q, x, -1.0 / 5040.0)
-    q = fma(q, x, 1.0 / 120.0)
-    q = fma(q, x, -1.0 / 6.0)
-    return fma(x, p, 1.0), fma(x, q, 1.0)
+    return fma(x, horner(COSC, x), 1.0), fma(x, horner(SINC, x), 1.0)

@@ -1,10 +1,15 @@
 """Free flight of the blocks: h'' + 2 eta h' + lam h = load in closed form, underdamped, overdamped and rigid."""
 
+import math
+
 from workers.kernel.borrow import borrowed
 from workers.kernel.elementary import cosc_sinc, exp_minus, sin_cos
-from workers.kernel.fma import fma
+from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN
+
+FALL = tuple(1.0 / math.factorial(k) for k in range(17, 1, -1))
+"""(x - 1 + e^-x) / x^2 as a series in -x."""
 
 
 @inlined
@@ -60,22 +65,7 @@ def block_flow(block, s):
 def fall(s, eta):
     """How far a rigid mode moves from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
     x = 2.0 * eta * s
-    p = 1.0 / 355687428096000.0
-    p = fma(-p, x, 1.0 / 20922789888000.0)
-    p = fma(-p, x, 1.0 / 1307674368000.0)
-    p = fma(-p, x, 1.0 / 87178291200.0)
-    p = fma(-p, x, 1.0 / 6227020800.0)
-    p = fma(-p, x, 1.0 / 479001600.0)
-    p = fma(-p, x, 1.0 / 39916800.0)
-    p = fma(-p, x, 1.0 / 3628800.0)
-    p = fma(-p, x, 1.0 / 362880.0)
-    p = fma(-p, x, 1.0 / 40320.0)
-    p = fma(-p, x, 1.0 / 5040.0)
-    p = fma(-p, x, 1.0 / 720.0)
-    p = fma(-p, x, 1.0 / 120.0)
-    p = fma(-p, x, 1.0 / 24.0)
-    p = fma(-p, x, 1.0 / 6.0)
-    p = fma(-p, x, 0.5)
+    p = horner(FALL, -x)
     far = ((x - 1.0) + exp_minus(x)) / (x * x)
     return s * s * (p if x < 1.0 else far)
 

@@ -1,4 +1,4 @@
-"""a b + c rounded once.
+"""a b + c rounded once, and polynomials made of it.
 
 Written out where the solver's time goes. Left to the compiler (``contract``), which product is fused with which sum
 depends on what else a function is inlined into, and the last bits of a result with it.
@@ -9,9 +9,12 @@ from math import isfinite
 from typing import Any
 
 from numba import types
-from numba.extending import intrinsic, overload
+from numba.core.cgutils import unpack_tuple
+from numba.extending import lower_builtin, type_callable
 
-__all__ = ["fma"]
+__all__ = ["fma", "horner"]
+
+FLOAT = types.float64
 
 
 def fma(a: float, b: float, c: float) -> float:
@@ -21,16 +24,33 @@ def fma(a: float, b: float, c: float) -> float:
     return float(Fraction(a) * Fraction(b) + Fraction(c))
 
 
-def _typed(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fma(*arguments)
-
-    return types.float64(types.float64, types.float64, types.float64), code
-
-
-_instruction: Any = intrinsic(_typed)
+def horner(coefficients: tuple[float, ...], x: float) -> float:
+    """The polynomial in x with these coefficients, that of the highest power first."""
+    total = coefficients[0]
+    for coefficient in coefficients[1:]:
+        total = fma(total, x, coefficient)
+    return total
 
 
-@overload(fma)
-def _compiled(a, b, c):
-    return lambda a, b, c: _instruction(a, b, c)
+@type_callable(fma)
+def _fma_typed(context: Any) -> Any:
+    return lambda a, b, c: FLOAT(FLOAT, FLOAT, FLOAT)
+
+
+@lower_builtin(fma, FLOAT, FLOAT, FLOAT)
+def _fma_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return builder.fma(*arguments)
+
+
+@type_callable(horner)
+def _horner_typed(context: Any) -> Any:
+    return lambda coefficients, x: FLOAT(coefficients, FLOAT)
+
+
+@lower_builtin(horner, types.UniTuple, FLOAT)
+def _horner_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    coefficients, x = unpack_tuple(builder, arguments[0]), arguments[1]
+    total = coefficients[0]
+    for coefficient in coefficients[1:]:
+        total = builder.fma(total, x, coefficient)
+    return total
