@@ -98,6 +98,14 @@ def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) 
     assert np.mean(middle[: len(middle) // 3]) < np.mean(middle[-len(middle) // 3 :])
 
 
+def test_a_tile_is_waited_for_until_it_is_known(finished: Path, client: Client) -> None:
+    left: list[int] = []
+    with exploring(finished, client) as explorer:
+        explorer.listen("count", lambda _, key: left.append(explorer.patches.left("test")))
+        solved(explorer, view_of(explorer.subject))
+    assert min(left) == 1
+
+
 def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)

@@ -214,8 +214,8 @@ class Patches:
             self._forget(future)
             with self._lock:
                 self._solved.append((time.monotonic(), int(patch.mask.sum())))
-            self._done_with(key)
             self._events.solved(key, patch, arrays)
+            self._done_with(key)  # not before it is known: who asks meanwhile would have it solved again
             return
         if future.status != "error":
             raise RunError(_LOST)
