@@ -6,7 +6,7 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.crossing import next_crossing
 from workers.kernel.elementary import sin_cos
 from workers.kernel.flow import flow, flow_with_tangent, guard_of, guard_rate_of
-from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.signal import all_forced, derivative_bounds
 from workers.kernel.tangent import graded_flow
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
@@ -42,7 +42,7 @@ def is_rebound(load, v, R, cA2k, scale, remaining):
     return R > 0.0 and (load <= 0.0 or R == 1.0 or (slow and not negligible))
 
 
-@kernel_within
+@inline_always
 def outcome(osc, h, side, v, a, scale, remaining):
     """What the impact at velocity v and acceleration a, on stop ``side``, leads to.
 
@@ -183,7 +183,7 @@ def load_on_stop(osc, u, phase, side):
     return side * (guard_of(held.blocks, u) + load + osc.held.push[which(side)])
 
 
-@kernel_within
+@inline_always
 def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     """Rest on a stop until the load on it falls to zero, or for H; moves h and V there, in place.
 

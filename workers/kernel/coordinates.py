@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.contact import forced_state, load_on_stop, to_held
-from workers.kernel.jit import inline_always, kernel, kernel_within
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
 from workers.model.oscillator import HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
@@ -29,7 +29,7 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     return motion_at(h, contact, vectors, record)
 
 
-@kernel_within
+@inline_always
 def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
     row, rest, tau = osc.gap_row, osc.rest, osc.tau
@@ -48,7 +48,7 @@ def start_at(osc, state, h):
     return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
 
 
-@kernel_within
+@inline_always
 def contact_at_rest(osc, side, h):
     """The contact of a state that lies on this stop with v = 0: held where the load presses, else about to leave."""
     u = np.zeros((h.shape[0] - 1, 2))

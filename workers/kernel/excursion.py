@@ -9,13 +9,13 @@ import numpy as np
 
 from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
 from workers.kernel.flow import flow
-from workers.kernel.jit import kernel_within
+from workers.kernel.jit import inline_always
 from workers.kernel.lend import lend
 from workers.kernel.signal import evaluate
 from workers.model.oscillator import COLUMN, NUMBER, Mode
 
 
-@kernel_within
+@inline_always
 def velocity_of(gap):
     """The free flight with y' for a guard, and what a constant load adds to that.
 
@@ -41,7 +41,7 @@ def velocity_of(gap):
     return Mode(blocks, gap.metric, waves, numbers, gap.forced), offset
 
 
-@kernel_within
+@inline_always
 def turning_points(gap, start, phase, duration, own, kind, low, high):
     """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state start (n, 2).
 

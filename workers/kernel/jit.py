@@ -14,7 +14,7 @@ from numba.extending import typeof_impl
 from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
 
-__all__ = ["inline_always", "inlined", "kernel", "kernel_within"]
+__all__ = ["inline_always", "inlined", "kernel"]
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -56,9 +56,6 @@ kernel: Callable[[Callable[..., Any]], Any] = Kernel
 inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of the small branch-free functions that loops over cells are made of: a call would stop vectorisation."""
 
-kernel_within: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
-"""Decorator of kernels that are parts of few others: a kernel compiles all that it calls once more, and so would each
-of those on the way from it to the kernels below."""
-
-inline_always = njit(inline="always", **_HOW)
-"""Decorator of parts of one kernel: compiled with their caller, since a kernel compiles all that it calls once more."""
+inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
+"""Decorator of kernels that are parts of one other or of few, compiled with their caller: a kernel compiles all that it
+calls once more, and so would each of those on the way from it to the kernels below."""

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from workers.kernel.apart import FLOATS, apart
-from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lend import whole
 
 EPS = float(np.finfo(np.float64).eps)
@@ -207,7 +207,7 @@ def fill_moduli(matrix, found):
             rotate_once(H, cosines, sines, start, end, shift)
 
 
-@kernel_within
+@inline_always
 def moduli(matrix):
     """|eigenvalues| of a real matrix, in any order; infinity where it is not finite."""
     found = np.empty(len(matrix))

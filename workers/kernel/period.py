@@ -25,7 +25,7 @@ from workers.kernel.contact import (
 from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
-from workers.kernel.jit import inline_always, inlined, kernel, kernel_within
+from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
@@ -235,7 +235,7 @@ def through_impacts(osc, motion, duration):
             reset_frame_of(metric, motion)
 
 
-@kernel_within
+@inline_always
 def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.cells import scale_of
-from workers.kernel.jit import inline_always, kernel, kernel_within
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_of, motion_with, oscillator_of
 from workers.kernel.period import advance
@@ -36,7 +36,7 @@ def pass_period(osc, motion, rests):
     return rests and not released, released
 
 
-@kernel_within
+@inline_always
 def is_followed(osc, h, contact, periods):
     """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
     motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.jit import kernel, kernel_within
+from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend, whole
 from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, motion_with
 from workers.kernel.period import propagate
@@ -38,7 +38,7 @@ def seen_later(osc, shift):
     ))  # fmt: skip
 
 
-@kernel_within
+@inline_always
 def moved(osc, h, contact, shift):
     """The motion that block state h (n, 2) has come to after ``shift`` < 1 periods."""
     motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
@@ -46,7 +46,7 @@ def moved(osc, h, contact, shift):
     return motion
 
 
-@kernel_within
+@inline_always
 def quiet_section(osc, h, contact):
     """(shift, h (n, 2), contact, periods flown): a section on the way of a motion, near which nothing happens to it.
 
@@ -67,7 +67,7 @@ def quiet_section(osc, h, contact):
     return shift, there, at, tries
 
 
-@kernel_within
+@inline_always
 def back_at_section(osc, shift, h, contact):
     """The motion at the next section t = k T of block state h (n, 2) at t = (k - 1 + shift) T.
 
