@@ -4,12 +4,14 @@ All fields are in one flat array: ``a[LANE.v + i]`` is the velocity of lane i. C
 compiler see that no two fields overlap, so that loops over lanes become vector instructions.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
 
 from workers.kernel.jit import inline_always
+from workers.model.oscillator import COLUMN, Block
 
 LANES = 128
 """Lanes of a batch: their fields stay in the processor's nearest caches."""
@@ -109,39 +111,15 @@ class LaneFields(NamedTuple):
     searched: int  # 1 where a longer step is sought, else 0
 
 
-class BlockFields(NamedTuple):
-    """Fields of one block of a lane; the first are those of oscillator.Block."""
+FIELDS_OF_BLOCK = (
+    *Block._fields[: COLUMN.cAA0],  # constants of the oscillator: the first columns of its blocks
+    *("start0", "start1"),  # its state (h, h') at the flight's start
+    *("h0", "h1"),  # its state at LANE.time
+    *("f11", "f12", "f21", "f22"),  # the flow from the one to the other
+)
+"""Fields of one block of a lane."""
 
-    eta: int
-    lam: int
-    d: int
-    w: int
-    inv_w: int
-    slow: int
-    fast: int
-    tilt: int
-    weight: int
-    grow2: int
-    grow3: int
-    grow4: int
-    metric: int
-    load: int
-    c0: int  # the row c, for y
-    c1: int
-    cA0: int  # the row cA, for its derivative
-    cA1: int
-    k0: int  # the column k, which an impact kicks along
-    k1: int
-    Ak0: int  # the column A k
-    Ak1: int
-    start0: int  # its state (h, h') at the flight's start
-    start1: int
-    h0: int  # its state at LANE.time
-    h1: int
-    f11: int  # the flow from the one to the other
-    f12: int
-    f21: int
-    f22: int
+BlockFields: Any = namedtuple("BlockFields", FIELDS_OF_BLOCK)  # type: ignore[misc]
 
 
 class HarmonicFields(NamedTuple):
@@ -166,12 +144,9 @@ class GapFields(NamedTuple):
 
 
 LANE = LaneFields(*(k * STRIDE for k in range(len(LaneFields._fields))))
-BLOCK = BlockFields(*(k * STRIDE for k in range(len(BlockFields._fields))))
+BLOCK: Any = BlockFields(*(k * STRIDE for k in range(len(BlockFields._fields))))
 HARMONIC = HarmonicFields(*(k * STRIDE for k in range(len(HarmonicFields._fields))))
 GAP = GapFields(*(k * STRIDE for k in range(len(GapFields._fields))))
-
-BLOCK_CONSTANTS = BlockFields._fields.index("start0")
-"""Fields that the oscillator sets: the first columns of its blocks."""
 
 
 @register_jitable

@@ -10,7 +10,6 @@ from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.frames import give_frame, measure_pass, move_frames, take_frame, workspace
 from workers.kernel.lanes.layout import (
     BLOCK,
-    BLOCK_CONSTANTS,
     BLOCK_SIZE,
     FLYING,
     GAP_SIZE,
@@ -50,7 +49,7 @@ from workers.kernel.motion import (
 from workers.kernel.period import advance
 from workers.kernel.signal import all_forced
 from workers.kernel.tangent import log_length, loss_spread, spread_rate
-from workers.model.oscillator import NUMBER, OF_LANE, Oscillator
+from workers.model.oscillator import COLUMN, NUMBER, OF_LANE, Oscillator
 
 Array = NDArray[np.float64]
 
@@ -83,7 +82,7 @@ def load(a, i, r, head, tau, blocks, waves, numbers, h, tally):
     a[LANE.tau + i], a[LANE.sin_part + i], a[LANE.cos_part + i] = tau[r], waves[r, 0, 0], waves[r, 0, 1]
     for j in range(h.shape[1]):
         b = LANE_SIZE + j * BLOCK_SIZE + i
-        for f in range(BLOCK_CONSTANTS):
+        for f in range(COLUMN.cAA0):
             a[b + f * STRIDE] = blocks[r, j, f]
         a[b + BLOCK.h0], a[b + BLOCK.h1] = h[r, j, 0], h[r, j, 1]
     for k in range(1, waves.shape[1]):
