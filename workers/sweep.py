@@ -42,16 +42,15 @@ def solve_lines(
     if shape[axis] == 0:
         return solve_cells(system, params, settings)
     values = {name: np.moveaxis(grid, axis, 0) for name, grid in grids.items()}
-    last: Array | None = None  # per line, the newest state on an attractor; NaN before the first
+    # Per line, the newest state on an attractor; NaN before the first.
+    last = np.full((*np.delete(shape, axis), len(record.states)), np.nan)
     solved: dict[int, dict[str, NDArray[Any]]] = {}
     positions = range(shape[axis])
     for i in reversed(positions) if backward else positions:
         here = {name: grid[i] for name, grid in values.items()}
-        if last is not None:
-            here |= _starts(record, here, last)
-        solved[i] = solve_cells(system, here, settings).arrays
+        solved[i] = solve_cells(system, here | _starts(record, here, last), settings).arrays
         states = solved[i]["state"]
-        last = states if last is None else np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
+        last = np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
     along = axis % len(shape)
     return Solution({name: np.stack([solved[i][name] for i in positions], axis=along) for name in solved[0]})
 
