@@ -4,16 +4,13 @@ What one oscillator is made of does not depend on the others, to the bit.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import (
     AtRest,
-    Flow,
     Frame,
-    Loading,
     centred,
     dot,
     finite,
@@ -42,20 +39,6 @@ OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", 
 """The fields of machines that those of a kind have in common."""
 
 
-class Clamped(NamedTuple):
-    """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
-    frequency: its flow and its push; the rest as in Held.
-    """
-
-    flow: Flow
-    push: Loading
-    down: Array
-    up: Array
-    into: Array
-    out: Array
-    pushes: Array
-
-
 @np.errstate(all="ignore")
 def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     """The oscillators of many machines, and the reason why there is none, or NO_REASON, of each.
@@ -69,11 +52,10 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     few = taken(machines, first)
     frame = frame_of(few)
     at_rest = centred(frame, few)
-    clamped = _clamped(few, frame, at_rest)
+    held, against_held = _held(few, frame, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
-    frame, at_rest, clamped = taken(frame, kind), taken(at_rest, kind), taken(clamped, kind)
+    frame, at_rest = taken(frame, kind), taken(at_rest, kind)
     gap, against = free_motion(frame, at_rest, machines.omega)
-    held, held_resonant = mode_of(clamped.flow, clamped.push, machines.omega)
     modes, b_upper, b_lower = frame.flow.modes, at_rest.b_upper, at_rest.b_lower
     head = Head(
         top=b_upper,
@@ -97,17 +79,11 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         gap_row=machines.gap_row,
         head=np.stack(head, axis=-1),
         tau=phase_of(machines.tau),
-        held=Held(held, *clamped[2:]),
+        held=held,
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
     unknown = np.isnan(head.upper) | np.isnan(head.lower)
-    against_held = {
-        RESONANCE: held_resonant,
-        COUPLED_DAMPING: clamped.flow.modes.inseparable,
-        RIGID_MODE: clamped.flow.modes.rigid > 0,
-        UNSTABLE: clamped.flow.modes.unstable,
-    }
     reasons = np.where(finite(oscillators._replace(head=near)) & ~unknown, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
     for reason, holds in against:
         reasons[holds | against_held.get(reason, False)] = reason
@@ -149,10 +125,13 @@ def _seen_along(matrix: Array, null: Array) -> Array:
     return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
 
 
-def _clamped(machines: Machines, frame: Frame, at_rest: AtRest) -> Clamped:
-    """What holds y of these machines, see Clamped.
+def _held(
+    machines: Machines, frame: Frame, at_rest: AtRest, kind: NDArray[np.int64], omega: Array
+) -> tuple[Held, dict[int, NDArray[np.bool_]]]:
+    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons why it is none.
 
-    Positions are counted from rest, so that what holds y at either stop is opposite where the stops are equally far.
+    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so that
+    what holds y at either stop is opposite where the stops are equally far.
     """
     mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
@@ -189,8 +168,16 @@ def _clamped(machines: Machines, frame: Frame, at_rest: AtRest) -> Clamped:
         out[:, side] = (up @ rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
         pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
     direct = (machines.force @ accelerance[..., None])[..., 0]
-    push = loading_of(flow, machines.force @ null, np.zeros((N, n - 1)), direct)
-    return Clamped(flow, push, down, up, into, out, pushes)
+    push = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1)), direct), kind)
+    flow = taken(flow, kind)
+    mode, resonant = mode_of(flow, push, omega)
+    held = Held(mode, *(field[kind] for field in (down, up, into, out, pushes)))
+    return held, {
+        RESONANCE: resonant,
+        COUPLED_DAMPING: flow.modes.inseparable,
+        RIGID_MODE: flow.modes.rigid > 0,
+        UNSTABLE: flow.modes.unstable,
+    }
 
 
 def _null_space(row: Array) -> Array:

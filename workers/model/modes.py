@@ -6,6 +6,7 @@ state space into planes, one for each pair of eigenvalues.
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import permutations
 from typing import Any, NamedTuple
 
@@ -82,16 +83,12 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
 
 def stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Array) -> Any:
     """numpy.linalg's function of many matrices; NaN (of this shape) for those that alone it refuses."""
-    try:
+    with suppress(np.linalg.LinAlgError):
         return act(*matrices)
-    except np.linalg.LinAlgError:
-        pass
     found = np.full(shape, np.nan)
     for k, one in enumerate(zip(*matrices, strict=True)):
-        try:
+        with suppress(np.linalg.LinAlgError):
             found[k] = act(*one)
-        except np.linalg.LinAlgError:
-            continue
     return found
 
 
