@@ -12,7 +12,6 @@ from workers.model.free import (
     AtRest,
     Frame,
     centred,
-    dot,
     finite,
     flow_of,
     frame_of,
@@ -166,7 +165,7 @@ def _held(
         lifted = (free.to_blocks[:, :, :n] @ (d * y)[..., None])[..., 0].reshape(N, n, 2)
         into[:, side] = into_rest - rest
         out[:, side] = (up @ rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
-        pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
+        pushes[:, side] = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q[..., None])[..., 0])
     direct = (machines.force @ accelerance[..., None])[..., 0]
     push = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1)), direct), kind)
     flow = taken(flow, kind)
@@ -182,8 +181,8 @@ def _held(
 
 def _null_space(row: Array) -> Array:
     """Orthonormal bases (N, n, n - 1) of the vectors that the rows send to zero, from reflections of e_1 to them."""
-    length = np.sqrt(dot(row, row))
+    length = np.sqrt(np.vecdot(row, row))
     v = row.copy()
     v[:, 0] += np.copysign(length, row[:, 0])
-    reflection = np.eye(row.shape[1]) - 2.0 * v[:, :, None] * v[:, None, :] / dot(v, v)[:, None, None]
+    reflection = np.eye(row.shape[1]) - 2.0 * v[:, :, None] * v[:, None, :] / np.vecdot(v, v)[:, None, None]
     return np.ascontiguousarray(reflection[:, :, 1:])

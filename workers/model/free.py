@@ -74,7 +74,7 @@ def frame_of(machines: Machines) -> Frame:
     """The frame of machines: their guard is the gap coordinate, their kick M^-1 g / (g.M^-1 g) on the velocities."""
     mass, gap_row = machines.mass, machines.gap_row
     accelerance = stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
-    inverse_gap_mass = dot(gap_row, accelerance)
+    inverse_gap_mass = np.vecdot(gap_row, accelerance)
     none = np.zeros_like(gap_row)
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
@@ -223,7 +223,7 @@ def balanced(machines: Machines) -> NDArray[np.bool_]:
     x, v = np.abs(both[:, :n, 0]), np.abs(both[:, :n, 1])
     f, s = np.abs(size * both[:, n]).T
     ends = np.abs(machines.upper[rows]) + np.abs(machines.lower[rows])
-    change = dot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (dot(np.abs(g), x) + ends)
+    change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (np.vecdot(np.abs(g), x) + ends)
     found[rows] = f <= ULPS * np.finfo(np.float64).eps * change
     return found
 
@@ -245,8 +245,3 @@ def derivative(row: Array, modes: Modes) -> Array:
 def times(row: Array, matrix: Array) -> Array:
     """row @ matrix of each of many."""
     return np.asarray((row[:, None, :] @ matrix)[:, 0])
-
-
-def dot(row: Array, other: Array) -> Array:
-    """row . other of each of many."""
-    return np.asarray((row[:, None, :] @ other[:, :, None])[:, 0, 0])
