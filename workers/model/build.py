@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from workers.model.free import (
     AtRest,
     Frame,
+    Mask,
+    against,
     centred,
     finite,
     flow_of,
@@ -23,16 +25,7 @@ from workers.model.free import (
 )
 from workers.model.modes import FREE, stacked
 from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Oscillator, each, taken
-from workers.results import (
-    COUPLED_DAMPING,
-    NO_OSCILLATOR,
-    NO_REASON,
-    OUT_OF_DOUBLES,
-    OUT_OF_RANGE,
-    RESONANCE,
-    RIGID_MODE,
-    UNSTABLE,
-)
+from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
 """The fields of machines that those of a kind have in common."""
@@ -54,7 +47,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     held, against_held = _held(few, frame, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     frame, at_rest = taken(frame, kind), taken(at_rest, kind)
-    gap, against = free_motion(frame, at_rest, machines.omega)
+    gap, against_free = free_motion(frame, at_rest, machines.omega)
     modes, b_upper, b_lower = frame.flow.modes, at_rest.b_upper, at_rest.b_lower
     head = Head(
         top=b_upper,
@@ -84,7 +77,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
     unknown = np.isnan(head.upper) | np.isnan(head.lower)
     reasons = np.where(finite(oscillators._replace(head=near)) & ~unknown, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
-    for reason, holds in against:
+    for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason
     return each(oscillators, np.ascontiguousarray), reasons
 
@@ -126,8 +119,8 @@ def _seen_along(matrix: Array, null: Array) -> Array:
 
 def _held(
     machines: Machines, frame: Frame, at_rest: AtRest, kind: NDArray[np.int64], omega: Array
-) -> tuple[Held, dict[int, NDArray[np.bool_]]]:
-    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons why it is none.
+) -> tuple[Held, dict[int, Mask]]:
+    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
 
     y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so that
     what holds y at either stop is opposite where the stops are equally far.
@@ -147,9 +140,7 @@ def _held(
         kick=np.zeros((N, 2 * n - 2)),
     )
     # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
-    spread, gather = np.zeros((N, 2 * n, 2 * n - 2)), np.zeros((N, 2 * n - 2, 2 * n))
-    spread[:, :n, : n - 1] = spread[:, n:, n - 1 :] = null
-    gather[:, : n - 1, :n] = gather[:, n - 1 :, n:] = flow.inverse_mass @ across @ mass
+    spread, gather = np.kron(np.eye(2), null), np.kron(np.eye(2), flow.inverse_mass @ across @ mass)
     down = flow.modes.to_blocks @ gather @ free.to_physical
     up = free.to_blocks @ spread @ flow.modes.to_physical
     into, out, pushes = np.zeros((N, 2, n - 1, 2)), np.zeros((N, 2, n, 2)), np.zeros((N, 2))
@@ -171,12 +162,7 @@ def _held(
     flow = taken(flow, kind)
     mode, resonant = mode_of(flow, push, omega)
     held = Held(mode, *(field[kind] for field in (down, up, into, out, pushes)))
-    return held, {
-        RESONANCE: resonant,
-        COUPLED_DAMPING: flow.modes.inseparable,
-        RIGID_MODE: flow.modes.rigid > 0,
-        UNSTABLE: flow.modes.unstable,
-    }
+    return held, against(flow.modes, resonant, flow.modes.rigid > 0)
 
 
 def _null_space(row: Array) -> Array:

@@ -39,7 +39,7 @@ class FreeMotions:
         gap, against = free_motion(frame, at_rest, machines.omega)
         known = known & finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
         reasons = np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
-        for reason, holds in against:
+        for reason, holds in against.items():
             reasons[holds] = reason
         motions = gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R
         return motions, self.system.refused(machines, self.fixed | given, reasons)

@@ -12,6 +12,8 @@ from workers.model.modes import Modes, split, stacked
 from workers.model.oscillator import COLUMN, LARGEST_ANGLE, OF_FLOW, Array, Machines, Mode, make_blocks
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
+Mask = NDArray[np.bool_]
+
 UNSEEN = 1e-9
 """Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
 
@@ -67,7 +69,7 @@ class AtRest(NamedTuple):
     push: Loading
     b_upper: Array
     b_lower: Array
-    unseen: NDArray[np.bool_]
+    unseen: Mask
 
 
 def frame_of(machines: Machines) -> Frame:
@@ -113,7 +115,7 @@ def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
     return Loading(waves, direct, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
-def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, NDArray[np.bool_]]:
+def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, Mask]:
     """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
     The guard is c . blocks + direct sin(k phi).
@@ -132,7 +134,7 @@ def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, NDArray[np.b
     return Mode(blocks, metric, waves, np.stack(numbers, axis=-1), forced), resonant
 
 
-def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
     """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2) of frequencies (N, H); resonance (N,).
 
     Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w), and i w Z - l0 of the velocity.
@@ -152,20 +154,18 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, NDAr
     return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
 
 
-def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, list[tuple[int, NDArray[np.bool_]]]]:
-    """The free flight of machines at forcing frequencies (N,); the reasons why it may be none, and where they hold
-    (N,), the weightiest last.
-    """
+def against(modes: Modes, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
+    """The reasons why motion in these modes is none, the weightiest last, and of which machines (N,) each holds."""
+    return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid, UNSTABLE: modes.unstable}
+
+
+def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, dict[int, Mask]]:
+    """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
     modes = frame.flow.modes
     gap, resonant = mode_of(frame.flow, at_rest.push, omega)
     turns = np.where(gap.d > 0.0, gap.w, 0.0) * (2.0 * np.pi / omega)[:, None]
-    return gap, [
-        (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
-        (RESONANCE, resonant),
-        (COUPLED_DAMPING, modes.inseparable),
-        (RIGID_MODE, at_rest.unseen | (modes.rigid > 1)),
-        (UNSTABLE, modes.unstable),
-    ]
+    too_long = {LONG_PERIOD: np.max(turns, axis=1) > LARGEST_ANGLE}
+    return gap, too_long | against(modes, resonant, at_rest.unseen | (modes.rigid > 1))
 
 
 def phase_of(tau: Array) -> Array:
@@ -199,7 +199,7 @@ def centred(frame: Frame, machines: Machines) -> AtRest:
     return AtRest(push._replace(rest=rest, load=load), b_upper, b_lower, unseen)
 
 
-def balanced(machines: Machines) -> NDArray[np.bool_]:
+def balanced(machines: Machines) -> Mask:
     """Whether y rests midway between both stops, or anywhere, to rounding: motion is symmetric where the force is.
 
     That is where no force f holds y in their middle m, K x + f g = load and g . x = m: where |f| is at most what ULPS
@@ -223,12 +223,14 @@ def balanced(machines: Machines) -> NDArray[np.bool_]:
     x, v = np.abs(both[:, :n, 0]), np.abs(both[:, :n, 1])
     f, s = np.abs(size * both[:, n]).T
     ends = np.abs(machines.upper[rows]) + np.abs(machines.lower[rows])
-    change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (np.vecdot(np.abs(g), x) + ends)
+    change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (
+        np.vecdot(np.abs(g), x) + ends
+    )
     found[rows] = f <= ULPS * np.finfo(np.float64).eps * change
     return found
 
 
-def finite(record: Any) -> NDArray[np.bool_]:
+def finite(record: Any) -> Mask:
     """Which of many records hold finite numbers only."""
     fields = [
         finite(field) if isinstance(field, tuple) else np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
