@@ -75,8 +75,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
-    unknown = np.isnan(head.upper) | np.isnan(head.lower)
-    reasons = np.where(finite(oscillators._replace(head=near)) & ~unknown, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+    reasons = np.where(finite(oscillators._replace(head=near)), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
     for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason
     return each(oscillators, np.ascontiguousarray), reasons
@@ -157,10 +156,9 @@ def _held(
         into[:, side] = into_rest - rest
         out[:, side] = (up @ rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
         pushes[:, side] = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q[..., None])[..., 0])
-    direct = (machines.force @ accelerance[..., None])[..., 0]
-    push = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1)), direct), kind)
-    flow = taken(flow, kind)
-    mode, resonant = mode_of(flow, push, omega)
+    push = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1))), kind)
+    flow, direct = taken(flow, kind), (machines.force @ accelerance[..., None])[kind, :, 0]
+    mode, resonant = mode_of(flow, push, omega, direct)
     held = Held(mode, *(field[kind] for field in (down, up, into, out, pushes)))
     return held, against(flow.modes, resonant, flow.modes.rigid > 0)
 

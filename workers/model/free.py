@@ -35,12 +35,11 @@ class Flow(NamedTuple):
 class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
-    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')', direct (N, H) to the guard itself; load
-    (N, n), rest (N, n, 2), see Oscillator.
+    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
+    Oscillator.
     """
 
     waves: Any
-    direct: Any
     load: Array
     rest: Array
 
@@ -81,10 +80,7 @@ def frame_of(machines: Machines) -> Frame:
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
     flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
-    force = machines.force
-    return Frame(
-        flow, loading_of(flow, force, machines.load, np.zeros_like(force[..., 0])), accelerance, inverse_gap_mass
-    )
+    return Frame(flow, loading_of(flow, machines.force, machines.load), accelerance, inverse_gap_mass)
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
@@ -99,8 +95,8 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
     return Flow(modes, stacked(np.linalg.inv, mass.shape, mass), blocks)
 
 
-def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
-    """What force (N, H, n) and load (N, n) are to blocks, and direct (N, H) to the guard.
+def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
+    """What force (N, H, n) and load (N, n) are to blocks.
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
@@ -112,15 +108,15 @@ def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
     l0, l1 = steady[..., 0], steady[..., 1]
     p = l1 + 2.0 * modes.eta * l0
     at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
-    return Loading(waves, direct, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
+    return Loading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
-def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, Mask]:
+def mode_of(flow: Flow, push: Loading, omega: Array, direct: Any = 0.0) -> tuple[Mode, Mask]:
     """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
-    The guard is c . blocks + direct sin(k phi).
+    The guard is c . blocks, and what complex amplitudes of e^(i k phi), direct (N, H), add to it.
     """
-    (N, H, n), direct = push.waves.shape[:3], push.direct
+    N, H, n = push.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
     forced, resonant = _response(flow.modes, push.waves, w)
     blocks, lam = flow.blocks.copy(), flow.modes.lam
