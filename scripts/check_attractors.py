@@ -77,7 +77,7 @@ def same(one: Any, other: Any) -> bool:
 def check(cell: dict[str, float], few: int, many: int, seed: int) -> Checked:
     """Hold the few initial states of a cell against the many."""
     shares, kinds = many_shares(cell, many, seed)
-    found = solve_attractors(SYSTEM, cell, Settings(), Starts(few, seed=seed, keep=16)).arrays
+    found = solve_attractors(SYSTEM, cell, Settings(), Starts(few, seed=seed, keep=16))
     mine: list[tuple[Any, float, float]] = []
     for k in range(min(int(found["attractors"]), 16)):
         aperiodic = int(found["regime"][k]) in NEITHER

@@ -137,13 +137,13 @@ def kill_test(folder: Path, kills: int, seed: int, say: Callable[[str], None] = 
 
 def _differences(store: Path) -> tuple[str, ...]:
     """Variables of a store that are not what solve_tile gives, tile by tile."""
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     header = read_header(store)
     spec, found = header.spec, set()
     for tile in header.tiling.tiles():
         stored = read_tile(header, tile.index)
-        for name, values in solve_cells(spec.record, spec.cell_params(tile.slices), spec.settings).arrays.items():
+        for name, values in solve_tile(spec.record, spec.cell_params(tile.slices), spec.settings).items():
             if stored[name].dtype != values.dtype or stored[name].tobytes() != np.ascontiguousarray(values).tobytes():
                 found.add(name)
     return tuple(sorted(found))

@@ -13,7 +13,7 @@ from scripts.stress_findings import Drawn, Findings
 from scripts.stress_systems import draw_of_system
 from workers import Settings
 from workers.results import CHAOTIC, INVALID, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASONS, REGIMES
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 Result = Mapping[str, Any]
 
@@ -52,7 +52,7 @@ def _solved(cells: Sequence[Drawn], settings: Settings) -> Iterator[tuple[Drawn,
         together = list(group)
         params = {name: [cell.params[name] for cell in together] for name in together[0].params}
         begun = time.process_time()
-        arrays = solve_cells(together[0].system, params, settings).arrays  # type: ignore[arg-type]
+        arrays = solve_tile(together[0].system, params, settings)  # type: ignore[arg-type]
         seconds = (time.process_time() - begun) / len(together)
         for k, cell in enumerate(together):
             yield cell, {name: array[k] for name, array in arrays.items()}, seconds

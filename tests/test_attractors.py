@@ -26,7 +26,7 @@ STATES = ("x1", "x2", "v1", "v2")
 
 
 def solved(params: dict, starts: Starts, settings: Settings | None = None) -> dict[str, np.ndarray]:
-    return solve_attractors("two-mass", params, settings, starts).arrays
+    return solve_attractors("two-mass", params, settings, starts)
 
 
 def states_of(params: dict, starts: Starts) -> np.ndarray:

@@ -44,12 +44,12 @@ def solved(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
 
 
 def test_the_initial_state_that_reaches_period_3_lies_in_its_basin() -> None:
-    found = solve_basins("two-mass", {**FIG3, **SECOND, "x1": 0.05, "v1": 0.5}, None, Starts(16)).arrays
+    found = solve_basins("two-mass", {**FIG3, **SECOND, "x1": 0.05, "v1": 0.5}, None, Starts(16))
     assert (found["label"], found["period"]) == (1, 3)
 
 
 def test_every_initial_state_has_the_results_of_the_attractor_that_it_reaches_alone() -> None:
-    found = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, Starts(16)).arrays
+    found = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, Starts(16))
     alone = solve_tile("two-mass", FIG3 | SECOND | PLANE)
     assert set(np.unique(found["label"])) >= {0, 1}
     assert np.array_equal(found["period"], alone["period"]) and np.array_equal(found["regime"], alone["regime"])
@@ -60,8 +60,8 @@ def test_basins_are_mirrored_where_the_force_is() -> None:
     """Truth: x -> -x, force -> -force takes motions to motions: half a period later the force has the other sign."""
     other = {**FIG3, "tau": FIG3["tau"] + math.pi, "x2": -0.03, "v2": 0.2}
     turned = {name: -values for name, values in PLANE.items()}
-    one = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, Starts(16)).arrays
-    mirrored = solve_basins("two-mass", other | turned, None, Starts(16)).arrays
+    one = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, Starts(16))
+    mirrored = solve_basins("two-mass", other | turned, None, Starts(16))
     assert np.array_equal(one["period"], mirrored["period"])
     assert np.abs(one["settled"] - mirrored["settled"]).max() <= 1
 
@@ -69,7 +69,7 @@ def test_basins_are_mirrored_where_the_force_is() -> None:
 def test_without_impact_the_basin_is_where_no_impact_follows() -> None:
     """Truth: solved alone, with a gap that is wide enough for many initial states to stay between the stops."""
     params = {**FIG3, "b": 0.5, "x1": 0.1, "v1": np.linspace(-6.0, 6.0, 13)}
-    found, alone = solve_basins("two-mass", params, None, Starts(16)).arrays, solve_tile("two-mass", params)
+    found, alone = solve_basins("two-mass", params, None, Starts(16)), solve_tile("two-mass", params)
     assert {NO_IMPACT, PERIODIC} == set(np.unique(found["regime"]))
     assert np.array_equal(found["regime"], alone["regime"])
     assert len(np.unique(found["label"])) == len(np.unique(alone["regime"]))
@@ -179,7 +179,7 @@ def test_what_is_no_atlas_of_basins_has_none(solved_plane: Path) -> None:
 
 
 def test_settings_of_the_solver_reach_basins() -> None:
-    found = solve_basins("two-mass", FIG3 | {"x1": 0.01}, Settings(exponents="none"), Starts(2)).arrays
+    found = solve_basins("two-mass", FIG3 | {"x1": 0.01}, Settings(exponents="none"), Starts(2))
     assert "largest" not in found and found["label"] == 0
 
 

@@ -100,7 +100,7 @@ def test_sweeps_both_ways_change_class_in_the_cell_of_the_event(trees: list[Tree
         orbit = end.branch.run.points[end.inside]
         start = section_states(TWO_MASS, {"omega": orbit.values}, [orbit.orbit])[0, 0]
         line = {"omega": cells} | dict(zip(TWO_MASS.states, start.tolist(), strict=True))
-        swept = solve_lines("two-mass", line, Settings(exponents="none")).arrays
+        swept = solve_lines("two-mass", line, Settings(exponents="none"))
         own = pattern(end.branch.itinerary)
         names = ("period", "impacts_upper", "impacts_lower", "symmetric")
         same = [

@@ -115,7 +115,7 @@ def test_plain_xarray_finds_every_result_along_the_attractors(solved: Path) -> N
 def test_the_store_holds_what_solve_attractors_gives(solved: Path) -> None:
     ds, spec = xr.open_zarr(solved), spec_of()
     params = spec.cell_params((slice(0, 4), slice(0, 3)))
-    for name, values in solve_attractors("two-mass", params, Settings(**SOLVE), Starts(8, 2, (), 3)).arrays.items():
+    for name, values in solve_attractors("two-mass", params, Settings(**SOLVE), Starts(8, 2, (), 3)).items():
         assert ds[name].values.tobytes() == values.tobytes(), name
 
 

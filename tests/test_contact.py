@@ -174,16 +174,16 @@ def test_cells_that_rest_at_the_section_have_the_same_orbit_from_their_stored_st
 def test_a_sweep_goes_on_past_cells_that_rest_at_the_section() -> None:
     """Truth: each cell begins at a state on the attractor of the one before, with the same stops: inside them."""
     swept = {"omega": np.linspace(1.5, 0.5, 20), "b": 0.3, "R": 0.2, "mu": 0.5}
-    found = solve_lines("impact-damper", swept, Settings(max_periods=500, survival=0)).arrays
+    found = solve_lines("impact-damper", swept, Settings(max_periods=500, survival=0))
     assert not np.any(found["regime"] == INVALID)
     assert np.count_nonzero(found["sticks"]) > 10
 
 
 def test_a_gap_of_two_coordinates_that_closes_in_leaves_no_mass_beyond_its_stop() -> None:
-    """Truth: solve_cells calls a start beyond a stop invalid; 200 clearances of awkward digits."""
+    """Truth: solve_tile calls a start beyond a stop invalid; 200 clearances of awkward digits."""
     b = np.stack([np.full(200, 0.9), np.random.default_rng(5).uniform(1e-6, 0.2, 200)])
     settings = Settings(exponents="none", max_periods=1)
-    solved = solve_lines("impact-damper", {"omega": 1.0, "b": b, "x1": 0.7, "x2": 1.5}, settings, axis=0).arrays
+    solved = solve_lines("impact-damper", {"omega": 1.0, "b": b, "x1": 0.7, "x2": 1.5}, settings, axis=0)
     assert not np.any(solved["regime"] == INVALID)
 
 

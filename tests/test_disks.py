@@ -41,7 +41,7 @@ from atlas.service.timing import Timing
 from atlas.store.tiles import read_tile
 from atlas.store.store import done_tiles, read_header
 from tests.planes import plane_of
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 disk, trouble = Path(sys.argv[1]), sys.argv[2]
 options = atlas.RunOptions(timing=Timing(dead=5.0))  # a claim that this very process left is watched for so long
@@ -81,7 +81,7 @@ with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_addres
         assert (read_tile(header, index)["regime"] >= 0).all()
     summary = atlas.run(plane, store, client, options)
 print(2 <= len(kept) < 9, summary.tiles_solved <= 9 - len(kept), summary.tiles_done)
-expected = solve_cells(plane.system, plane.cell_params((slice(0, 5), slice(0, 7))), plane.settings).arrays
+expected = solve_tile(plane.system, plane.cell_params((slice(0, 5), slice(0, 7))), plane.settings)
 stored = atlas.open(store)
 for name, values in expected.items():
     np.testing.assert_array_equal(stored[name].values, values, err_msg=name)

@@ -52,7 +52,7 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
         subject = explorer.subject
         parameters = dict(subject.plane.parameters) | CELL
         found = asked(explorer, Cell(parameters, CELL, of_atlas=False))
-    alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts).arrays
+    alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts)
     assert found.found == int(alone["attractors"]) > 1
     assert [each["share"] for each in found.each] == alone["share"][: found.found].tolist()
     assert [each["largest"] for each in found.each] == alone["largest"][: found.found].tolist()

@@ -51,14 +51,14 @@ def old(solved: Path, tmp_path: Path) -> Path:
 def solved_cells(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, float]]:
     """The (omega, b) of every cell that the solver is given."""
     found: list[tuple[float, float]] = []
-    whole = solving.solve_cells
+    whole = solving.solve_tile
 
     def noted(system, params, settings):  # type: ignore[no-untyped-def]
         grids = np.broadcast_arrays(params["omega"], params["b"])
         found.extend(zip(grids[0].ravel().tolist(), grids[1].ravel().tolist(), strict=True))
         return whole(system, params, settings)
 
-    monkeypatch.setattr(solving, "solve_cells", noted)
+    monkeypatch.setattr(solving, "solve_tile", noted)
     return found
 
 

@@ -32,7 +32,7 @@ from atlas.task.task import Job, RefusedError, StoreFullError
 from tests.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import FAILED, result_variables
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 pytestmark = pytest.mark.slow
 
@@ -115,7 +115,7 @@ def test_every_other_tile_is_finished_and_right(faulty: tuple[Run, subprocess.Co
     spec = header.spec
     for index in done_tiles(header) - {(0, 1)}:
         part = tuple(slice(2 * i, 2 * i + 2) for i in index)
-        expected = solve_cells(spec.system, spec.cell_params(part), spec.settings).arrays
+        expected = solve_tile(spec.system, spec.cell_params(part), spec.settings)
         stored = read_tile(header, index)
         for name, values in expected.items():
             np.testing.assert_array_equal(stored[name], values, err_msg=name)
@@ -212,9 +212,7 @@ def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
                 run_job(made)
         assert done_tiles(header) == set()
     run_job(made)
-    expected = solve_cells(
-        header.spec.system, header.spec.cell_params((slice(2, 4), slice(3, 6))), header.spec.settings
-    ).arrays
+    expected = solve_tile(header.spec.system, header.spec.cell_params((slice(2, 4), slice(3, 6))), header.spec.settings)
     stored = read_tile(header, made.index)
     for name, values in expected.items():
         np.testing.assert_array_equal(stored[name], values, err_msg=name)
@@ -231,12 +229,12 @@ def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
     made: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def late(*given: object) -> object:
-        monkeypatch.setattr(solving, "solve_cells", solve_cells)
+        monkeypatch.setattr(solving, "solve_tile", solve_tile)
         run_job(made)  # the other attempt, which is faster
         monkeypatch.setattr(jobs, "write_tile", None)
-        return solve_cells(*given)  # type: ignore[arg-type]
+        return solve_tile(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(solving, "solve_cells", late)
+    monkeypatch.setattr(solving, "solve_tile", late)
     assert jobs.solve_and_write(made).cells == 6
     assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
 

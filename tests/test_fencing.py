@@ -90,7 +90,7 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     job = JOBS[kind](tmp_path, finished)
-    store, whole = Path(job.store), solving.solve_cells
+    store, whole = Path(job.store), solving.solve_tile
     before: dict[str, bytes] = {}
 
     def slow(*given: Any) -> Any:
@@ -98,7 +98,7 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
         before.update(contents(store))
         return whole(*given)
 
-    monkeypatch.setattr(solving, "solve_cells", slow)
+    monkeypatch.setattr(solving, "solve_tile", slow)
     with pytest.raises(RefusedError, match=LOST):
         run_job(job)
     assert contents(store) == before

@@ -84,7 +84,7 @@ def test_results_have_the_shape_of_no_cell_and_of_one(shape: tuple[int, ...]) ->
     expected = empty_results(result_variables(settings), shape, {"exponent": 4, "state": 4, "sample": 2})
     kinds = [workers.solve_tile("two-mass", given, settings)]
     if shape:
-        kinds += [solve_lines("two-mass", given, settings, backward=back).arrays for back in (False, True)]
+        kinds += [solve_lines("two-mass", given, settings, backward=back) for back in (False, True)]
     for found in kinds:
         assert {name: (array.shape, array.dtype) for name, array in found.items()} == {
             name: (array.shape, array.dtype) for name, array in expected.items()

@@ -27,7 +27,7 @@ from workers.orbit.newton import (
     settle_each,
 )
 from workers.orbit.section import SHIFT, moved
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 
 class Proof(NamedTuple):
@@ -162,7 +162,7 @@ def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
     """
     ball = find_system("bouncing-ball")
     osc = ball.build({p.name: BALL.get(p.name, p.default) for p in ball.parameters})
-    cell = solve_cells(ball, BALL).arrays
+    cell = solve_tile(ball, BALL)
     h, period = motion_from(osc, cell["state"]).h, int(cell["period"])
     w = weights(osc)
     scale = float(np.linalg.norm(w * h.ravel()) + np.linalg.norm(w * osc.swing.ravel()))

@@ -11,8 +11,7 @@ from tests import naive
 from tests.fuzzing import fuzz
 from workers import Settings, solve_tile, trace
 from workers.model.system import find_system
-from workers.results import ARITHMETIC, CHAOTIC, INVALID
-from workers.tile import solve_cells
+from workers.results import ARITHMETIC, CHAOTIC, INVALID, reason_counts
 
 TWO_MASS = find_system("two-mass")
 
@@ -43,9 +42,9 @@ OVERFLOWING = [
 
 @pytest.mark.parametrize("params", OVERFLOWING, ids=str)
 def test_a_cell_whose_numbers_overflow_is_invalid(params: dict[str, float]) -> None:
-    solved = solve_cells("two-mass", params, QUICK)
-    assert solved.arrays["regime"] == INVALID
-    (reason,) = solved.reasons
+    solved = solve_tile("two-mass", params, QUICK)
+    assert solved["regime"] == INVALID
+    (reason,) = reason_counts(solved["reason"])
     assert reason.endswith("beyond the range of double precision")
 
 

@@ -121,7 +121,7 @@ import atlas
 from atlas import Spec
 from atlas.cli.main import main
 from atlas.task.compile import warm_up
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 def compiled():
     modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("workers.")]
@@ -140,10 +140,10 @@ cells = {
     "omega": rng.uniform(0.5, 4.0, 60), "b": 10.0 ** rng.uniform(-2, 0, 60), "zeta": 10.0 ** rng.uniform(-2, 1, 60),
     "R": rng.choice([0.0, 0.3, 0.8, 1.0], 60),
 }
-found = solve_cells("two-mass", cells, spec.settings)
+found = solve_tile("two-mass", cells, spec.settings)
 for k in range(60):
-    solve_cells("two-mass", {name: values[k] for name, values in cells.items()}, spec.settings)
-assert found.arrays["sticks"].any() and (found.arrays["regime"] == (4 if sys.argv[1] == "none" else 3)).any()
+    solve_tile("two-mass", {name: values[k] for name, values in cells.items()}, spec.settings)
+assert found["sticks"].any() and (found["regime"] == (4 if sys.argv[1] == "none" else 3)).any()
 print(len(before), *sorted(compiled() - before))
 """
 

@@ -60,7 +60,7 @@ def test_a_sweep_by_continuation_takes_the_periods_that_parts_of_it_tell(continu
     spec = coarse("fig6", {"continuation": continuation})
     backward = continuation == "backward"
     whole = solve_lines(spec.system, spec.cell_params((slice(None),)), spec.settings, backward=backward)
-    assert 0.5 < probed(spec).periods_per_cell / whole.arrays["periods_used"].mean() < 2.0
+    assert 0.5 < probed(spec).periods_per_cell / whole["periods_used"].mean() < 2.0
 
 
 def test_cells_that_are_all_probed_leave_no_range() -> None:

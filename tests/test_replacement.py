@@ -22,7 +22,7 @@ from atlas.task.retry import Retry
 from atlas.task.task import Job, StoreFullError
 from tests.test_retry import FEW, MORE, plane_of_few, same
 from workers.results import UNDETERMINED
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def assert_solved_again(header: Header, index: tuple[int, ...], before: dict[str
     """The undetermined cells of a tile are those of a spec with the larger budget, to the bit; the others as before."""
     chosen, stored = before["regime"] == UNDETERMINED, read_tile(header, index)
     cells, settings = header.spec.cell_params(header.tiling.at(index).slices), plane_of_few(MORE).settings
-    for name, values in solve_cells("two-mass", cells, settings).arrays.items():
+    for name, values in solve_tile("two-mass", cells, settings).items():
         assert same(stored[name], values)[chosen].all(), name
         assert same(stored[name], before[name])[~chosen].all(), name
     np.testing.assert_array_equal(stored["budget"], np.where(chosen, MORE, FEW))

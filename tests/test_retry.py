@@ -26,7 +26,7 @@ from atlas.task.retry import Retry, checked_retry
 from atlas.task.task import Job
 from workers.results import APERIODIC, CHAOTIC, FAILED, REGIME, UNDETERMINED
 from workers.settings import MOST_PERIODS
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 FEW, MORE = 40, 60
 """Budgets that leave cells of the plane undetermined, and that decide some of them."""
@@ -73,7 +73,7 @@ def test_only_the_chosen_cells_are_solved_again_and_come_out_as_with_that_budget
     assert summary.cells_solved == chosen.sum()
     after = whole(store)
     fresh = plane_of_few(MORE)
-    expected = solve_cells("two-mass", fresh.cell_params((slice(0, 5), slice(0, 7))), fresh.settings).arrays
+    expected = solve_tile("two-mass", fresh.cell_params((slice(0, 5), slice(0, 7))), fresh.settings)
     assert (expected["regime"][chosen] != UNDETERMINED).any()
     for name, values in before.items():
         assert same(after[name], values)[~chosen].all(), name
@@ -244,7 +244,7 @@ def retry_of(spec: atlas.Spec, names: str = "chaotic", **given: int) -> atlas.Ru
 
 
 def whole_block(spec: atlas.Spec) -> dict[str, np.ndarray]:
-    return solve_cells("two-mass", spec.cell_params(tuple(slice(0, n) for n in spec.shape)), spec.settings).arrays
+    return solve_tile("two-mass", spec.cell_params(tuple(slice(0, n) for n in spec.shape)), spec.settings)
 
 
 def test_chaotic_cells_come_out_as_in_an_atlas_with_that_survival(watched: Path, client: Client) -> None:

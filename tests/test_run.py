@@ -165,14 +165,14 @@ def test_a_log_gets_plain_lines_at_intervals(tmp_path: Path, plane: atlas.Spec, 
 def test_a_tile_that_raises_is_reported_and_the_others_finish(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = solving.solve_cells
+    whole = solving.solve_tile
 
     def broken(system, params, settings):  # type: ignore[no-untyped-def]
         if 2.0 in params["omega"] and 0.1 in params["b"]:
             raise ZeroDivisionError("two\nlines")
         return whole(system, params, settings)
 
-    monkeypatch.setattr(solving, "solve_cells", broken)
+    monkeypatch.setattr(solving, "solve_tile", broken)
     summary = atlas.run(plane, tmp_path / "out.zarr", client=client)
     assert [(failure.index, failure.message) for failure in summary.failures] == [
         ((0, 0), "ZeroDivisionError: two lines")

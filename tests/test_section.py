@@ -21,7 +21,7 @@ from workers.kernel.period import propagate
 from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
 from workers.results import PERIODIC
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 pytestmark = pytest.mark.slow
 
@@ -70,7 +70,7 @@ class Seen(NamedTuple):
 def seen(name: str, given: dict[str, float]) -> Seen:
     system = find_system(name)
     values = {p.name: float(given.get(p.name, p.default)) for p in system.parameters}
-    arrays = solve_cells(system, values, SPECTRUM).arrays
+    arrays = solve_tile(system, values, SPECTRUM)
     return Seen(system, values, system.build(values), {key: array[()] for key, array in arrays.items()})
 
 
@@ -108,7 +108,7 @@ def wrong(orbit: Seen, event: float) -> list[str]:
         for faster in (0.0, 1e-3)
     ]
     given = {name: np.array([one[name] for one in begun]) for name in orbit.values}
-    found = solve_cells(orbit.system, given, SPECTRUM).arrays
+    found = solve_tile(orbit.system, given, SPECTRUM)
     faults = []
     for name in ("regime", "period", "impacts_upper", "impacts_lower", "symmetric", "sticks"):
         faults += [f"{name} {value} for {orbit.cell[name]}" for value in found[name] if value != orbit.cell[name]]
@@ -156,7 +156,7 @@ def test_an_orbit_that_comes_to_rest_or_leaves_at_the_section_is_what_it_is_else
 
 @pytest.mark.parametrize("tau", [0.0, math.pi])
 def test_a_mass_that_leaves_its_wall_at_the_section_is_periodic_and_sticks(tau: float) -> None:
-    cell = solve_cells("impact-pair", STICKING | {"tau": tau}, SPECTRUM).arrays
+    cell = solve_tile("impact-pair", STICKING | {"tau": tau}, SPECTRUM)
     assert (cell["regime"], cell["period"], cell["sticks"], cell["symmetric"]) == (PERIODIC, 1, True, True)
     assert np.isneginf(cell["spectrum"]).all()
 
@@ -172,7 +172,7 @@ def test_a_mass_that_leaves_its_wall_at_the_section_is_periodic_and_sticks(tau: 
 def test_orbits_found_by_random_search_to_impact_at_the_section_have_their_own_counts(
     name: str, given: dict[str, float], counts: tuple[int, int, int]
 ) -> None:
-    cell = solve_cells(name, given, SPECTRUM).arrays
+    cell = solve_tile(name, given, SPECTRUM)
     assert (cell["period"], cell["impacts_upper"], cell["impacts_lower"]) == counts
     assert cell["symmetric"] == (name == "impact-pair")
 
@@ -180,7 +180,7 @@ def test_orbits_found_by_random_search_to_impact_at_the_section_have_their_own_c
 @pytest.mark.parametrize("away", [0.0, 1e-13, -1e-13])
 def test_an_impact_at_the_section_counts_as_past(away: float) -> None:
     """Truth: the closed form; after the impact the ball goes up at R |v|, 2 pi = (1 + R) |v|."""
-    cell = solve_cells("bouncing-ball", BALL | {"tau": BALL["tau"] + 2.0 * math.pi * away}, SPECTRUM).arrays
+    cell = solve_tile("bouncing-ball", BALL | {"tau": BALL["tau"] + 2.0 * math.pi * away}, SPECTRUM)
     assert (cell["regime"], cell["period"], cell["impacts_lower"]) == (PERIODIC, 1, 1)
     assert cell["spectrum"] == pytest.approx(math.log(0.8), abs=1e-12)
     assert cell["state"] == pytest.approx([0.0, 0.8 * 2.0 * math.pi / 1.8], abs=3e-11)
@@ -213,7 +213,7 @@ def test_motions_that_reach_an_orbit_on_either_side_of_its_impact_reach_one_attr
     """Truth: the attractors of the same ball and the same initial states, seen from half a radian later."""
     starts, settings = Starts(16), Settings(exponents="largest", max_periods=2000, survival=1000)
     found = [
-        solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts).arrays
+        solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts)
         for late in (0.0, 1e-14, 0.5)
     ]
     assert [int(each["attractors"]) for each in found] == [2, 2, 2]

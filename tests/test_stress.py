@@ -18,7 +18,7 @@ from tests.oracle.model import machine_of
 from workers import Settings
 from workers.model.system import find_system
 from workers.results import PERIODIC
-from workers.tile import solve_cells
+from workers.tile import solve_tile
 
 pytestmark = pytest.mark.slow
 
@@ -112,7 +112,7 @@ def periodic() -> tuple[Drawn, dict[str, Any]]:
     """A periodic cell with impacts, and its results."""
     params = {"omega": 4.0, "b": 0.1, "R": 0.8, "zeta": 0.05, "mu_m": 2.0, "mu_k": 5.0, "f2": 0.0}
     settings = Settings(exponents="spectrum", section_samples=4)
-    result = {key: array[()] for key, array in solve_cells("two-mass", params, settings).arrays.items()}
+    result = {key: array[()] for key, array in solve_tile("two-mass", params, settings).items()}
     return replace(two_mass(1, 0), params=params, upper=0.1, lower=-0.1, trace=0.4), result
 
 

@@ -12,7 +12,7 @@ from workers.kernel.cells import physical_states, reset_frames
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import RECORDED, WORK
 from workers.kernel.period import OVERDRAFT
-from workers.model.oscillator import each, many_of
+from workers.model.oscillator import each
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError
 from workers.settings import Settings, check_whole
@@ -51,22 +51,21 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)
     settings = settings or Settings()
-    values = broadcast(record, {name: float(value) for name, value in params.items()})
+    given = broadcast(record, {name: float(value) for name, value in params.items()})
     for parameter in record.parameters:
-        if not parameter.admits(values[parameter.name]):
-            raise ValueError(f"{parameter.name} = {values[parameter.name]}: must satisfy {parameter.range}")
-    osc = record.build({name: float(value) for name, value in values.items()})
-    start = initial_state(record, values)
-    vectors = {"none": 0, "largest": 1, "spectrum": start.size}[settings.exponents]
-    oscillators, cell = many_of(osc), np.zeros(1, dtype=np.int64)  # the kernels for many cells serve one too
-    reasons = np.array([NO_REASON], dtype=np.int8)
-    motions, (reason,) = begin(oscillators, reasons, start[None], vectors=vectors, record=RECORD)
+        if not parameter.admits(given[parameter.name]):
+            raise ValueError(f"{parameter.name} = {given[parameter.name]}: must satisfy {parameter.range}")
+    values = {name: value.reshape(1) for name, value in given.items()}  # the kernels for many cells serve one too
+    oscillators, reasons = record.build_many(values)
+    starts, cell = initial_state(record, values), np.zeros(1, dtype=np.int64)
+    vectors = {"none": 0, "largest": 1, "spectrum": starts.size}[settings.exponents]
+    motions, (reason,) = begin(oscillators, reasons, starts, vectors=vectors, record=RECORD)
     if reason != NO_REASON:
         raise InvalidError(int(reason))
     motions.tally[:, WORK] = work_allowed(periods) + OVERDRAFT
     batch = batch_of(oscillators, motions)
     batch.periods[:] = 1
-    states, impacts, exponents = [start], [np.empty((0, 3))], []
+    period, states, impacts, exponents = oscillators.period[0], [starts[0]], [np.empty((0, 3))], []
     for k in range(periods):
         batch = _a_period_later(batch, cell)
         motions = batch.motions
@@ -74,13 +73,13 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
         if reason != NO_REASON:
             raise ValueError(f"period {k}: {REASONS[reason].text}")
         reset_frames(oscillators.gap.metric, motions, cell)
-        found = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * osc.period, 0.0, 0.0]
+        found = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * period, 0.0, 0.0]
         motions.tally[0, RECORDED] = 0.0
         states.append(physical_states(oscillators, motions, cell)[0])
         impacts.append(found)
         exponents.append(motions.growth[0] / (k + 1))
     return Trace(
-        times=osc.period * np.arange(periods + 1.0),
+        times=period * np.arange(periods + 1.0),
         states=np.array(states),
         impacts=np.concatenate(impacts),
         exponents=np.array(exponents).reshape(periods, vectors),

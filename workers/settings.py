@@ -45,8 +45,9 @@ class Settings:
     section_samples: int = 0
 
     def __post_init__(self) -> None:
-        _one_of("exponents", self.exponents, EXPONENTS)
-        _one_of("method", self.method, METHODS)
+        for name, known in (("exponents", EXPONENTS), ("method", METHODS)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name}: found {getattr(self, name)!r}, must be one of {', '.join(known)}")
         if isinstance(self.tolerance, bool) or not isinstance(self.tolerance, int | float):
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a number > 0")
         if not 0 < self.tolerance <= sys.float_info.max:
@@ -62,11 +63,6 @@ class Settings:
     def deciding_periods(self) -> int:
         """Forcing periods within which a cell is decided; the tenth of ``max_periods`` that is left is for proofs."""
         return self.max_periods - self.max_periods // 10
-
-
-def _one_of(name: str, value: object, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ValueError(f"{name}: found {value!r}, must be one of {', '.join(known)}")
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:

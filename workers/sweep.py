@@ -1,16 +1,16 @@
 """``solve_lines``, continuation: lines of cells, each cell started from the attractor of the one before it."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from workers.cell.cells import Results
 from workers.kernel.cells import put_inside
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
 from workers.settings import Settings
-from workers.tile import Solution, broadcast, initial_state, solve_cells
+from workers.tile import broadcast, initial_state, solve_tile
 
 Array = NDArray[np.float64]
 
@@ -22,8 +22,8 @@ def solve_lines(
     *,
     axis: int = -1,
     backward: bool = False,
-) -> Solution:
-    """Solve every line along one axis of the parameters' broadcast shape as a slow sweep: results as of solve_cells.
+) -> Results:
+    """Solve every line along one axis of the parameters' broadcast shape as a slow sweep: results as of solve_tile.
 
     The first cell of a line (with ``backward`` the last) starts from its own initial state. Every other one starts
     from ``state``, the section state on the attractor, of the nearest cell before it that has one: an invalid or
@@ -31,7 +31,7 @@ def solve_lines(
     coordinate is moved onto the stop, as a wall that closes in would push it, and its velocities are kept; an
     outward one is reversed by the impact that follows at once.
 
-    A cell therefore depends on its line, but on no other line. Raises as solve_cells does, ValueError too for an
+    A cell therefore depends on its line, but on no other line. Raises as solve_tile does, ValueError too for an
     axis that does not exist.
     """
     record = find_system(system)
@@ -40,20 +40,19 @@ def solve_lines(
     if not -len(shape) <= axis < len(shape):
         raise ValueError(f"axis: found {axis}, the cells have {len(shape)} axes")
     if shape[axis] == 0:
-        return solve_cells(system, params, settings)
+        return solve_tile(system, params, settings)
     values = {name: np.moveaxis(grid, axis, 0) for name, grid in grids.items()}
-    last: Array | None = None  # per line, the newest state on an attractor; NaN before the first
-    solved: dict[int, dict[str, NDArray[Any]]] = {}
+    # Per line, the newest state on an attractor; NaN before the first.
+    last = np.full((*np.delete(shape, axis), len(record.states)), np.nan)
+    solved: dict[int, Results] = {}
     positions = range(shape[axis])
     for i in reversed(positions) if backward else positions:
         here = {name: grid[i] for name, grid in values.items()}
-        if last is not None:
-            here |= _starts(record, here, last)
-        solved[i] = solve_cells(system, here, settings).arrays
+        solved[i] = solve_tile(system, here | _starts(record, here, last), settings)
         states = solved[i]["state"]
-        last = states if last is None else np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
+        last = np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
     along = axis % len(shape)
-    return Solution({name: np.stack([solved[i][name] for i in positions], axis=along) for name in solved[0]})
+    return {name: np.stack([solved[i][name] for i in positions], axis=along) for name in solved[0]}
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
@@ -67,6 +66,6 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
     moved = last[known].copy()
     put_inside(oscillators.gap_row, oscillators.upper, oscillators.lower, moved)
-    built = reasons == NO_REASON  # solve_cells calls the others invalid
+    built = reasons == NO_REASON  # solve_tile calls the others invalid
     states[known] = np.where(built[:, None], moved, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.cell.cells import Cells
+from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve
 from workers.model.system import System, find_system
-from workers.results import ATTRACTOR, REASON, Variable, empty_results, reason_counts, result_variables
+from workers.results import ATTRACTOR, Variable, empty_results, result_variables
 from workers.settings import Settings
 
 Array = NDArray[np.float64]
@@ -19,20 +18,7 @@ MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
 """Bytes of section states that cells under way may take together; cells that are under way together all the same."""
 
 
-class Solution(NamedTuple):
-    """Result arrays of a tile."""
-
-    arrays: dict[str, NDArray[Any]]
-
-    @property
-    def reasons(self) -> dict[str, int]:
-        """Cells that are invalid, failed or given up, by the reason in words."""
-        return reason_counts(self.arrays[REASON.name])
-
-
-def solve_tile(
-    system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None
-) -> dict[str, NDArray[Any]]:
+def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Results:
     """Exponents, regime and periodicity of every cell, as arrays of the parameters' broadcast shape.
 
     system    name of a system in the package, such as "two-mass", or a System
@@ -50,14 +36,9 @@ def solve_tile(
     >>> result["largest"].shape
     (2,)
     """
-    return solve_cells(system, params, settings).arrays
-
-
-def solve_cells(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Solution:
-    """As solve_tile, as a Solution."""
     record, settings = find_system(system), settings or Settings()
 
-    def solve_part(params: dict[str, Array], found: dict[str, NDArray[Any]]) -> None:
+    def solve_part(params: dict[str, Array], found: Results) -> None:
         solve(Cells(*record.build_many(params), initial_state(record, params), settings, found))
 
     kept = settings.max_period + settings.section_samples
@@ -71,9 +52,9 @@ def solve_parts(
     settings: Settings,
     variables: tuple[Variable, ...],
     at_once: int,
-    solve_part: Callable[[dict[str, Array], dict[str, NDArray[Any]]], None],
+    solve_part: Callable[[dict[str, Array], Results], None],
     attractors: int = 0,
-) -> Solution:
+) -> Results:
     """Arrays of these variables, written part by part: of ``at_once`` cells, from their parameters (N,)."""
     grids = broadcast(record, params)
     shape = next(iter(grids.values())).shape
@@ -83,7 +64,7 @@ def solve_parts(
     for begin in range(0, count, at_once):
         part = slice(begin, begin + at_once)
         solve_part(*({name: array[part] for name, array in arrays.items()} for arrays in (flat, found)))
-    return Solution({name: array.reshape(shape + array.shape[1:]) for name, array in found.items()})
+    return {name: array.reshape(shape + array.shape[1:]) for name, array in found.items()}
 
 
 def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -104,7 +85,7 @@ def initial_state(record: System, params: Mapping[str, Array]) -> Array:
 
 def result_arrays(
     variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0
-) -> dict[str, NDArray[Any]]:
+) -> Results:
     """Arrays of cells without a result, with states of ``size`` components and room for some attractors each."""
     sizes = {ATTRACTOR: attractors, "exponent": size, "state": size, "sample": settings.section_samples}
     return empty_results(variables, (count,), sizes)

@@ -34,11 +34,11 @@ def seed_of_point(
 
     Raises InputError for bad parameters, and where the cell's motion is not periodic or rests on a stop.
     """
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     record = checked_system(system)
     values = checked_parameters(record, given)
-    arrays = solve_cells(record, values, settings or Settings()).arrays
+    arrays = solve_tile(record, values, settings or Settings())
     return seed_of({name: array[()] for name, array in arrays.items()}, record, values)
 
 

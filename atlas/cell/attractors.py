@@ -39,7 +39,7 @@ def attractors(
     parameters = checked_parameters(record, given or {})
     search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
     assert search is not None
-    arrays = solve_attractors(record, parameters, settings, search).arrays
+    arrays = solve_attractors(record, parameters, settings, search)
     many = [each.name for each in result_variables(settings, attractors=True) if ATTRACTOR in each.extra]
     found = {name: array.tolist() for name, array in arrays.items() if name not in many}
     kept = min(found["attractors"], search.keep)

@@ -15,7 +15,7 @@ from atlas.spec.system import checked_system
 from atlas.text import plural
 from workers import Settings
 from workers.model.system import DEFAULT, System, identity
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME, REGIMES
+from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REASON, REASONS, REGIME, REGIMES
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def cell_orbit(
     the orbit needs is filled up. Raises InputError for parameters that do not exist or are out of range, and for a
     cell without a motion to show: invalid, failed, or given up for its cost.
     """
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     record = checked_system(system)
     parameters = checked_parameters(record, given)
@@ -101,11 +101,11 @@ def cell_orbit(
         exponents="spectrum",
         section_samples=max(SECTION_STATES, (settings or Settings()).section_samples),
     )
-    solution = solve_cells(record, parameters, asked)
-    cell: dict[str, Any] = {name: array[()] for name, array in solution.arrays.items()}
+    cell: dict[str, Any] = {name: array[()] for name, array in solve_tile(record, parameters, asked).items()}
     start = cell["state"]
     if not np.all(np.isfinite(start)):
-        raise InputError(f"this cell has no motion to show: {', '.join(solution.reasons) or 'its state is not known'}")
+        reason = REASONS[cell[REASON.name]].text or "its state is not known"
+        raise InputError(f"this cell has no motion to show: {reason}")
     here = parameters | dict(zip(record.states, map(float, start), strict=True))
     closes = int(cell["period"])
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]

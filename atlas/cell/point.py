@@ -23,11 +23,11 @@ def point(
     System. ``reason`` is there where the cell could not be solved.
     Raises InputError for a parameter that does not exist or is out of range.
     """
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     record, settings = checked_system(system), settings or Settings()
     parameters = checked_parameters(record, given or {})
-    arrays = solve_cells(record, parameters, settings).arrays
+    arrays = solve_tile(record, parameters, settings)
     names = {regime.code: regime.name for regime in REGIMES}
     found = {variable.name: arrays[variable.name].tolist() for variable in result_variables(settings)}
     found[REGIME.name] = names[found[REGIME.name]]

@@ -37,7 +37,7 @@ def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
     block = tuple(slice(i, i + 1) for i in sample.cell)
     allowed = ALLOWANCES if spec.attractors is None else ()  # others cannot be retried
     given: dict[str, Any] = {each.setting: int(sample.stored[each.name].item()) for each in allowed}
-    arrays = solve_apart(spec, spec.cell_params(block), replace(spec.settings, **given)).arrays
+    arrays = solve_apart(spec, spec.cell_params(block), replace(spec.settings, **given))
     if spec.basins:  # what lies beyond the table gets its label when all cells are known
         beyond = arrays[LABEL.name] == BEYOND_TABLE
         arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])

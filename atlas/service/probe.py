@@ -141,8 +141,8 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
-        return params, solve_apart(spec, params, settings).arrays
-    return params, solve_lines(spec.record, params, settings, backward=spec.continuation[1]).arrays
+        return params, solve_apart(spec, params, settings)
+    return params, solve_lines(spec.record, params, settings, backward=spec.continuation[1])
 
 
 def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:

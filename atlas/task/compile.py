@@ -128,9 +128,9 @@ def warm_up(*parts: str) -> None:
     by a short branch. What a kernel is compiled for depends neither on the system nor on the settings: they make
     arrays longer or empty.
     """
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
-    solve_cells(DEFAULT, {}, Settings(max_periods=1))
+    solve_tile(DEFAULT, {}, Settings(max_periods=1))
     if ATTRACTORS in parts:
         from workers.attractors.starts import Starts
         from workers.attractors.waves import solve_attractors
@@ -147,11 +147,11 @@ def _follow_an_orbit() -> None:
     from workers.continuation import branch, family_of, orbit_from_state
     from workers.continuation.equations import Impacts, linearised, motion_at
     from workers.model.system import find_system
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     record = find_system(DEFAULT)
     values = {p.name: p.default for p in record.parameters} | AN_ORBIT
-    cell = solve_cells(record, values, Settings(exponents="none", survival=0)).arrays
+    cell = solve_tile(record, values, Settings(exponents="none", survival=0))
     orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]), bool(cell["symmetric"]))
     (along, value), *_ = AN_ORBIT.items()
     family = family_of(record, values, (along,))

@@ -57,7 +57,7 @@ def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
     if patch.starts is not None:
         from workers.attractors.waves import solve_attractors
 
-        return solve_attractors(patch.system, cells, patch.settings, patch.starts).arrays
+        return solve_attractors(patch.system, cells, patch.settings, patch.starts)
     from workers.tile import solve_tile
 
     return solve_tile(patch.system, cells, patch.settings)

@@ -95,7 +95,7 @@ def solve_again(
     ``cells`` holds the parameters of every cell of the tile, each in the tile's shape. Cells are solved from their
     beginning, so that they have the bits of an atlas whose spec gives them as much.
     """
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     mask, allowances = retry.selects(stored), retry.allowances(stored)
     arrays = {name: values.copy() for name, values in stored.items()}
@@ -105,7 +105,7 @@ def solve_again(
         amount = dict(zip(ALLOWANCES, amounts, strict=True))
         settings: dict[str, Any] = {each.setting: n for each, n in amount.items()}
         params = {name: values[chosen] for name, values in cells.items()}
-        for name, values in solve_cells(spec.record, params, replace(spec.settings, **settings)).arrays.items():
+        for name, values in solve_tile(spec.record, params, replace(spec.settings, **settings)).items():
             arrays[name][chosen] = values
         for each, n in amount.items():
             arrays[each.name][chosen] = n

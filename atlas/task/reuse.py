@@ -34,14 +34,14 @@ def solve_unknown(
     A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those known from the
     store's origin are those it would get here.
     """
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
     if unknown.all():
-        return solve_block(spec, slices).arrays
+        return solve_block(spec, slices)
     if unknown.any():
         params = spec.cell_params(slices)
         cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
-        for name, values in solve_cells(spec.record, cells, spec.settings).arrays.items():
+        for name, values in solve_tile(spec.record, cells, spec.settings).items():
             arrays[name][unknown] = values
     return arrays
 

@@ -9,7 +9,7 @@ from atlas.task.compile import ATTRACTORS
 from workers import Settings
 
 if TYPE_CHECKING:
-    from workers.tile import Solution
+    from workers.cell.cells import Results
 
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
@@ -17,7 +17,7 @@ def kernels_of(spec: Spec) -> tuple[str, ...]:
     return () if spec.attractors is None else (ATTRACTORS,)
 
 
-def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Solution":
+def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Results":
     """Results of the spec's kind, with these settings, of cells that do not depend on each other."""
     if spec.basins:
         from workers.attractors.basins import solve_basins
@@ -27,12 +27,12 @@ def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "S
         from workers.attractors.waves import solve_attractors
 
         return solve_attractors(spec.record, params, settings, spec.attractors)
-    from workers.tile import solve_cells
+    from workers.tile import solve_tile
 
-    return solve_cells(spec.record, params, settings)
+    return solve_tile(spec.record, params, settings)
 
 
-def solve_block(spec: Spec, slices: Slices) -> "Solution":
+def solve_block(spec: Spec, slices: Slices) -> "Results":
     """Results of the cells in these slices.
 
     Where an axis is continued a cell depends on all before it in its line: a part of a line has no results of its own,

@@ -18,12 +18,13 @@ from workers.attractors.record import STABLE, STATISTICAL, Attractor
 from workers.attractors.search import Search, motions_at_once
 from workers.attractors.starts import Starts
 from workers.attractors.waves import Coexistence
+from workers.cell.cells import Results
 from workers.cell.stretch import begin, sections_from
 from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
 from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL, result_variables
 from workers.settings import Settings
-from workers.tile import Solution, initial_state, solve_parts
+from workers.tile import initial_state, solve_parts
 
 
 class Table(Coexistence):
@@ -59,8 +60,8 @@ def solve_basins(
     params: Mapping[str, ArrayLike],
     settings: Settings | None = None,
     starts: Starts | None = None,
-) -> Solution:
-    """What every initial state reaches, as arrays of the broadcast shape of the initial states; as solve_cells else.
+) -> Results:
+    """What every initial state reaches, as arrays of the broadcast shape of the initial states; as solve_tile else.
 
     Only components of the initial state may have several values. Results are those of the attractor, and besides
     ``label``, its place in the table, and ``settled``, the periods until the motion is on it. BEYOND_TABLE is the label
@@ -89,7 +90,7 @@ def reference_table(system: str, values: tuple[tuple[str, float], ...], settings
     return Table(System.from_resolved(json.loads(system)), dict(values), settings, starts)
 
 
-def _solve_part(table: Table, params: Mapping[str, Array], arrays: dict[str, NDArray[Any]]) -> None:
+def _solve_part(table: Table, params: Mapping[str, Array], arrays: Results) -> None:
     """Write the results of the initial states among these parameters (N,)."""
     search = table.solved(initial_state(table.record, params), references=False)
     label, regime = search.label.copy(), search.regime

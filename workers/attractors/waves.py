@@ -21,12 +21,13 @@ from workers.attractors.record import STABLE, STATISTICAL, Attractor
 from workers.attractors.same import mirrored, nearest
 from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
+from workers.cell.cells import Results
 from workers.cell.stretch import Rows
 from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
 from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON, result_variables
 from workers.settings import Settings
-from workers.tile import Solution, initial_state, solve_parts
+from workers.tile import initial_state, solve_parts
 
 WATCHED_AGAIN = 8
 """What is left of a transient is watched for this part of ``survival``, each motion of it."""
@@ -37,8 +38,8 @@ def solve_attractors(
     params: Mapping[str, ArrayLike],
     settings: Settings | None = None,
     starts: Starts | None = None,
-) -> Solution:
-    """All attractors of every cell, as arrays of the parameters' broadcast shape; as solve_cells else.
+) -> Results:
+    """All attractors of every cell, as arrays of the parameters' broadcast shape; as solve_tile else.
 
     Every result but the cost has one more dimension ``attractor`` after that shape, of ``starts.keep``: the attractor
     with the largest share first. Where there are fewer the rest is as without a result, regime PENDING. A cell that is
@@ -53,7 +54,7 @@ def solve_attractors(
         if name not in record.states:
             raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")
 
-    def solve_part(params: dict[str, Array], found: dict[str, NDArray[Any]]) -> None:
+    def solve_part(params: dict[str, Array], found: Results) -> None:
         coexistence = Coexistence(record, params, settings, starts)
         coexistence.solve()
         coexistence.write(found)
@@ -183,7 +184,7 @@ class Coexistence:
             if each.mirror is not None and each.mirror.mirror is not each:
                 each.mirror = None
 
-    def write(self, found: dict[str, NDArray[Any]]) -> None:
+    def write(self, found: Results) -> None:
         """Write the result arrays of these cells."""
         for c, cell in enumerate(self.cells):
             ranked = sorted(cell.attractors, key=lambda a: a.order)

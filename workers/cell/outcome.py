@@ -235,6 +235,4 @@ def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
     """A sum of exponents minus its exact value; NaN where that law does not hold, see exponents.sum_law_holds."""
-    holds = sum_law_holds(tally)
-    exact = sum_of_exponents(oscillators, hits)
-    return np.where(holds, np.where(holds, total, 0.0) - exact, math.nan)
+    return np.where(sum_law_holds(tally), total - sum_of_exponents(oscillators, hits), math.nan)

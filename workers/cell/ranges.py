@@ -21,8 +21,8 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows,
     contacts (N, 1) over ``periods`` (N,), through every turning point. NaN where it cannot be followed.
     """
     both = (tally[:, UPPER] > 0.0) & (tally[:, LOWER] > 0.0)
-    gap = np.where(both, oscillators.upper, 0.0) - np.where(both, oscillators.lower, 0.0)
-    return np.where(both, gap, _followed(oscillators, h, contact, periods, np.flatnonzero(~both)))
+    followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~both))
+    return np.where(both, oscillators.upper - oscillators.lower, followed)
 
 
 def free_range(oscillators: Oscillator, h: Array) -> Array:

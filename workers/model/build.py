@@ -4,18 +4,16 @@ What one oscillator is made of does not depend on the others, to the bit.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import (
     AtRest,
-    Flow,
     Frame,
-    Loading,
+    Mask,
+    against,
     centred,
-    dot,
     finite,
     flow_of,
     frame_of,
@@ -27,33 +25,10 @@ from workers.model.free import (
 )
 from workers.model.modes import FREE, stacked
 from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Oscillator, each, taken
-from workers.results import (
-    COUPLED_DAMPING,
-    NO_OSCILLATOR,
-    NO_REASON,
-    OUT_OF_DOUBLES,
-    OUT_OF_RANGE,
-    RESONANCE,
-    RIGID_MODE,
-    UNSTABLE,
-)
+from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
 """The fields of machines that those of a kind have in common."""
-
-
-class Clamped(NamedTuple):
-    """The motion with y fixed, x = d y + N q with N spanning the null space of the gap row, whatever the forcing
-    frequency: its flow and its push; the rest as in Held.
-    """
-
-    flow: Flow
-    push: Loading
-    down: Array
-    up: Array
-    into: Array
-    out: Array
-    pushes: Array
 
 
 @np.errstate(all="ignore")
@@ -69,11 +44,10 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     few = taken(machines, first)
     frame = frame_of(few)
     at_rest = centred(frame, few)
-    clamped = _clamped(few, frame, at_rest)
+    held, against_held = _held(few, frame, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
-    frame, at_rest, clamped = taken(frame, kind), taken(at_rest, kind), taken(clamped, kind)
-    gap, against = free_motion(frame, at_rest, machines.omega)
-    held, held_resonant = mode_of(clamped.flow, clamped.push, machines.omega)
+    frame, at_rest = taken(frame, kind), taken(at_rest, kind)
+    gap, against_free = free_motion(frame, at_rest, machines.omega)
     modes, b_upper, b_lower = frame.flow.modes, at_rest.b_upper, at_rest.b_lower
     head = Head(
         top=b_upper,
@@ -97,19 +71,12 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
         gap_row=machines.gap_row,
         head=np.stack(head, axis=-1),
         tau=phase_of(machines.tau),
-        held=Held(held, *clamped[2:]),
+        held=held,
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # a stop may be infinitely far away
-    unknown = np.isnan(head.upper) | np.isnan(head.lower)
-    against_held = {
-        RESONANCE: held_resonant,
-        COUPLED_DAMPING: clamped.flow.modes.inseparable,
-        RIGID_MODE: clamped.flow.modes.rigid > 0,
-        UNSTABLE: clamped.flow.modes.unstable,
-    }
-    reasons = np.where(finite(oscillators._replace(head=near)) & ~unknown, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
-    for reason, holds in against:
+    reasons = np.where(finite(oscillators._replace(head=near)), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+    for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason
     return each(oscillators, np.ascontiguousarray), reasons
 
@@ -149,10 +116,13 @@ def _seen_along(matrix: Array, null: Array) -> Array:
     return np.where(np.abs(found) <= FREE * matrix.shape[1] * terms, 0.0, found)
 
 
-def _clamped(machines: Machines, frame: Frame, at_rest: AtRest) -> Clamped:
-    """What holds y of these machines, see Clamped.
+def _held(
+    machines: Machines, frame: Frame, at_rest: AtRest, kind: NDArray[np.int64], omega: Array
+) -> tuple[Held, dict[int, Mask]]:
+    """Motion at the stops of machines of these kinds (N,), at forcing frequencies (N,), and the reasons against it.
 
-    Positions are counted from rest, so that what holds y at either stop is opposite where the stops are equally far.
+    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so that
+    what holds y at either stop is opposite where the stops are equally far.
     """
     mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
     N, n = gap_row.shape
@@ -169,9 +139,7 @@ def _clamped(machines: Machines, frame: Frame, at_rest: AtRest) -> Clamped:
         kick=np.zeros((N, 2 * n - 2)),
     )
     # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
-    spread, gather = np.zeros((N, 2 * n, 2 * n - 2)), np.zeros((N, 2 * n - 2, 2 * n))
-    spread[:, :n, : n - 1] = spread[:, n:, n - 1 :] = null
-    gather[:, : n - 1, :n] = gather[:, n - 1 :, n:] = flow.inverse_mass @ across @ mass
+    spread, gather = np.kron(np.eye(2), null), np.kron(np.eye(2), flow.inverse_mass @ across @ mass)
     down = flow.modes.to_blocks @ gather @ free.to_physical
     up = free.to_blocks @ spread @ flow.modes.to_physical
     into, out, pushes = np.zeros((N, 2, n - 1, 2)), np.zeros((N, 2, n, 2)), np.zeros((N, 2))
@@ -187,16 +155,18 @@ def _clamped(machines: Machines, frame: Frame, at_rest: AtRest) -> Clamped:
         lifted = (free.to_blocks[:, :, :n] @ (d * y)[..., None])[..., 0].reshape(N, n, 2)
         into[:, side] = into_rest - rest
         out[:, side] = (up @ rest.reshape(N, 2 * n - 2, 1))[..., 0].reshape(N, n, 2) + lifted - coasts
-        pushes[:, side] = dot(accelerance, load) - dot(pulls, d * y + (null @ q[..., None])[..., 0])
-    direct = (machines.force @ accelerance[..., None])[..., 0]
-    push = loading_of(flow, machines.force @ null, np.zeros((N, n - 1)), direct)
-    return Clamped(flow, push, down, up, into, out, pushes)
+        pushes[:, side] = np.vecdot(accelerance, load) - np.vecdot(pulls, d * y + (null @ q[..., None])[..., 0])
+    push = taken(loading_of(flow, machines.force @ null, np.zeros((N, n - 1))), kind)
+    flow, direct = taken(flow, kind), (machines.force @ accelerance[..., None])[kind, :, 0]
+    mode, resonant = mode_of(flow, push, omega, direct)
+    held = Held(mode, *(field[kind] for field in (down, up, into, out, pushes)))
+    return held, against(flow.modes, resonant, flow.modes.rigid > 0)
 
 
 def _null_space(row: Array) -> Array:
     """Orthonormal bases (N, n, n - 1) of the vectors that the rows send to zero, from reflections of e_1 to them."""
-    length = np.sqrt(dot(row, row))
+    length = np.sqrt(np.vecdot(row, row))
     v = row.copy()
     v[:, 0] += np.copysign(length, row[:, 0])
-    reflection = np.eye(row.shape[1]) - 2.0 * v[:, :, None] * v[:, None, :] / dot(v, v)[:, None, None]
+    reflection = np.eye(row.shape[1]) - 2.0 * v[:, :, None] * v[:, None, :] / np.vecdot(v, v)[:, None, None]
     return np.ascontiguousarray(reflection[:, :, 1:])

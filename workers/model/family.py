@@ -8,11 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.build import faults
 from workers.model.free import Frame, centred, finite, frame_of, free_motion, phase_of
 from workers.model.oscillator import Array, Machines, Mode
 from workers.model.system import System
-from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
+from workers.results import NO_REASON, OUT_OF_DOUBLES
 
 OF_FRAME = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
 """The fields of machines that decide their frame and their loading."""
@@ -24,7 +23,6 @@ class FreeMotions:
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
-        self._admitted = all(system.parameter(name).admits(value) for name, value in self.fixed.items())
         self._last: dict[int, tuple[bytes, Frame, NDArray[np.bool_]]] = {}
 
     @np.errstate(all="ignore")
@@ -40,16 +38,11 @@ class FreeMotions:
         at_rest = centred(frame, machines)
         gap, against = free_motion(frame, at_rest, machines.omega)
         known = known & finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
-        wrong = faults(machines)
         reasons = np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
-        for reason, holds in against:
+        for reason, holds in against.items():
             reasons[holds] = reason
-        reasons = np.where(wrong != NO_REASON, wrong, reasons)
-        for name, column in given.items():
-            reasons[~self.system.parameter(name).admits(column)] = OUT_OF_RANGE
-        if not self._admitted:
-            reasons[:] = OUT_OF_RANGE
-        return (gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R), reasons
+        motions = gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R
+        return motions, self.system.refused(machines, self.fixed | given, reasons)
 
     def _frame(self, machines: Machines) -> tuple[Frame, NDArray[np.bool_]]:
         """Their frames, of as many machines before where these had the same matrices and force; which are finite."""

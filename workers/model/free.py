@@ -12,6 +12,8 @@ from workers.model.modes import Modes, split, stacked
 from workers.model.oscillator import COLUMN, LARGEST_ANGLE, OF_FLOW, Array, Machines, Mode, make_blocks
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
+Mask = NDArray[np.bool_]
+
 UNSEEN = 1e-9
 """Share of a rigid mode in the gap coordinate, of what the mode could have at most, below which the gap misses it."""
 
@@ -33,12 +35,11 @@ class Flow(NamedTuple):
 class Loading(NamedTuple):
     """What force and load are to the blocks of N machines, whatever the forcing frequency.
 
-    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')', direct (N, H) to the guard itself; load
-    (N, n), rest (N, n, 2), see Oscillator.
+    waves (N, H, n, 2): what complex amplitudes of e^(i k phi) add to (h, h')'; load (N, n), rest (N, n, 2), see
+    Oscillator.
     """
 
     waves: Any
-    direct: Any
     load: Array
     rest: Array
 
@@ -67,22 +68,19 @@ class AtRest(NamedTuple):
     push: Loading
     b_upper: Array
     b_lower: Array
-    unseen: NDArray[np.bool_]
+    unseen: Mask
 
 
 def frame_of(machines: Machines) -> Frame:
     """The frame of machines: their guard is the gap coordinate, their kick M^-1 g / (g.M^-1 g) on the velocities."""
     mass, gap_row = machines.mass, machines.gap_row
     accelerance = stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
-    inverse_gap_mass = dot(gap_row, accelerance)
+    inverse_gap_mass = np.vecdot(gap_row, accelerance)
     none = np.zeros_like(gap_row)
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
     flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
-    force = machines.force
-    return Frame(
-        flow, loading_of(flow, force, machines.load, np.zeros_like(force[..., 0])), accelerance, inverse_gap_mass
-    )
+    return Frame(flow, loading_of(flow, machines.force, machines.load), accelerance, inverse_gap_mass)
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> Flow:
@@ -97,8 +95,8 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
     return Flow(modes, stacked(np.linalg.inv, mass.shape, mass), blocks)
 
 
-def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
-    """What force (N, H, n) and load (N, n) are to blocks, and direct (N, H) to the guard.
+def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
+    """What force (N, H, n) and load (N, n) are to blocks.
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
@@ -110,15 +108,15 @@ def loading_of(flow: Flow, force: Any, load: Array, direct: Any) -> Loading:
     l0, l1 = steady[..., 0], steady[..., 1]
     p = l1 + 2.0 * modes.eta * l0
     at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
-    return Loading(waves, direct, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
+    return Loading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
-def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, NDArray[np.bool_]]:
+def mode_of(flow: Flow, push: Loading, omega: Array, direct: Any = 0.0) -> tuple[Mode, Mask]:
     """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
 
-    The guard is c . blocks + direct sin(k phi).
+    The guard is c . blocks, and what complex amplitudes of e^(i k phi), direct (N, H), add to it.
     """
-    (N, H, n), direct = push.waves.shape[:3], push.direct
+    N, H, n = push.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
     forced, resonant = _response(flow.modes, push.waves, w)
     blocks, lam = flow.blocks.copy(), flow.modes.lam
@@ -132,7 +130,7 @@ def mode_of(flow: Flow, push: Loading, omega: Array) -> tuple[Mode, NDArray[np.b
     return Mode(blocks, metric, waves, np.stack(numbers, axis=-1), forced), resonant
 
 
-def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
     """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2) of frequencies (N, H); resonance (N,).
 
     Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w), and i w Z - l0 of the velocity.
@@ -152,20 +150,18 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, NDAr
     return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
 
 
-def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, list[tuple[int, NDArray[np.bool_]]]]:
-    """The free flight of machines at forcing frequencies (N,); the reasons why it may be none, and where they hold
-    (N,), the weightiest last.
-    """
+def against(modes: Modes, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
+    """The reasons why motion in these modes is none, the weightiest last, and of which machines (N,) each holds."""
+    return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid, UNSTABLE: modes.unstable}
+
+
+def free_motion(frame: Frame, at_rest: AtRest, omega: Array) -> tuple[Mode, dict[int, Mask]]:
+    """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
     modes = frame.flow.modes
     gap, resonant = mode_of(frame.flow, at_rest.push, omega)
     turns = np.where(gap.d > 0.0, gap.w, 0.0) * (2.0 * np.pi / omega)[:, None]
-    return gap, [
-        (LONG_PERIOD, np.max(turns, axis=1) > LARGEST_ANGLE),
-        (RESONANCE, resonant),
-        (COUPLED_DAMPING, modes.inseparable),
-        (RIGID_MODE, at_rest.unseen | (modes.rigid > 1)),
-        (UNSTABLE, modes.unstable),
-    ]
+    too_long = {LONG_PERIOD: np.max(turns, axis=1) > LARGEST_ANGLE}
+    return gap, too_long | against(modes, resonant, at_rest.unseen | (modes.rigid > 1))
 
 
 def phase_of(tau: Array) -> Array:
@@ -199,7 +195,7 @@ def centred(frame: Frame, machines: Machines) -> AtRest:
     return AtRest(push._replace(rest=rest, load=load), b_upper, b_lower, unseen)
 
 
-def balanced(machines: Machines) -> NDArray[np.bool_]:
+def balanced(machines: Machines) -> Mask:
     """Whether y rests midway between both stops, or anywhere, to rounding: motion is symmetric where the force is.
 
     That is where no force f holds y in their middle m, K x + f g = load and g . x = m: where |f| is at most what ULPS
@@ -223,12 +219,14 @@ def balanced(machines: Machines) -> NDArray[np.bool_]:
     x, v = np.abs(both[:, :n, 0]), np.abs(both[:, :n, 1])
     f, s = np.abs(size * both[:, n]).T
     ends = np.abs(machines.upper[rows]) + np.abs(machines.lower[rows])
-    change = dot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (dot(np.abs(g), x) + ends)
+    change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (
+        np.vecdot(np.abs(g), x) + ends
+    )
     found[rows] = f <= ULPS * np.finfo(np.float64).eps * change
     return found
 
 
-def finite(record: Any) -> NDArray[np.bool_]:
+def finite(record: Any) -> Mask:
     """Which of many records hold finite numbers only."""
     fields = [
         finite(field) if isinstance(field, tuple) else np.isfinite(field).all(axis=tuple(range(1, field.ndim)))
@@ -245,8 +243,3 @@ def derivative(row: Array, modes: Modes) -> Array:
 def times(row: Array, matrix: Array) -> Array:
     """row @ matrix of each of many."""
     return np.asarray((row[:, None, :] @ matrix)[:, 0])
-
-
-def dot(row: Array, other: Array) -> Array:
-    """row . other of each of many."""
-    return np.asarray((row[:, None, :] @ other[:, :, None])[:, 0, 0])

@@ -6,6 +6,7 @@ state space into planes, one for each pair of eigenvalues.
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import permutations
 from typing import Any, NamedTuple
 
@@ -56,18 +57,14 @@ class Modes(NamedTuple):
 def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     """The blocks of these oscillators (N, n, n); each depends on its own matrices only, to the bit."""
     N, n = mass.shape[:2]
-    if n == 0:
-        none, nothing = np.zeros((N, 0)), np.zeros(N, dtype=np.bool_)
-        matrix = np.zeros((N, 0, 0))
-        return Modes(none, none, matrix, matrix, np.zeros(N, dtype=np.int64), nothing, nothing)
     lam, modes = _refined(mass, stiffness, *undamped_modes(mass, stiffness))
-    largest = np.max(np.abs(lam), axis=1)
+    largest = np.max(np.abs(lam), axis=1, initial=0.0)
     lam = np.where(np.abs(lam) <= FREE * n * largest[:, None], 0.0, lam)
     modal = np.ascontiguousarray(modes.swapaxes(1, 2)) @ damping @ modes
     eta = np.diagonal(modal, axis1=1, axis2=2) / 2.0
-    size = np.max(np.abs(modal), axis=(1, 2))
+    size = np.max(np.abs(modal), axis=(1, 2), initial=0.0)
     beside = np.abs(modal) * (1.0 - np.eye(n))
-    coupled = np.max(beside, axis=(1, 2)) > COUPLED * size
+    coupled = np.max(beside, axis=(1, 2), initial=0.0) > COUPLED * size
     unstable = np.any(lam < 0.0, axis=1) | np.any(eta < -LIGHT * size[:, None], axis=1)
     weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
     found = Modes(
@@ -86,16 +83,12 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
 
 def stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Array) -> Any:
     """numpy.linalg's function of many matrices; NaN (of this shape) for those that alone it refuses."""
-    try:
+    with suppress(np.linalg.LinAlgError):
         return act(*matrices)
-    except np.linalg.LinAlgError:
-        pass
     found = np.full(shape, np.nan)
     for k, one in enumerate(zip(*matrices, strict=True)):
-        try:
+        with suppress(np.linalg.LinAlgError):
             found[k] = act(*one)
-        except np.linalg.LinAlgError:
-            continue
     return found
 
 
@@ -118,8 +111,9 @@ def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[A
     (Ogita & Aishima, Japan J. Indust. Appl. Math. 35 (2018) 1007)
     """
     n = lam.shape[1]
-    elastic = lam > FREE * n * np.max(np.abs(lam), axis=1)[:, None]
-    ratio = np.max(lam, axis=1) / np.min(np.where(elastic, lam, np.inf), axis=1)
+    largest = np.max(np.abs(lam), axis=1, initial=0.0)
+    elastic = lam > FREE * n * largest[:, None]
+    ratio = largest / np.min(lam, axis=1, where=elastic, initial=np.inf)
     rows = np.flatnonzero((ratio > GRADED) & np.isfinite(modes).all(axis=(1, 2)))
     lam, modes = lam.copy(), modes.copy()
     for _ in range(2 if len(rows) else 0):
@@ -252,15 +246,8 @@ def _pairs(T: Array) -> list[tuple[int, int]]:
     Complex pairs; real ones sorted, neighbours of the smallest relative gap first, since nearly equal ones have to stay
     together.
     """
-    pairs, reals, i = [], [], 0
-    while i < len(T):
-        if i + 1 < len(T) and T[i + 1, i] != 0.0:
-            pairs.append((i, i + 1))
-            i += 2
-        else:
-            reals.append(i)
-            i += 1
-    reals.sort(key=lambda position: T[position, position])
+    pairs = [(i, i + 1) for i in np.flatnonzero(np.diagonal(T, -1)).tolist()]
+    reals = sorted(set(range(len(T))).difference(*pairs), key=lambda position: (T[position, position], position))
     while reals:
         values = np.array([T[position, position] for position in reals])
         gaps = np.diff(values) / np.maximum(np.maximum(np.abs(values[1:]), np.abs(values[:-1])), 1e-300)

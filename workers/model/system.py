@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
-from workers.model.oscillator import Array, Oscillator, one_of
+from workers.model.oscillator import Array, Machines, Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import (
     DefinitionError,
@@ -103,11 +103,15 @@ class System:
         """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
         machines = self.definition.machines(values)
         oscillators, reasons = build(machines)
+        return oscillators, self.refused(machines, values, reasons)
+
+    def refused(self, machines: Machines, values: Mapping[str, Any], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
+        """These reasons (N,) against machines of values, (N,) or one for all, but where the numbers alone tell one."""
         wrong = faults(machines)
         reasons = np.where(wrong != NO_REASON, wrong, reasons)
         for parameter in self.parameters:
             reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
-        return oscillators, reasons
+        return reasons
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the nearest known name otherwise."""
