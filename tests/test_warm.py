@@ -58,7 +58,7 @@ print(json.dumps([counter.done, hashlib.sha256(bits).hexdigest()]))
 """
 WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
 
-COMPILING, LOADING = "compiling the kernels, about 70 s, once for this version", "loading the kernels"
+COMPILING, LOADING = "compiling the kernels, about 55 s, once for this version", "loading the kernels"
 
 
 @pytest.fixture
