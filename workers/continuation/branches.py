@@ -221,8 +221,8 @@ def _meeting(step: Step) -> _Passage | None:
     to = halves_met(step)
     if to is None:
         return None
-    found = origin(step, to)
-    return _Passage(SHORTER) if found is None else _Passage(found.event.kind, (found.event,), (found.event.point,))
+    event = origin(step, to)
+    return _Passage(SHORTER) if event is None else _Passage(event.kind, (event,), (event.point,))
 
 
 def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, until: Until | None) -> _Passage:

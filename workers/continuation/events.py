@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import LOST, ORDER, Fault, first_fault
-from workers.continuation.equations import Orbit, linearised, motion_at
+from workers.continuation.equations import Itinerary, Orbit, linearised, motion_at
 from workers.continuation.extended import ANGLE, CUSP, GRAZE, MINUS_ONE, PAIR, SPEED, UNIT, Condition, Extended, solve
 from workers.continuation.oscillator import Array, NoOscillatorError
-from workers.continuation.same import Reduction, difference, is_minimal, reduced, reductions
+from workers.continuation.same import difference, is_minimal, reduced, reductions
 from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.walk import Step
 
@@ -214,27 +214,26 @@ def leaving(step: Step, why: Fault) -> LocatedEvent | None:
     return None
 
 
-def origin(step: Step, to: Reduction) -> LocatedEvent | None:
-    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
-    grazes too. None on other curves, and where it is not found.
+def origin(step: Step, to: Itinerary) -> Event | None:
+    """The symmetry breaking or period doubling at which a branch becomes an orbit of half the turn, of that itinerary;
+    on a curve of grazes too. None on other curves, and where it is not found.
     """
     eq = step.equations
     own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
     if own != eq.conditions:
         return None
     a, b = (float(np.linalg.norm(difference(*eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
-    share = a / (a + b)
-    guess = step.guess(share)
+    guess = step.guess(a / (a + b))
     found = _solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
-    return None if found is None else LocatedEvent(share, _event(*found))
+    return None if found is None else _event(*found)
 
 
-def halves_met(step: Step) -> Reduction | None:
-    """The orbit of half the turn that is passed on a step: both halves exchange their parts there. Where no step
-    converged, ``here`` and ``there`` being one, that which it nearly is.
+def halves_met(step: Step) -> Itinerary | None:
+    """The itinerary of the orbit of half the turn that is passed on a step: both halves exchange their parts there.
+    Where no step converged, ``here`` and ``there`` being one, that which it nearly is.
     """
     for to in reductions(step.equations.itinerary):
-        if to.parts == 2:
+        if 2 * len(to.sides) == step.equations.m:
             a, b = (difference(*step.equations.motion(X), to) for X in (step.here, step.there))
             if a @ b <= 0.0 or (step.here is step.there and np.max(np.abs(a)) < NEAR_HALVES):
                 return to

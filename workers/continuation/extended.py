@@ -123,10 +123,8 @@ class Extended:
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
         rows = np.concatenate([X, X + steps, X - steps])
-        values, which = self.values(rows), np.zeros(len(rows), dtype=np.int64)
-        others = np.append(0, np.flatnonzero(np.any(values != values[0], axis=1)))
-        which[others] = np.arange(len(others))
-        lin = taken(self.family.model(values[others]), which)
+        values, which = np.unique(self.values(rows), axis=0, return_inverse=True)
+        lin = taken(self.family.model(values), which)
         base, ahead, behind = np.split(self._all(rows, lin), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
         J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
