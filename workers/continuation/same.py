@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 
-from workers.continuation.equations import Impacts, Itinerary, Orbit
-from workers.continuation.oscillator import Array, ModalOscillator
+from workers.continuation.equations import Itinerary, Motion, Orbit
+from workers.continuation.oscillator import Array
 
 SAME = 1e-7
 """Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""
@@ -62,18 +62,18 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
     return tuple(found)
 
 
-def difference(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, to: Itinerary) -> Array:
-    """How one orbit differs from one of that itinerary repeated: (m,) times in radians of the force, (m,) speeds, relative."""
-    t, v, span = points.t[0], points.v[0], itinerary.span(lin)[0]
-    k = len(to.sides)
+def difference(motion: Motion, to: Itinerary) -> Array:
+    """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
+    itinerary, t, v, _ = motion.orbits.taken(0)
+    k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
     kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
-    return np.concatenate([later * lin.omega[0], (kicks - to.sign * v) / np.max(np.abs(v))])
+    return np.concatenate([later * motion.lin.omega[0], (kicks - to.sign * v) / np.max(np.abs(v))])
 
 
-def is_minimal(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> bool:
+def is_minimal(motion: Motion) -> bool:
     """Whether one orbit is none of those repeated that its itinerary allows."""
-    return all(np.max(np.abs(difference(lin, itinerary, points, to))) > SAME for to in reductions(itinerary))
+    return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.orbits.itinerary))
 
 
 def reduced(orbit: Orbit, to: Itinerary) -> Orbit:
