@@ -301,7 +301,4 @@ def _peak(equations: Extended, X: Array, why: Fault) -> float | None:
     s = np.linspace(why.time, limit, 402)[1:-1]
     speed = why.side * motion.at(s[None])[1, 0]
     turned = np.flatnonzero(speed <= 0.0)
-    if not len(turned):
-        return None
-    k = int(turned[0])
-    return float(s[0] if k == 0 else s[k - 1] + (s[k] - s[k - 1]) * speed[k - 1] / (speed[k - 1] - speed[k]))
+    return float(s[turned[0]]) if len(turned) else None
