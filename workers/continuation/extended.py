@@ -47,8 +47,8 @@ class Extended:
     """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
 
     ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2m + 1,) perturbations of times, speeds and offset;
-    ``width`` (free,) is the scale of the parameters. ``at`` takes the vectors that border singular matrices from a
-    solution, and the sum of the pair that is asked for.
+    ``width`` (free,) is the scale of the parameters; ``states`` of the unknowns are times, speeds and offset. ``at``
+    takes the vectors that border singular matrices from a solution, and the sum of the pair that is asked for.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class Extended:
         check_orbits(lin, orbit.itinerary)
         self.m, self.free = len(orbit.itinerary.sides), len(family.free)
         self.shift = Motion(lin, many_orbits([orbit])).shift
+        self.states = 2 * self.m + self.shift
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
         time = 1.0 / float(lin.omega[0])
         clearances = np.abs([lin.upper[0], lin.lower[0]])
@@ -76,11 +77,6 @@ class Extended:
     def model(self, values: Array) -> ModalOscillator:
         """The oscillator at parameters (free,), as the only one of a record of many."""
         return self._model(*values.tolist())
-
-    @property
-    def states(self) -> int:
-        """How many unknowns are times, speeds and the offset."""
-        return 2 * self.m + self.shift
 
     def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
         """The unknowns (N,) of an orbit with contact times (G,) at parameters (free,)."""
