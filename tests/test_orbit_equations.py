@@ -18,16 +18,7 @@ from tests.handmade import (
     reference_values,
 )
 from workers.continuation.admissible import CONTACT, LOST, first_fault
-from workers.continuation.equations import (
-    Impacts,
-    Itinerary,
-    block_state,
-    check_orbits,
-    impacts_of,
-    linearised,
-    motion_at,
-    residual,
-)
+from workers.continuation.equations import Itinerary, Motion, Orbit, check_orbits, many_orbits
 from workers.continuation.extended import Extended, solve
 from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import ModalOscillator, family_of
@@ -41,9 +32,9 @@ TWO_MASS = find_system("two-mass")
 BIFURCATIONS = [record for record in CURVES if record["times"]]
 
 
-def linear_at(record: dict[str, Any]) -> ModalOscillator:
-    given = reference_values(record)
-    return family_of(TWO_MASS, given, ()).model(np.zeros((1, 0)))
+def motion_at(record: dict[str, Any]) -> Motion:
+    lin = family_of(TWO_MASS, reference_values(record), ()).model(np.zeros((1, 0)))
+    return Motion(lin, many_orbits([reference_orbit(record)]))
 
 
 @pytest.mark.parametrize("record", CURVES, ids=reference_name)
@@ -62,11 +53,10 @@ def test_a_reference_point_is_found_again_with_its_digits(record: dict[str, Any]
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_a_reference_orbit_has_its_multipliers_and_its_section_state(record: dict[str, Any]) -> None:
-    lin, orbit = linear_at(record), reference_orbit(record)
-    found = multipliers(lin, orbit.itinerary, impacts_of(orbit))[0]
+    found = multipliers(motion_at(record))[0]
     for re, im in record["multipliers"]:
         assert np.min(np.abs(found - complex(float(re), float(im)))) < 2e-13
-    state = section_state(TWO_MASS, reference_values(record), orbit)
+    state = section_state(TWO_MASS, reference_values(record), reference_orbit(record))
     assert state == pytest.approx(record["state"], abs=2e-14)
 
 
@@ -76,7 +66,7 @@ def test_a_reference_orbit_is_admissible(record: dict[str, Any]) -> None:
     family, event, values = reference_event(record, tuple(record["free"]))
     orbit = event.point.orbit
     lin = Extended(family, orbit, (), values, values).model(values)
-    assert first_fault(lin, orbit.itinerary, impacts_of(orbit), event.point.contacts) is None
+    assert first_fault(Motion(lin, many_orbits([orbit])), event.point.contacts) is None
 
 
 def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
@@ -91,7 +81,7 @@ def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
         equations = Extended(family, orbit, (), values, values)
         row = np.eye(1, 5, 4)[0]
         found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
-        faults.append(first_fault(*equations.motion(found.X)))
+        faults.append(first_fault(equations.motion(found.X)))
     crossed = [fault for fault in faults if fault is not None]
     assert len(crossed) == 1
     assert crossed[0].reason == CONTACT
@@ -103,15 +93,15 @@ def test_an_impact_that_moves_off_its_stop_is_a_fault() -> None:
     record = CURVES[4]
     family, event, values = reference_event(record, ("omega",))
     lin = Extended(family, event.point.orbit, (), values, values).model(values)
-    points = impacts_of(event.point.orbit)
-    turned = points._replace(v=points.v * np.array([[1.0, -1.0]]))
-    fault = first_fault(lin, event.point.orbit.itinerary, turned)
+    orbit = event.point.orbit
+    turned = orbit._replace(speeds=orbit.speeds * np.array([1.0, -1.0]))
+    fault = first_fault(Motion(lin, many_orbits([turned])))
     assert fault is not None
     assert (fault.reason, fault.impact) == (LOST, 1)
 
 
 def kicked(
-    lin: ModalOscillator, points: Impacts, span: float, h: np.ndarray, s: np.ndarray
+    lin: ModalOscillator, orbits: Orbit, span: float, h: np.ndarray, s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The naive twin: block states at times s, and at the end of the turn, by an integrator from h at time 0."""
     eta, lam, load = lin.gap.eta[0], lin.gap.lam[0], lin.gap.load[0]
@@ -122,7 +112,7 @@ def kicked(
         return np.concatenate([v, load - 2.0 * eta * v - lam * x])
 
     u, out, now = np.concatenate([h[:, 0], h[:, 1]]), [], 0.0
-    for t, v in [*zip(points.t[0], points.v[0], strict=True), (span, 0.0)]:
+    for t, v in [*zip(orbits.times[0], orbits.speeds[0], strict=True), (span, 0.0)]:
         inside = s[(s > now) & (s < t)]
         path = solve_ivp(rate, (now, t), u, t_eval=[*inside, t], method="DOP853", rtol=1e-13, atol=1e-13)
         out += list(path.y.T[: len(inside)])
@@ -139,16 +129,16 @@ def test_the_answer_to_kicks_is_that_of_a_general_integrator(damping: float) -> 
     span = float(itinerary.span(lin)[0])
     v = np.array([[0.8, -0.5, 0.3]])
     balance = lin.gap.blocks[0, 2, COLUMN.load] * span / ((1.0 + lin.R[0]) * lin.gap.kick[0, 2, 1])
-    points = Impacts(np.array([[0.9, 2.2, 5.1]]), v * balance / v.sum(), np.array([0.25]))
-    start = block_state(lin, itinerary, points, np.zeros((1, 1)))[0, ..., 0]
+    orbits = Orbit(itinerary, np.array([[0.9, 2.2, 5.1]]), v * balance / v.sum(), np.array([0.25]))
+    start = Motion(lin, orbits).block_state(np.zeros((1, 1)))[0, ..., 0]
     s = np.array([0.3, 1.0, 2.0, 2.3, 4.0, 6.0])
-    path, end = kicked(lin, points, span, start, s)
+    path, end = kicked(lin, orbits, span, start, s)
     phase = lin.omega[0] * s + lin.tau[0]
     waves = zip(lin.gap.sin_part[0], lin.gap.cos_part[0], (phase, 2.0 * phase), strict=True)
     Y = sum(sin * np.sin(angle) + cos * np.cos(angle) for sin, cos, angle in waves)
     y = path[:, :3] @ lin.gap.row[0, :, 0] + path[:, 3:] @ lin.gap.row[0, :, 1] + Y
     assert end == pytest.approx(np.concatenate([start[:, 0], start[:, 1]]), abs=1e-10)
-    assert motion_at(lin, itinerary, points, s[None])[0][0] == pytest.approx(y, abs=1e-10)
+    assert Motion(lin, orbits).at(s[None])[0][0] == pytest.approx(y, abs=1e-10)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-9, 0.02, 0.13, 0.14, 1.0, 40.0])
@@ -183,26 +173,25 @@ def test_flows_are_those_of_the_kernel_s_formula() -> None:
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_the_jacobian_is_that_of_finite_differences(record: dict[str, Any]) -> None:
-    lin, orbit = linear_at(record), reference_orbit(record)
-    differences_of(lin, orbit.itinerary, impacts_of(orbit), 1e-8)
+    differences_of(motion_at(record), 1e-8)
 
 
 def test_the_jacobian_with_a_rigid_mode_is_that_of_finite_differences() -> None:
     lin = general(harmonics=1)
-    points = Impacts(np.array([[0.9, 2.2, 5.1]]), np.array([[0.8, -0.5, 0.3]]), np.array([0.25]))
-    differences_of(lin, Itinerary((1, -1, 1), 2), points, 1e-7)
+    orbit = Orbit(Itinerary((1, -1, 1), 2), np.array([0.9, 2.2, 5.1]), np.array([0.8, -0.5, 0.3]), 0.25)
+    differences_of(Motion(lin, many_orbits([orbit])), 1e-7)
 
 
-def differences_of(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, tolerance: float) -> None:
-    m, J = points.t.shape[1], linearised(lin, itinerary, points)[0]
-    X = np.concatenate([points.t[0], points.v[0], points.offset])[: len(J)]
+def differences_of(motion: Motion, tolerance: float) -> None:
+    (lin, (itinerary, times, speeds, offset)), J = motion, motion.linearised()[0]
+    m, X = times.shape[1], np.concatenate([times[0], speeds[0], offset])[: len(J)]
     for i in range(len(J)):
         ends = []
         for sign in (1.0, -1.0):
             moved = X.copy()
             moved[i] += sign * 1e-6
-            offset = moved[2 * m :] if len(J) > 2 * m else points.offset
-            ends.append(residual(lin, itinerary, Impacts(moved[None, :m], moved[None, m : 2 * m], offset))[0])
+            offset = moved[2 * m :] if len(J) > 2 * m else offset
+            ends.append(Motion(lin, Orbit(itinerary, moved[None, :m], moved[None, m : 2 * m], offset)).residual()[0])
         assert J[:, i] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=tolerance)
 
 
@@ -210,18 +199,18 @@ def differences_of(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, 
 @pytest.mark.parametrize("record", BIFURCATIONS[2:7:2] + BIFURCATIONS[-1:], ids=reference_name)
 def test_the_determinant_is_that_of_the_turn_without_poles(record: dict[str, Any], z: complex) -> None:
     """det J_z = prod(-v_i) det(z - DP) / det(z - e^(A span)), the whole orbit and the half of a symmetric one."""
-    lin, orbit = linear_at(record), reference_orbit(record)
-    points, itinerary, one = impacts_of(orbit), orbit.itinerary, np.eye(4)
-    free = itinerary.sign * flights(lin.gap.blocks, itinerary.span(lin)[:, None], lin.R, np.zeros((1, 0)))[0, 0]
-    DP = turn_map(lin, itinerary, points)[0]
-    expected = np.prod(-points.v) * np.linalg.det(z * one - DP) / np.linalg.det(z * one - free)
-    assert np.linalg.det(linearised(lin, itinerary, points, z)[0]) == pytest.approx(expected, abs=1e-11)
+    motion, one = motion_at(record), np.eye(4)
+    (lin, orbits), span = motion, motion.span
+    free = orbits.itinerary.sign * flights(lin.gap.blocks, span[:, None], lin.R, np.zeros((1, 0)))[0, 0]
+    DP = turn_map(motion)[0]
+    expected = np.prod(-orbits.speeds) * np.linalg.det(z * one - DP) / np.linalg.det(z * one - free)
+    assert np.linalg.det(motion.linearised(z)[0]) == pytest.approx(expected, abs=1e-11)
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_exponents_keep_the_exact_law_of_their_sum(record: dict[str, Any]) -> None:
-    lin, orbit = linear_at(record), reference_orbit(record)
-    found = exponents(lin, orbit.itinerary, impacts_of(orbit))[0]
+    motion, orbit = motion_at(record), reference_orbit(record)
+    lin, found = motion.lin, exponents(motion)[0]
     per_period = len(orbit.times) * (2 if orbit.itinerary.symmetric else 1) / orbit.itinerary.periods
     law = -2.0 * lin.gap.eta.sum() * 2.0 * np.pi / lin.omega[0] + 2.0 * np.log(lin.R[0]) * per_period
     assert found.sum() == pytest.approx(law, abs=1e-12)
@@ -235,12 +224,11 @@ def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:
     R = 0.5
     lin = bouncing_ball((), A=np.pi * (1 - R) / (1 + R), R=R).model(np.zeros((1, 0)))
     v = -2.0 * np.pi / (1.0 + R)
-    points = Impacts(np.zeros((1, 1)), np.array([[v]]), np.array([-(1 + R) * v * 2 * np.pi / 12]))
-    points = points._replace(
-        t=points.t + (0.0 if residual(lin, Itinerary((-1,), 1), points)[0, 1] ** 2 < 1e-20 else np.pi)
-    )
-    assert residual(lin, Itinerary((-1,), 1), points) == pytest.approx(0.0, abs=1e-13)
-    mu = multipliers(lin, Itinerary((-1,), 1), points)[0]
+    orbit = Orbit(Itinerary((-1,), 1), np.zeros((1, 1)), np.array([[v]]), np.array([-(1 + R) * v * 2 * np.pi / 12]))
+    if Motion(lin, orbit).residual()[0, 1] ** 2 >= 1e-20:
+        orbit = orbit._replace(times=orbit.times + np.pi)
+    assert Motion(lin, orbit).residual() == pytest.approx(0.0, abs=1e-13)
+    mu = multipliers(Motion(lin, orbit))[0]
     assert mu == pytest.approx([1.0, R**2], abs=1e-7)
 
 

@@ -10,7 +10,7 @@ from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import impacts_of, in_one_turn, residual
+from workers.continuation.equations import Motion, in_one_turn, many_orbits
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.model.system import find_system
@@ -33,18 +33,17 @@ def agree(params: dict[str, Any], settings: Settings) -> int:
         orbit = orbit_from_state(
             TWO_MASS, values, found["state"][k], int(found["period"][k]), bool(found["symmetric"][k])
         )
-        points = impacts_of(orbit)
-        lin = family_of(TWO_MASS, values, ()).model(np.zeros((1, 0)))
+        motion = Motion(family_of(TWO_MASS, values, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
         assert section_state(TWO_MASS, values, orbit) == pytest.approx(found["state"][k], abs=1e-10)
-        spectrum = exponents(lin, orbit.itinerary, points)[0]
+        spectrum = exponents(motion)[0]
         assert spectrum[0] == pytest.approx(found["spectrum"][k, 0], abs=max(1e-9, found["error"][k]))
         # The solver's small exponents are off by up to some 1e-9 near grazes, these not (products in 40 digits).
         assert spectrum == pytest.approx(found["spectrum"][k], abs=max(1e-8, found["error"][k]))
         assert orbit.itinerary.impacts(1) == found["impacts_upper"][k]
         assert orbit.itinerary.impacts(-1) == found["impacts_lower"][k]
-        assert is_minimal(lin, orbit.itinerary, points)
-        assert np.max(np.abs(multipliers(lin, orbit.itinerary, points)[0])) < 1.0
-        assert first_fault(lin, orbit.itinerary, points) is None
+        assert is_minimal(motion)
+        assert np.max(np.abs(multipliers(motion)[0])) < 1.0
+        assert first_fault(motion) is None
     return len(cells)
 
 
@@ -87,4 +86,4 @@ def test_times_are_reduced_to_one_turn_of_the_same_orbit() -> None:
         reduced = in_one_turn(later, span)
         assert np.all((reduced.times >= 0.0) & (reduced.times < span))
         assert np.all(np.diff(reduced.times) > 0.0)
-        assert residual(lin, reduced.itinerary, impacts_of(reduced)) == pytest.approx(0.0, abs=1e-13)
+        assert Motion(lin, many_orbits([reduced])).residual() == pytest.approx(0.0, abs=1e-13)

@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import connected_components
 from atlas.labels.attractors import Array, Attractors, Rows, with_images
 from atlas.labels.orbits import orbits_of
 from workers.continuation import Family, Orbit, family_of, section_states
-from workers.continuation.equations import Impacts
 from workers.continuation.orbits import Many, alike, many_of, moved
 from workers.continuation.oscillator import NoOscillatorError
 from workers.results import NO_IMPACT
@@ -125,7 +124,7 @@ class _Follower:
             again = np.flatnonzero(~arrived.found)
             if len(again):
                 more = self._follow(many_of([orbits[r] for r in again], here[again]), there[again], steps * away)
-                for field, better in zip(arrived.impacts, more.impacts, strict=True):
+                for field, better in zip(arrived.orbits[1:], more.orbits[1:], strict=True):
                     field[again] = better
                 arrived.found[again] = more.found
         reached = arrived.found.copy()
@@ -145,12 +144,13 @@ class _Follower:
             for k in range(1, steps + 1):
                 at = moved(self.family, at, here + (there - here) * (k / steps))
         except (NoOscillatorError, ValueError):
-            unmoved = Impacts(*(field.copy() for field in start.impacts))
-            return start._replace(impacts=unmoved, found=np.zeros(len(here), dtype=bool))
+            unmoved = start.orbits.taken(np.arange(len(here)))
+            return start._replace(orbits=unmoved, found=np.zeros(len(here), dtype=bool))
         return at
 
 
 def _change(before: Many, after: Many, omega: Array) -> Array:
-    times = np.abs(after.impacts.t - before.impacts.t).max(axis=1) * omega
-    speeds = np.abs(after.impacts.v - before.impacts.v).max(axis=1) / np.abs(after.impacts.v).max(axis=1)
-    return np.asarray(np.maximum(times, speeds))
+    _, times, speeds, _ = after.orbits
+    later = np.abs(times - before.orbits.times).max(axis=1) * omega
+    faster = np.abs(speeds - before.orbits.speeds).max(axis=1) / np.abs(speeds).max(axis=1)
+    return np.asarray(np.maximum(later, faster))

@@ -145,7 +145,7 @@ def warm_up(*parts: str) -> None:
 def _follow_an_orbit() -> None:
     """A short branch of an orbit; its motion between impacts, and its equations at a complex multiplier."""
     from workers.continuation import branch, family_of, orbit_from_state
-    from workers.continuation.equations import Impacts, linearised, motion_at
+    from workers.continuation.equations import Motion, many_orbits
     from workers.model.system import find_system
     from workers.tile import solve_tile
 
@@ -156,10 +156,9 @@ def _follow_an_orbit() -> None:
     (along, value), *_ = AN_ORBIT.items()
     family = family_of(record, values, (along,))
     branch(family, orbit, value, (0.999 * value, 1.001 * value))
-    lin = family.model(np.array([[value]]))
-    points = Impacts(orbit.times[None], orbit.speeds[None], np.array([orbit.offset]))
-    motion_at(lin, orbit.itinerary, points, orbit.times[None] + 0.1)
-    linearised(lin, orbit.itinerary, points, 1j)
+    motion = Motion(family.model(np.array([[value]])), many_orbits([orbit]))
+    motion.at(orbit.times[None] + 0.1)
+    motion.linearised(1j)
 
 
 def _wait_for(lock: IO[str], report: Report | None) -> None:

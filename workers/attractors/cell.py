@@ -53,8 +53,7 @@ class CellAttractors:
         """The known attractor that another one is, an orbit exactly, any other by statistics; and its distance."""
         if new.reference is None:
             return next((each for each in self.attractors if same_orbit(self.oscillator, each, new)), None), np.nan
-        place, away = nearest(self.alike(new), new.reference)
-        return (self.alike(new)[place] if place >= 0 else None), away
+        return nearest(self.alike(new), new.reference)
 
     def alike(self, attractor: Attractor) -> list[Attractor]:
         """The known attractors of its regime."""

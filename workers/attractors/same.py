@@ -171,8 +171,8 @@ def distance(one: Array, other: Array) -> float:
     return float(np.max(np.where(away == 0.0, 0.0, away / np.where(error > 0.0, error, np.inf))))
 
 
-def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[int, float]:
-    """The place of that chaos or torus which batches (k, 4n) are nearest to, -1 where all differ; and the distance."""
+def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[Attractor | None, float]:
+    """That chaos or torus which batches (k, 4n) are nearest to, None where all differ; and the distance."""
     apart = [np.inf if known.reference is None else distance(known.reference, batches) for known in attractors]
     away = min(apart, default=np.inf)
-    return apart.index(away) if away <= DIFFERENT else -1, away
+    return attractors[apart.index(away)] if away <= DIFFERENT else None, away

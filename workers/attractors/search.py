@@ -35,7 +35,7 @@ class Known:
 
     attractors   all of them, those of a cell one after the other; a label is a place in this list
     places       labels of the orbits that motions are compared with, in the order of ``orbits``
-    references   labels of the chaos and the tori of each cell
+    references   the chaos and the tori of each cell
     """
 
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
@@ -43,8 +43,7 @@ class Known:
         self.attractors = [each for attractors in of_cells for each in attractors]
         ends = np.cumsum([0, *map(len, of_cells)])
         self.places = np.flatnonzero([each.jacobian is not None for each in self.attractors])
-        of_chaos = np.flatnonzero([each.reference is not None for each in self.attractors])
-        self.references = np.split(of_chaos, np.searchsorted(of_chaos, ends[1:-1]))
+        self.references = [[a for a in attractors if a.reference is not None] for attractors in of_cells]
         some, of_cell = [self.attractors[k] for k in self.places], np.searchsorted(self.places, ends)
         self.orbits = KnownOrbits(
             first=of_cell[:-1],
@@ -166,10 +165,9 @@ class Search:
         for batches in (same.FIRST_LOOK, same.SECOND_LOOK):
             rows, means = self.sample(rows, batches)
             for r, of_motion in zip(rows, means, strict=True):
-                labels = known.references[self.owner[r]]
-                place, away = nearest([known.attractors[k] for k in labels], of_motion)
-                if place >= 0:
-                    self.label[r], self.distance[r] = labels[place], away
+                found, away = nearest(known.references[self.owner[r]], of_motion)
+                if found is not None:
+                    self.label[r], self.distance[r] = known.attractors.index(found), away
             rows = rows[self.label[rows] < 0]
         self.compared[rows] = 0
         self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # they were to decide nothing

@@ -177,9 +177,7 @@ class Coexistence:
         np.add.at(self.used, owner, search.cells.used)
         for r, of_image in zip(going, means, strict=True):
             c, each = alone[r]
-            place, _ = nearest(self.cells[c].alike(each), of_image)
-            if place >= 0:
-                each.mirror = self.cells[c].alike(each)[place]
+            each.mirror, _ = nearest(self.cells[c].alike(each), of_image)
         for _, each in alone:
             if each.mirror is not None and each.mirror.mirror is not each:
                 each.mirror = None

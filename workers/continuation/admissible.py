@@ -4,13 +4,13 @@ Decided by the certified crossing of the kernel, without sampling.
 """
 
 import math
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Impacts, Itinerary, Motion, at_impacts, block_state, motion_at
-from workers.continuation.oscillator import Array, ModalOscillator
+from workers.continuation.equations import Motion
 from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Mode, each
@@ -37,19 +37,17 @@ class _Contact(NamedTuple):
     a: float
 
 
-def first_fault(
-    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array | None = None, lost: int = -1
-) -> Fault | None:
+def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
     ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
     if any, is one whose speed is zero and counts as a graze.
     """
-    span, sign = float(itinerary.span(lin)[0]), itinerary.sign
-    found = _contacts(lin, itinerary, points, np.zeros(0) if grazes is None else grazes, lost)
+    span, sign = float(motion.span[0]), motion.orbits.itinerary.sign
+    found = _contacts(motion, grazes, lost)
     if isinstance(found, Fault):
         return found
-    motion, signal = (lin, itinerary, points), each(lin.gap, lambda field: field[0])
+    signal = each(motion.lin.gap, lambda field: field[0])
     if not found:
         return _next_contact(signal, motion, _Contact(0.0, 0, 1.0, 0.0), span)
     first = found[0]
@@ -59,12 +57,10 @@ def first_fault(
     return next((fault for fault in faults if fault), None)
 
 
-def _contacts(
-    lin: ModalOscillator, itinerary: Itinerary, points: Impacts, grazes: Array, lost: int
-) -> list[_Contact] | Fault:
+def _contacts(motion: Motion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
-    span, t, sides = float(itinerary.span(lin)[0]), points.t[0], itinerary.sides
-    _, v, a = at_impacts(lin, itinerary, points)[:, 0]
+    span, t, sides = float(motion.span[0]), motion.orbits.times[0], motion.orbits.itinerary.sides
+    _, v, a = motion.at_impacts()[:, 0]
     off = [i for i, side in enumerate(sides) if i != lost and side * v[i] <= 0.0]
     if off:
         return Fault(LOST, off[0])
@@ -76,8 +72,8 @@ def _contacts(
     start = t[0] if len(t) else 0.0
     for s in grazes:
         time = float(s) - math.floor((s - start) / span) * span
-        y, _, bend = motion_at(lin, itinerary, points, np.array([[time]]))[:, 0, 0]
-        found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(lin.lower[0]) else -1, 0.0, float(bend)))
+        y, _, bend = motion.at(np.array([[time]]))[:, 0, 0]
+        found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(motion.lin.lower[0]) else -1, 0.0, float(bend)))
     found.sort()
     outward = (contact for contact in found if not contact.v and contact.side * contact.a >= 0.0)
     return next((Fault(CONTACT, time=contact.time, side=contact.side) for contact in outward), found)
@@ -96,7 +92,7 @@ def _next_contact(
     signal: Mode, motion: Motion, here: _Contact, duration: float, there: _Contact | None = None
 ) -> Fault | None:
     """A contact on the flight from one contact to the next, before it; None if there is none."""
-    lin, h = motion[0], np.ascontiguousarray(block_state(*motion, np.array([[here.time]]))[0, ..., 0])
+    lin, h = motion.lin, np.ascontiguousarray(motion.block_state(np.array([[here.time]]))[0, ..., 0])
     H = duration - (_open_for(there, derivative_bounds(signal.blocks, signal.numbers, h)[2]) if there else 0.0)
     if H <= 0.0:
         return None

@@ -115,11 +115,11 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     square = Extended(family, orbit, event.conditions, values, widths)
     _, critical = square.at(square.pack(orbit, none, values)).borders[0]
     critical = critical * square.unit[: len(critical)] * np.copysign(1.0, critical[0])  # either sign is a null vector
-    w = unpacked(critical[None], square.m, len(critical) - 2 * square.m)
+    w = unpacked(orbit.itinerary, critical[None], len(critical) - 2 * square.m)
     whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
     equations = Extended(family, whole, (), values, widths)
-    speeds = np.append(w.v, -orbit.itinerary.sign * w.v)
-    change = Orbit(whole.itinerary, np.append(w.t, -w.t), speeds, float(w.offset[0]))
+    speeds = np.append(w.speeds, -orbit.itinerary.sign * w.speeds)
+    change = Orbit(whole.itinerary, np.append(w.times, -w.times), speeds, float(w.offset[0]))
     unit = equations.pack(change, none, np.zeros(1)) / equations.scale
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
@@ -141,7 +141,7 @@ def follow(
     first = monitored(equations, start)
     if first.fault is not None:
         raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
-    if not is_minimal(*equations.motion(start)):
+    if not is_minimal(equations.motion(start)):
         raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
     direction = np.zeros(len(start))
     direction[len(start) - equations.free :] = equations.width
@@ -201,7 +201,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     elif walk.closes():
         there, end = walk.start[0], CLOSED
     after = monitored(eq, there)
-    step, slid = Step(after.equations, here, there), not is_minimal(*eq.motion(there))
+    step, slid = Step(after.equations, here, there), not is_minimal(eq.motion(there))
     if (slid or _went_too_far(seen, after)) and walk.length > SHORTEST * walk.longest:
         return None
     return _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
@@ -221,8 +221,8 @@ def _meeting(step: Step) -> _Passage | None:
     to = halves_met(step)
     if to is None:
         return None
-    found = origin(step, to)
-    return _Passage(SHORTER) if found is None else _Passage(found.event.kind, (found.event,), (found.event.point,))
+    event = origin(step, to)
+    return _Passage(SHORTER) if event is None else _Passage(event.kind, (event,), (event.point,))
 
 
 def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, until: Until | None) -> _Passage:

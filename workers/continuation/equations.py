@@ -7,6 +7,7 @@ the impacts of one half are unknown: a turn is half the orbit, and kicks change 
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,40 +48,29 @@ class Itinerary(NamedTuple):
 class Orbit(NamedTuple):
     """A periodic orbit: times (m,) of its impacts in one turn after a section, signed speeds (m,) before them.
 
-    ``offset`` of y is that of a rigid mode, 0 without one.
+    ``offset`` of y is that of a rigid mode, 0 without one. Many orbits of one itinerary are one record with another
+    axis in front of all three.
     """
 
     itinerary: Itinerary
     times: Array
     speeds: Array
-    offset: float = 0.0
+    offset: Any = 0.0
+
+    def taken(self, rows: Any) -> "Orbit":
+        """These rows of a record of many, in their order; of a number, that one orbit."""
+        return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in self[1:]))
 
 
-class Impacts(NamedTuple):
-    """Times and signed speeds (N, m) of the impacts of N orbits of one itinerary, and their offsets (N,)."""
-
-    t: Array
-    v: Array
-    offset: Array
-
-    def orbit(self, itinerary: Itinerary, k: int = 0) -> Orbit:
-        """One of them."""
-        return Orbit(itinerary, self.t[k].copy(), self.v[k].copy(), float(self.offset[k]))
+def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
+    """Orbits of one itinerary as one record."""
+    return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))
 
 
-Motion = tuple[ModalOscillator, Itinerary, Impacts]
-"""N orbits of one itinerary with their oscillators."""
-
-
-def impacts_of(*orbits: Orbit) -> Impacts:
-    """The impacts of orbits of one itinerary."""
-    times, speeds, offset = (np.array([orbit[k] for orbit in orbits]) for k in (1, 2, 3))
-    return Impacts(times, speeds, offset)
-
-
-def unpacked(X: Array, m: int, shift: int) -> Impacts:
-    """The impacts of unknowns X (N, ...): m times, m speeds and, where ``shift`` is 1, the offset come first."""
-    return Impacts(X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
+def unpacked(itinerary: Itinerary, X: Array, shift: int) -> Orbit:
+    """Many orbits of unknowns X (N, ...): m times, m speeds and, where ``shift`` is 1, the offset come first."""
+    m = len(itinerary.sides)
+    return Orbit(itinerary, X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
 
 
 def in_one_turn(orbit: Orbit, span: float) -> Orbit:
@@ -114,73 +104,81 @@ def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
         raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
-def unknown_offset(lin: ModalOscillator, itinerary: Itinerary) -> bool:
-    """Whether the offset of y is an unknown: a rigid mode, and an orbit that is not symmetric."""
-    return not itinerary.symmetric and rigid_mode(lin) is not None
+class Motion(NamedTuple):
+    """N orbits of one itinerary, a record of many, with their oscillators."""
 
+    lin: ModalOscillator
+    orbits: Orbit
 
-def at_impacts(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """y and its first two derivatives (3, N, m) just before each impact."""
-    found: Array = before_impacts(lin.gap, *_plain(lin, itinerary, points))
-    return found
+    @property
+    def span(self) -> Array:
+        """The length (N,) of a turn."""
+        return self.orbits.itinerary.span(self.lin)
 
+    @property
+    def stops(self) -> Array:
+        """Positions (N, m) of the stops of the impacts."""
+        return np.where(np.array(self.orbits.itinerary.sides) > 0, self.lin.upper[:, None], -self.lin.lower[:, None])
 
-def _plain(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> tuple[Any, ...]:
-    """Phase, 1 + R, span and sign, times, speeds and offsets as kernels take them."""
-    plain = (np.ascontiguousarray(field) for field in points)
-    return lin.tau, 1.0 + lin.R, itinerary.span(lin), float(itinerary.sign), *plain
+    @property
+    def shift(self) -> int:
+        """1 where the offset of y is an unknown, of a rigid mode and an orbit that is not symmetric; else 0."""
+        return int(not self.orbits.itinerary.symmetric and rigid_mode(self.lin) is not None)
 
+    def at_impacts(self) -> Array:
+        """y and its first two derivatives (3, N, m) just before each impact."""
+        found: Array = before_impacts(self.lin.gap, *self._plain())
+        return found
 
-def motion_at(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
-    """y and its first two derivatives (3, N, K) at times s (N, K), any times but those of impacts."""
-    u, gap = block_state(lin, itinerary, points, s), lin.gap
-    y, v = (np.sum(row[..., None] * u, axis=2) for row in (gap.row, gap.row1))
-    a = (gap.c0 * gap.load)[..., None] - 2.0 * gap.eta[..., None] * v - gap.lam[..., None] * y
-    found: Array = forced_motion(gap.waves, gap.numbers, lin.tau, np.ascontiguousarray(s))
-    return found + np.sum([y, v, a], axis=2)
+    def _plain(self) -> tuple[Any, ...]:
+        """Phase, 1 + R, span and sign, times, speeds and offsets as kernels take them."""
+        itinerary, *plain = self.orbits
+        fields = (np.ascontiguousarray(field) for field in plain)
+        return self.lin.tau, 1.0 + self.lin.R, self.span, float(itinerary.sign), *fields
 
+    def at(self, s: Array) -> Array:
+        """y and its first two derivatives (3, N, K) at times s (N, K), any times but those of impacts."""
+        u, gap = self.block_state(s), self.lin.gap
+        y, v = (np.sum(row[..., None] * u, axis=2) for row in (gap.row, gap.row1))
+        a = (gap.c0 * gap.load)[..., None] - 2.0 * gap.eta[..., None] * v - gap.lam[..., None] * y
+        found: Array = forced_motion(gap.waves, gap.numbers, self.lin.tau, np.ascontiguousarray(s))
+        return found + np.sum([y, v, a], axis=2)
 
-def block_state(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, s: Array) -> Array:
-    """Block coordinates (h, h') (N, n, 2, K) at times s (N, K), forced response and rest position taken off."""
-    span, sign = itinerary.span(lin), float(itinerary.sign)
-    apart = s[..., None] - points.t[:, None]
-    turns = np.floor(apart / span[:, None, None])
-    kicks = (1.0 + lin.R)[:, None, None] * points.v[:, None] * sign**turns
-    u, _ = answers(lin.gap.blocks, span, sign, apart - turns * span[:, None, None])
-    found: Array = -np.sum(kicks[:, None, None] * u, axis=4)
-    rigid = rigid_mode(lin)
-    if rigid is not None:
-        found[:, rigid, 0] += (points.offset / lin.gap.row[:, rigid, 0])[:, None]
-    return found
+    def block_state(self, s: Array) -> Array:
+        """Block coordinates (h, h') (N, n, 2, K) at times s (N, K), forced response and rest position taken off."""
+        (lin, (itinerary, times, speeds, offset)), span = self, self.span[:, None, None]
+        apart, sign = s[..., None] - times[:, None], float(itinerary.sign)
+        turns = np.floor(apart / span)
+        kicks = (1.0 + lin.R)[:, None, None] * speeds[:, None] * sign**turns
+        u, _ = answers(lin.gap.blocks, self.span, sign, apart - turns * span)
+        found: Array = -np.sum(kicks[:, None, None] * u, axis=4)
+        rigid = rigid_mode(lin)
+        if rigid is not None:
+            found[:, rigid, 0] += (offset / lin.gap.row[:, rigid, 0])[:, None]
+        return found
 
+    def residual(self) -> Array:
+        """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
+        lin, speeds = self.lin, self.orbits.speeds
+        y, v, _ = self.at_impacts()
+        parts = [y - self.stops, v - speeds]
+        if self.shift:  # (1 + R) k sum_i v_i - load span of the rigid mode
+            rigid = lin.gap.blocks[:, rigid_mode(lin)]
+            kicks = (1.0 + lin.R) * rigid[:, COLUMN.k1] * speeds.sum(1)
+            parts.append((kicks - rigid[:, COLUMN.load] * self.span)[:, None])
+        return np.concatenate(parts, axis=1)
 
-def residual(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
-    """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
-    y, v, _ = at_impacts(lin, itinerary, points)
-    parts = [y - stops(lin, itinerary), v - points.v]
-    if unknown_offset(lin, itinerary):  # (1 + R) k sum_i v_i - load span of the rigid mode
-        j = rigid_mode(lin)
-        kicks = (1.0 + lin.R) * lin.gap.blocks[:, j, COLUMN.k1] * points.v.sum(1)
-        parts.append((kicks - lin.gap.blocks[:, j, COLUMN.load] * itinerary.span(lin))[:, None])
-    return np.concatenate(parts, axis=1)
+    def linearised(self, z: complex = 1) -> Table:
+        """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
 
+        z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Where perturbed kicks are the same
+        each turn, a rigid mode adds the perturbed offset and the balance of the kicks; without that
 
-def stops(lin: ModalOscillator, itinerary: Itinerary) -> Array:
-    """Positions (N, m) of the stops of the impacts."""
-    return np.where(np.array(itinerary.sides) > 0, lin.upper[:, None], -lin.lower[:, None])
+            det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)):
 
-
-def linearised(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, z: complex = 1) -> Table:
-    """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
-
-    z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Where perturbed kicks are the same each
-    turn, a rigid mode adds the perturbed offset and the balance of the kicks; without that
-
-        det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)):
-
-    zero where z is a multiplier, and without poles.
-    """
-    rigid = rigid_mode(lin) if itinerary.sign * z == 1 else None
-    given = *_plain(lin, itinerary, points), z if isinstance(z, complex) else float(z)
-    found: Table = jacobian(lin.gap, *given, -1 if rigid is None else rigid)
-    return found
+        zero where z is a multiplier, and without poles.
+        """
+        rigid = rigid_mode(self.lin) if self.orbits.itinerary.sign * z == 1 else None
+        given = *self._plain(), z if isinstance(z, complex) else float(z)
+        found: Table = jacobian(self.lin.gap, *given, -1 if rigid is None else rigid)
+        return found

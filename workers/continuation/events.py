@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import LOST, ORDER, Fault, first_fault
-from workers.continuation.equations import Orbit, linearised, motion_at
+from workers.continuation.equations import Itinerary, Orbit
 from workers.continuation.extended import ANGLE, CUSP, GRAZE, MINUS_ONE, PAIR, SPEED, UNIT, Condition, Extended, solve
 from workers.continuation.oscillator import Array, NoOscillatorError
-from workers.continuation.same import Reduction, difference, is_minimal, reduced, reductions
+from workers.continuation.same import difference, is_minimal, reduced, reductions
 from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.walk import Step
 
@@ -72,7 +72,7 @@ class TestFunctions(NamedTuple):
 
 def _point(equations: Extended, X: Array) -> tuple[Point, Complex]:
     """The point of unknowns X (N,), and its finite multipliers besides those that the conditions fix."""
-    mu = multipliers(*equations.motion(X))[0]
+    mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
         if condition.kind in (UNIT, MINUS_ONE) and len(left):
@@ -92,7 +92,7 @@ def monitored(equations: Extended, X: Array) -> TestFunctions:
     found = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
         if kind != name:
-            sign, log = np.linalg.slogdet(linearised(*motion, z)[0])
+            sign, log = np.linalg.slogdet(motion.linearised(z)[0])
             own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
             found[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
     if kind == UNIT:
@@ -113,7 +113,7 @@ def fault(equations: Extended, X: Array) -> Fault | None:
     if not equations.family.certified:
         return None
     lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
-    return first_fault(*equations.motion(X), equations.contacts(X), lost)
+    return first_fault(equations.motion(X), equations.contacts(X), lost)
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
@@ -214,28 +214,27 @@ def leaving(step: Step, why: Fault) -> LocatedEvent | None:
     return None
 
 
-def origin(step: Step, to: Reduction) -> LocatedEvent | None:
-    """The symmetry breaking or period doubling at which a branch becomes that orbit of half the turn; on a curve of
-    grazes too. None on other curves, and where it is not found.
+def origin(step: Step, to: Itinerary) -> Event | None:
+    """The symmetry breaking or period doubling at which a branch becomes an orbit of half the turn, of that itinerary;
+    on a curve of grazes too. None on other curves, and where it is not found.
     """
     eq = step.equations
     own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
     if own != eq.conditions:
         return None
-    a, b = (float(np.linalg.norm(difference(*eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
-    share = a / (a + b)
-    guess = step.guess(share)
+    a, b = (float(np.linalg.norm(difference(eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
+    guess = step.guess(a / (a + b))
     found = _solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
-    return None if found is None else LocatedEvent(share, _event(*found))
+    return None if found is None else _event(*found)
 
 
-def halves_met(step: Step) -> Reduction | None:
-    """The orbit of half the turn that is passed on a step: both halves exchange their parts there. Where no step
-    converged, ``here`` and ``there`` being one, that which it nearly is.
+def halves_met(step: Step) -> Itinerary | None:
+    """The itinerary of the orbit of half the turn that is passed on a step: both halves exchange their parts there.
+    Where no step converged, ``here`` and ``there`` being one, that which it nearly is.
     """
     for to in reductions(step.equations.itinerary):
-        if to.parts == 2:
-            a, b = (difference(*step.equations.motion(X), to) for X in (step.here, step.there))
+        if 2 * len(to.sides) == step.equations.m:
+            a, b = (difference(step.equations.motion(X), to) for X in (step.here, step.there))
             if a @ b <= 0.0 or (step.here is step.there and np.max(np.abs(a)) < NEAR_HALVES):
                 return to
     return None
@@ -251,7 +250,7 @@ def _solved(
     eq = step.equations
     found = _solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
     share = None if found is None else step.share_of(found[1])
-    if found is None or share is None or not is_minimal(*found[0].motion(found[1])):
+    if found is None or share is None or not is_minimal(found[0].motion(found[1])):
         return None
     if conditions[-1].kind in (GRAZE, SPEED) and fault(*found):
         return None
@@ -295,14 +294,11 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 
 def _peak(equations: Extended, X: Array, why: Fault) -> float | None:
     """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
-    lin, itinerary, points = equations.motion(X)
-    span = float(itinerary.span(lin)[0])
-    ends = [t + k * span for t in points.t[0] for k in (0, 1, 2)]
+    motion = equations.motion(X)
+    span = float(motion.span[0])
+    ends = [t + k * span for t in motion.orbits.times[0] for k in (0, 1, 2)]
     limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
     s = np.linspace(why.time, limit, 402)[1:-1]
-    speed = why.side * motion_at(lin, itinerary, points, s[None])[1, 0]
+    speed = why.side * motion.at(s[None])[1, 0]
     turned = np.flatnonzero(speed <= 0.0)
-    if not len(turned):
-        return None
-    k = int(turned[0])
-    return float(s[0] if k == 0 else s[k - 1] + (s[k] - s[k - 1]) * speed[k - 1] / (speed[k - 1] - speed[k]))
+    return float(s[turned[0]]) if len(turned) else None

@@ -13,17 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import (
-    Impacts,
-    Motion,
-    Orbit,
-    check_orbits,
-    linearised,
-    motion_at,
-    residual,
-    unknown_offset,
-    unpacked,
-)
+from workers.continuation.equations import Motion, Orbit, check_orbits, many_orbits, unpacked
 from workers.continuation.newton import Array, Rows, Solved, newton
 from workers.continuation.oscillator import Family, ModalOscillator, NoOscillatorError
 from workers.continuation.stability import multipliers, pair_near
@@ -57,8 +47,8 @@ class Extended:
     """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
 
     ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2m + 1,) perturbations of times, speeds and offset;
-    ``width`` (free,) is the scale of the parameters. ``at`` takes the vectors that border singular matrices from a
-    solution, and the sum of the pair that is asked for.
+    ``width`` (free,) is the scale of the parameters; ``states`` of the unknowns are times, speeds and offset. ``at``
+    takes the vectors that border singular matrices from a solution, and the sum of the pair that is asked for.
     """
 
     def __init__(
@@ -70,7 +60,8 @@ class Extended:
         lin = self.model(np.asarray(values, dtype=np.float64))
         check_orbits(lin, orbit.itinerary)
         self.m, self.free = len(orbit.itinerary.sides), len(family.free)
-        self.shift = int(unknown_offset(lin, orbit.itinerary))
+        self.shift = Motion(lin, many_orbits([orbit])).shift
+        self.states = 2 * self.m + self.shift
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
         time = 1.0 / float(lin.omega[0])
         clearances = np.abs([lin.upper[0], lin.lower[0]])
@@ -87,11 +78,6 @@ class Extended:
         """The oscillator at parameters (free,), as the only one of a record of many."""
         return self._model(*values.tolist())
 
-    @property
-    def states(self) -> int:
-        """How many unknowns are times, speeds and the offset."""
-        return 2 * self.m + self.shift
-
     def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
         """The unknowns (N,) of an orbit with contact times (G,) at parameters (free,)."""
         offset = [orbit.offset] if self.shift else []
@@ -107,11 +93,15 @@ class Extended:
 
     def motion(self, X: Array) -> Motion:
         """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
-        return self.model(self.values(X)), self.itinerary, unpacked(X[None], self.m, self.shift)
+        return Motion(self.model(self.values(X)), self._orbits(X[None]))
+
+    def _orbits(self, X: Array) -> Orbit:
+        """Many orbits of unknowns (B, N)."""
+        return unpacked(self.itinerary, X, self.shift)
 
     def orbit(self, X: Array) -> Orbit:
         """The orbit of unknowns (N,)."""
-        return unpacked(X[None], self.m, self.shift).orbit(self.itinerary)
+        return self._orbits(X[None]).taken(0)
 
     def residual(self, X: Array, _: Rows | None = None) -> Array:
         """All equations (1, equations) at unknowns (1, N), exact."""
@@ -123,15 +113,13 @@ class Extended:
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
         rows = np.concatenate([X, X + steps, X - steps])
-        values, which = self.values(rows), np.zeros(len(rows), dtype=np.int64)
-        others = np.append(0, np.flatnonzero(np.any(values != values[0], axis=1)))
-        which[others] = np.arange(len(others))
-        lin = taken(self.family.model(values[others]), which)
+        values, which = np.unique(self.values(rows), axis=0, return_inverse=True)
+        lin = taken(self.family.model(values), which)
         base, ahead, behind = np.split(self._all(rows, lin), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
         J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
-        here = each(lin, lambda field: field[:1]), self.itinerary, unpacked(X, self.m, self.shift)
-        J[: self.states, : self.states] = linearised(*here)[0]
+        here = Motion(each(lin, lambda field: field[:1]), self._orbits(X))
+        J[: self.states, : self.states] = here.linearised()[0]
         J[: self.states, self.states : N - self.free] = 0.0
         return base, J[None]
 
@@ -147,24 +135,23 @@ class Extended:
                 (a, b), left, right = self.borders[i], U[:, -1], Vt[-1]
                 found.borders[i] = left * np.sign(np.sum(a * left) or 1.0), right * np.sign(np.sum(b * right) or 1.0)
             if condition.kind == PAIR:
-                total, _, _ = pair_near(multipliers(*motion), np.array([self.totals[i]]))
+                total, _, _ = pair_near(multipliers(motion), np.array([self.totals[i]]))
                 found.totals[i] = float(total[0])
         return found
 
     def _all(self, X: Array, lin: ModalOscillator) -> Array:
         """All equations (B, equations) at unknowns (B, N), of oscillators of the same rows."""
-        motion = lin, self.itinerary, unpacked(X, self.m, self.shift)
-        points, contacts = motion[2], self.contacts(X)
-        parts, graze = [residual(*motion)], 0
+        motion, contacts = Motion(lin, self._orbits(X)), self.contacts(X)
+        parts, graze = [motion.residual()], 0
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
-                y, v, _ = motion_at(*motion, contacts[:, graze : graze + 1])
+                y, v, _ = motion.at(contacts[:, graze : graze + 1])
                 parts += [y - (lin.upper if condition.side > 0 else -lin.lower)[:, None], v]
                 graze += 1
             elif condition.kind == SPEED:
-                parts.append(points.v[:, condition.impact, None])
+                parts.append(motion.orbits.speeds[:, condition.impact, None])
             elif condition.kind in (PAIR, ANGLE):
-                total, product, _ = pair_near(multipliers(*motion), np.full(len(X), self.totals[i]))
+                total, product, _ = pair_near(multipliers(motion), np.full(len(X), self.totals[i]))
                 parts.append((product - 1.0 if condition.kind == PAIR else total - 2.0 * condition.kappa)[:, None])
             elif condition.kind == CUSP:
                 parts.append(self.curvature(motion)[:, None])
@@ -174,7 +161,7 @@ class Extended:
 
     def _bordered_matrix(self, condition: Condition, motion: Motion) -> Array:
         """J_z of a condition on a multiplier, in units of the scale of the unknowns."""
-        J = linearised(*motion, 1 if condition.kind == UNIT else -1)
+        J = motion.linearised(1 if condition.kind == UNIT else -1)
         unit = self.unit[: J.shape[2]]
         return np.asarray(J * unit / unit[:, None])
 
@@ -191,12 +178,15 @@ class Extended:
     def curvature(self, motion: Motion) -> Array:
         """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
-        w = unpacked(self._solved(fold, motion) * np.append(self.scale[: self.states], 1.0), self.m, self.shift)
+        lin, here = motion
+        w = self._orbits(self._solved(fold, motion) * np.append(self.scale[: self.states], 1.0))
         ends = (
-            Impacts(*(field + sign * CURVED * along for field, along in zip(motion[2], w, strict=True)))
+            Orbit(
+                self.itinerary, *(field + sign * CURVED * along for field, along in zip(here[1:], w[1:], strict=True))
+            )
             for sign in (1.0, -1.0)
         )
-        ahead, behind = (self._solved(fold, (*motion[:2], end))[:, -1] for end in ends)
+        ahead, behind = (self._solved(fold, Motion(lin, end))[:, -1] for end in ends)
         return np.asarray((ahead - behind) / (2.0 * CURVED))
 
 

@@ -7,22 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import (
-    Impacts,
-    Itinerary,
-    Motion,
-    Orbit,
-    at_impacts,
-    block_state,
-    check_orbits,
-    impacts_of,
-    in_one_turn,
-    linearised,
-    residual,
-    stops,
-    unknown_offset,
-    unpacked,
-)
+from workers.continuation.equations import Itinerary, Motion, Orbit, check_orbits, in_one_turn, many_orbits, unpacked
 from workers.continuation.newton import Rows, newton
 from workers.continuation.oscillator import Array, Family, family_of, modal
 from workers.continuation.same import is_minimal
@@ -45,16 +30,15 @@ RECORD = 256
 
 
 class Many(NamedTuple):
-    """Orbits (N,) of one itinerary at parameters (N, free); where ``found`` is not set Newton's method found none."""
+    """N orbits of one itinerary at parameters (N, free); where ``found`` is not set Newton's method found none."""
 
-    itinerary: Itinerary
+    orbits: Orbit
     values: Array
-    impacts: Impacts
     found: Mask
 
     def orbit(self, k: int) -> Orbit:
         """One of them."""
-        return self.impacts.orbit(self.itinerary, k)
+        return self.orbits.taken(k)
 
 
 def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
@@ -68,7 +52,7 @@ def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
 
 def many_of(orbits: list[Orbit], values: Array) -> Many:
     """Orbits of one itinerary as one record."""
-    return Many(orbits[0].itinerary, values, impacts_of(*orbits), np.ones(len(orbits), dtype=bool))
+    return Many(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
 
 
 def moved(family: Family, orbits: Many, values: Array) -> Many:
@@ -76,28 +60,28 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
     """
-    lin, itinerary, before = family.model(values), orbits.itinerary, orbits.impacts
+    lin, (itinerary, times, speeds, offset) = family.model(values), orbits.orbits
     check_orbits(lin, itinerary)
-    m, shift = len(itinerary.sides), int(unknown_offset(lin, itinerary))
+    m, shift = len(itinerary.sides), Motion(lin, orbits.orbits).shift
     if m == 0 or not orbits.found.any():
         return orbits._replace(values=values)
-    fastest, time = np.max(np.abs(before.v), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
+    fastest, time = np.max(np.abs(speeds), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
     scale = np.repeat(np.concatenate([time, fastest, fastest * time], axis=1), [m, m, shift], axis=1)
 
     def motion(X: Array, rows: Rows) -> Motion:
-        return taken(lin, known[rows]), itinerary, unpacked(X, m, shift)
+        return Motion(taken(lin, known[rows]), unpacked(itinerary, X, shift))
 
     known = np.flatnonzero(orbits.found)
-    X = np.concatenate([before.t, before.v, before.offset[:, None][:, :shift]], axis=1)
+    X = np.concatenate([times, speeds, offset[:, None][:, :shift]], axis=1)
     found = newton(
-        lambda X, rows: residual(*motion(X, rows)),
-        lambda X, rows: (residual(*motion(X, rows)), linearised(*motion(X, rows))),
+        lambda X, rows: motion(X, rows).residual(),
+        lambda X, rows: (motion(X, rows).residual(), motion(X, rows).linearised()),
         X[known],
         scale[known],
         farthest=FARTHEST,
     )
     X[known] = found.X
-    return Many(itinerary, values, unpacked(X, m, shift), np.isin(np.arange(len(X)), known[found.converged]))
+    return Many(unpacked(itinerary, X, shift), values, np.isin(np.arange(len(X)), known[found.converged]))
 
 
 def attract(family: Family, orbits: Many) -> Mask:
@@ -106,12 +90,12 @@ def attract(family: Family, orbits: Many) -> Mask:
     rows = np.flatnonzero(good)
     if not len(rows):
         return good
-    motion = family.model(orbits.values[rows]), orbits.itinerary, taken(orbits.impacts, rows)
+    motion = Motion(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
     with np.errstate(all="ignore"):
-        good[rows] = np.all(np.abs(multipliers(*motion)) < 1.0, axis=1)
+        good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = taken(motion[0], k), orbits.itinerary, taken(motion[2], k)
-        good[rows[k]] = is_minimal(*one) and not (family.certified and first_fault(*one))
+        one = Motion(taken(motion.lin, k), motion.orbits.taken(k))
+        good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
     return good
 
 
@@ -131,10 +115,9 @@ def orbit_from_state(
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The same where the oscillator is built, of a family at parameters (free,)."""
     orbit = recorded(osc, state, periods, symmetric)
-    lin = family.model(values[None])
-    if orbit.itinerary.sides and unknown_offset(lin, orbit.itinerary):  # about what impacts miss their stops by
-        y = at_impacts(lin, orbit.itinerary, impacts_of(orbit))[0]
-        orbit = orbit._replace(offset=float(np.mean(stops(lin, orbit.itinerary) - y)))
+    motion = Motion(family.model(values[None]), many_orbits([orbit]))
+    if orbit.itinerary.sides and motion.shift:  # about what impacts miss their stops by
+        orbit = orbit._replace(offset=float(np.mean(motion.stops - motion.at_impacts()[0])))
     return refined(family, orbit, values)
 
 
@@ -187,11 +170,11 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     count, itinerary = len(orbits), orbits[0].itinerary
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
     oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
-    lin, points = modal(oscillators), impacts_of(*orbits)
+    lin, many = modal(oscillators), many_orbits(orbits)
     period = 2.0 * np.pi / lin.omega[:, None]
-    since = np.mod(points.t / period - shift, 1.0)
-    points = points._replace(t=np.where(since <= AT_SECTION, points.t - AT_SECTION * period, points.t))
-    h = block_state(lin, itinerary, points, (np.arange(itinerary.periods) + shift) * period)
+    since = np.mod(many.times / period - shift, 1.0)
+    many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
+    h = Motion(lin, many).block_state((np.arange(itinerary.periods) + shift) * period)
     there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
     states = [physical_states(there, motions_at(h[..., k]), rows) for k in range(itinerary.periods)]
     return np.stack(states, axis=1)

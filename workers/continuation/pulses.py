@@ -119,7 +119,7 @@ def before_impacts(gap, tau, q, span, sign, t, v, offset):
 
 @kernel
 def jacobian(gap, tau, q, span, sign, t, v, offset, z, rigid):
-    """J_z (N, M, M) of ``equations.linearised``; rigid is the block of a rigid mode that borders it, -1 where none."""
+    """J_z (N, M, M) of ``Motion.linearised``; rigid is the block of a rigid mode that borders it, -1 where none."""
     N, m = t.shape
     before = before_impacts(gap, tau, q, span, sign, t, v, offset)
     answer = pairs(gap.blocks, q, span, sign * z, t)

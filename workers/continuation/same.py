@@ -2,12 +2,11 @@
 
 from functools import cache
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Impacts, Itinerary, Orbit
-from workers.continuation.oscillator import Array, ModalOscillator
+from workers.continuation.equations import Itinerary, Motion, Orbit
+from workers.continuation.oscillator import Array
 
 SAME = 1e-7
 """Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""
@@ -49,42 +48,35 @@ def doubled(orbit: Orbit, span: float) -> Orbit:
     return Orbit(itinerary, times, speeds, orbit.offset)
 
 
-class Reduction(NamedTuple):
-    """A turn that may be ``parts`` turns of an orbit of a shorter or symmetric itinerary."""
-
-    parts: int
-    itinerary: Itinerary
-
-
 @cache
-def reductions(itinerary: Itinerary) -> tuple[Reduction, ...]:
+def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
     """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
-    sides, m, found = itinerary.sides, len(itinerary.sides), list[Reduction]()
+    sides, m, found = itinerary.sides, len(itinerary.sides), list[Itinerary]()
     halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
         k, length = m // parts, halves // parts
         for sign in (1, -1):
             closes = sign**parts == itinerary.sign and length % 2 == (sign < 0)
             if closes and all(sides[i + k] == sign * sides[i] for i in range(m - k)):
-                found.append(Reduction(parts, Itinerary(sides[:k], length if sign < 0 else length // 2, sign < 0)))
+                found.append(Itinerary(sides[:k], length if sign < 0 else length // 2, sign < 0))
     return tuple(found)
 
 
-def difference(lin: ModalOscillator, itinerary: Itinerary, points: Impacts, to: Reduction) -> Array:
-    """How one orbit differs from that orbit repeated: (m,) times in radians of the force, (m,) speeds, relative."""
-    t, v, span = points.t[0], points.v[0], itinerary.span(lin)[0]
-    k = len(t) // to.parts
-    later = np.concatenate([t[k:], t[:k] + span]) - t - span / to.parts
+def difference(motion: Motion, to: Itinerary) -> Array:
+    """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
+    itinerary, t, v, _ = motion.orbits.taken(0)
+    k, span = len(to.sides), motion.span[0]
+    later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
     kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
-    return np.concatenate([later * lin.omega[0], (kicks - to.itinerary.sign * v) / np.max(np.abs(v))])
+    return np.concatenate([later * motion.lin.omega[0], (kicks - to.sign * v) / np.max(np.abs(v))])
 
 
-def is_minimal(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> bool:
+def is_minimal(motion: Motion) -> bool:
     """Whether one orbit is none of those repeated that its itinerary allows."""
-    return all(np.max(np.abs(difference(lin, itinerary, points, to))) > SAME for to in reductions(itinerary))
+    return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.orbits.itinerary))
 
 
-def reduced(orbit: Orbit, to: Reduction) -> Orbit:
+def reduced(orbit: Orbit, to: Itinerary) -> Orbit:
     """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
-    k, offset = len(to.itinerary.sides), 0.0 if to.itinerary.symmetric else orbit.offset
-    return Orbit(to.itinerary, orbit.times[:k].copy(), orbit.speeds[:k].copy(), offset)
+    k, offset = len(to.sides), 0.0 if to.symmetric else orbit.offset
+    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), offset)

@@ -5,8 +5,8 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.equations import Impacts, Itinerary, at_impacts
-from workers.continuation.oscillator import Array, ModalOscillator
+from workers.continuation.equations import Motion
+from workers.continuation.oscillator import Array
 from workers.kernel.contact import saltation
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.jit import kernel
@@ -31,28 +31,28 @@ def flights(blocks, s, R, ratio):
     return found
 
 
-def pieces(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+def pieces(motion: Motion) -> Array:
     """The factors (N, m, 2n, 2n) of the map of a turn from just after its first impact: a flight and the next impact.
 
     Without impacts one flight. The last factor changes sign for symmetric orbits.
     """
-    span, t = itinerary.span(lin)[:, None], points.t
-    _, v, a = at_impacts(lin, itinerary, points)
+    lin, (itinerary, t, _, _) = motion
+    span, (_, v, a) = motion.span[:, None], motion.at_impacts()
     durations = np.concatenate([t[:, 1:], t[:, :1] + span], axis=1) - t if itinerary.sides else span
     factors: Array = flights(lin.gap.blocks, durations, lin.R, np.roll(a / v, -1, axis=1))
     factors[:, -1] *= itinerary.sign
     return factors
 
 
-def turn_map(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> Array:
+def turn_map(motion: Motion) -> Array:
     """DP (N, 2n, 2n) over a turn; of symmetric orbits D_G = -DP over half the orbit: its square is DP."""
-    return reduce(lambda total, factor: factor @ total, np.moveaxis(pieces(lin, itinerary, points), 1, 0))
+    return reduce(lambda total, factor: factor @ total, np.moveaxis(pieces(motion), 1, 0))
 
 
-def multipliers(lin: ModalOscillator, itinerary: Itinerary, points: Impacts) -> NDArray[np.complex128]:
+def multipliers(motion: Motion) -> NDArray[np.complex128]:
     """Multipliers (N, 2n) of a turn, those of D_G for symmetric orbits, of largest modulus first; inf where v = 0."""
     with np.errstate(all="ignore"):
-        maps = turn_map(lin, itinerary, points)
+        maps = turn_map(motion)
     found = np.full(maps.shape[:2], np.inf, dtype=np.complex128)
     finite = np.isfinite(maps).all(axis=(1, 2))
     found[finite] = np.linalg.eigvals(maps[finite])

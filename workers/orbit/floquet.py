@@ -49,10 +49,7 @@ def spread_of(logs, ends):
     """The largest difference of logarithms within one block."""
     spread, start = 0.0, 0
     for end in ends:
-        top, bottom = logs[start], logs[start]
-        for i in range(start, end):
-            top, bottom = max(top, logs[i]), min(bottom, logs[i])
-        spread = max(spread, top - bottom)
+        spread = max(spread, np.ptp(logs[start:end]))
         start = end
     return spread
 
