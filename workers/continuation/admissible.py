@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.continuation.equations import Motion
-from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, TINY, next_crossing
+from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Mode, each
 
@@ -97,7 +97,7 @@ def _next_contact(
     if H <= 0.0:
         return None
     phase = math.fmod(float(lin.omega[0]) * here.time + float(lin.tau[0]), 2.0 * math.pi)
-    kind = ON_STOP_MOVING if here.v else ON_STOP_AT_REST
+    start = here.side if here.v else 2 * here.side
     stops = float(lin.upper[0]), -float(lin.lower[0])
-    s, side, _count = next_crossing(signal, h, phase, 0.0, *stops, here.side, kind, H, np.zeros(h.shape))
+    s, side, _count = next_crossing(signal, h, phase, 0.0, *stops, start, H, np.zeros(h.shape))
     return Fault(CONTACT, time=here.time + s, side=int(side)) if side else None

@@ -198,8 +198,8 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     transformed(osc.held.down, V, U)
     upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
     offset = osc.held.push[which(side)]
-    none = np.int64(0)  # no literal, or Numba compiles for it what is called with it
-    s, crossed, evaluations = next_crossing(held, u, phase, offset, upper, lower, none, none, H, scratch)
+    inside = np.int64(0)  # no literal, or Numba compiles for it what is called with it
+    s, crossed, evaluations = next_crossing(held, u, phase, offset, upper, lower, inside, H, scratch)
     if growth.shape[0] > 0:
         flow(held.blocks, s, u)
         graded_flow(held.blocks, s, U, growth, triangle, 2 * n)

@@ -34,9 +34,6 @@ TRIALS = 4
 TINY = 1e-300
 """Keeps a quotient finite where there is no motion at all."""
 
-ON_STOP_MOVING, ON_STOP_AT_REST, ON_STOP_RELEASED = 1, 2, 3
-"""How a flight starts on its own stop: with v away from it; with v = 0; with v = a = 0 (after sticking)."""
-
 
 @inlined
 def arrival(g, v, K):
@@ -133,24 +130,24 @@ def meets(g, v, a, j3, M3, M4, tol, H):
 
 
 @inline_always
-def _first_step(kind, side, a, j3, M3, M4):
-    """A time for which a start at rest on stop ``side`` certainly leaves it: 3|a|/M3, after a release 4|j|/M4.
+def _first_step(order, side, a, j3, M3, M4):
+    """A time for which a start on stop ``side`` with v = 0 certainly leaves it: 3|a|/M3, or 4|j|/M4 where a = 0 too.
 
     The longer of both where it is about to leave and the jerk points inward too: a may be zero but for rounding.
     """
     by_jerk = 4.0 * abs(j3) / max(M4, TINY)
-    if kind == ON_STOP_RELEASED:
+    if order == 3:
         return by_jerk
     by_acceleration = 3.0 * abs(a) / max(M3, TINY)
     return max(by_acceleration, by_jerk) if side * j3 < 0.0 else by_acceleration
 
 
 @kernel
-def next_crossing(mode, h, phase, offset, upper, lower, own, kind, H, scratch):
+def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
     """The first time in [0, H] at which a guard, offset added, reaches ``upper`` from below or ``lower`` from above.
 
-    h (n, 2) and phase: the start; own: the stop (+1 upper, -1 lower, 0 none) that the start lies on and
-    kind how (ON_STOP_...). scratch: (n, 2) to overwrite.
+    h (n, 2) and phase: where it starts. start: 0 inside; +-k at ``upper`` or ``lower``, the guard's k-th derivative
+    being the first that is not zero: 1 after a rebound, 2 with v = 0, 3 after a release. scratch: (n, 2) to overwrite.
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H;
     2 where the march needed more than MAX_EVALUATIONS.
     """
@@ -171,10 +168,10 @@ def next_crossing(mode, h, phase, offset, upper, lower, own, kind, H, scratch):
             if abs(stop) == np.inf or side * (offset - stop) + reach < 0.0:
                 continue
             g, approach, push = side * (stop - y), side * v, side * a
-            if count == 1 and own == side:
+            if count == 1 and start * side > 0:
                 g = 0.0
-                if kind != ON_STOP_MOVING:
-                    step = min(step, _first_step(kind, side, a, j3, M3, M4))
+                if abs(start) > 1:
+                    step = min(step, _first_step(abs(start), side, a, j3, M3, M4))
                     continue
             contact = meets(g, approach, push, side * j3, M3, M4, GAP_ROUNDING * (scale + abs(stop)), H - s)
             if contact < np.inf:

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, next_crossing
+from workers.kernel.crossing import next_crossing
 from workers.kernel.flow import flow
 from workers.kernel.jit import inline_always
 from workers.kernel.lend import lend
@@ -42,25 +42,23 @@ def velocity_of(gap):
 
 
 @inline_always
-def turning_points(gap, start, phase, duration, own, kind, low, high):
-    """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state start (n, 2).
+def turning_points(gap, state, phase, duration, start, low, high):
+    """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
 
-    own and kind: as in next_crossing, how the flight starts on a stop. Returns also the evaluations; high is NaN where
-    the search gave up.
+    start: as in next_crossing, for y. Returns also the evaluations; high is NaN where the search gave up.
     """
     velocity, offset = velocity_of(gap)
-    h, scratch = start.copy(), np.empty(start.shape)
+    h, scratch = state.copy(), np.empty(state.shape)
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     _, v, a, _, _ = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)
     # The zero of y' is a stop of that signal: the upper one where y falls, the lower one where it rises.
-    falls = own > 0 or (own == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
-    zero = np.int64(0 if kind == ON_STOP_MOVING else own)
-    zero_kind = ON_STOP_AT_REST if kind == ON_STOP_RELEASED else ON_STOP_MOVING
+    falls = start > 0 or (start == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
+    begun = start - np.sign(start)  # its derivatives are one order on
     t, spent = 0.0, 0
     while True:
         upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
         s, side, evaluations = next_crossing(
-            lend(velocity), h, phase, offset, upper, lower, zero, zero_kind, duration - t, scratch
+            lend(velocity), h, phase, offset, upper, lower, begun, duration - t, scratch
         )
         spent += max(1, evaluations)
         flow(blocks, s, h)
@@ -73,4 +71,4 @@ def turning_points(gap, start, phase, duration, own, kind, low, high):
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
         low, high = min(low, y), max(high, y)
         falls = not falls
-        zero, zero_kind = np.int64(side), ON_STOP_MOVING
+        begun = np.int64(side)

@@ -3,7 +3,6 @@
 Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
 """
 
-import numpy as np
 from numba import types
 
 from workers.kernel.apart import apart
@@ -22,7 +21,7 @@ from workers.kernel.contact import (
     stay_on_stop,
     stop_position,
 )
-from workers.kernel.crossing import ON_STOP_AT_REST, ON_STOP_MOVING, ON_STOP_RELEASED, TINY, next_crossing
+from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.jit import inline_always, inlined, kernel
@@ -136,7 +135,7 @@ def widen(extremes, y):
 
 
 @inline_always
-def watch_flight(gap, motion, phase, s, own, kind, top, bottom):
+def watch_flight(gap, motion, phase, s, start, top, bottom):
     """Take the turning points of a free flight of duration s into the motion's extremes.
 
     They are looked for where the flight leaves the range known so far: as certainly as it would meet two stops there.
@@ -145,9 +144,9 @@ def watch_flight(gap, motion, phase, s, own, kind, top, bottom):
     low, high = extremes[0], extremes[1]
     if low <= bottom and high >= top:
         return
-    _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, high, low, own, kind, s, motion.scratch)
+    _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, high, low, start, s, motion.scratch)
     if (side == 1 and high < top) or (side == -1 and low > bottom):
-        extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, own, kind, low, high)
+        extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, start, low, high)
         evaluations += more
     if side == 2 or extremes[1] != extremes[1]:
         tally[STATUS] = MARCH_GAVE_UP
@@ -168,13 +167,13 @@ def through_impacts(osc, motion, duration):
     vectors, frame, watched = V.shape[0] > 0, motion.growth.shape[0] > 0, motion.extremes.shape[0] > 0
     rate = spread_rate(blocks) if vectors else 0.0
     unit, loss = osc.head[HEAD.time_unit], loss_spread(R)
-    own, kind, chatter = 0, ON_STOP_MOVING, 0.0
+    start, chatter = 0, 0.0
     t, phase = 0.0, osc.tau
     if watched:
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
         widen(motion.extremes, min(max(y, bottom), top) if contact == FREE else stop_position(osc, contact))
     if abs(contact) == AT_REST:
-        own, kind, contact = np.sign(contact), ON_STOP_AT_REST, FREE
+        start, contact = contact, FREE
     while True:
         if contact != FREE:
             s, released = leave_stop(osc, motion, phase, contact, duration - t, chatter)
@@ -182,11 +181,11 @@ def through_impacts(osc, motion, duration):
                 return
             t += s
             phase += omega * s
-            own, kind = contact, ON_STOP_RELEASED
+            start = 3 * contact
             if duration - t <= AT_THE_END * duration:
                 motion.contact[0] = contact * AT_REST
                 return
-        s, side, evaluations = next_crossing(gap, h, phase, 0.0, top, bottom, own, kind, duration - t, scratch)
+        s, side, evaluations = next_crossing(gap, h, phase, 0.0, top, bottom, start, duration - t, scratch)
         spend(tally, evaluations)
         hit = abs(side) == 1
         y, v, a, scale = NOWHERE
@@ -194,7 +193,7 @@ def through_impacts(osc, motion, duration):
             y, v, a, _, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
             v = side * max(side * v, TINY)  # seen to approach; evaluated anew, the last digit may differ
         if watched:
-            watch_flight(gap, motion, phase, s, own, kind, top, bottom)
+            watch_flight(gap, motion, phase, s, start, top, bottom)
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
         flown = s * rate
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
@@ -219,7 +218,7 @@ def through_impacts(osc, motion, duration):
         following = REBOUND
         if not is_rebound(load_at_rest(side, v, a, cA2k), v, R, cA2k, scale, duration - t):
             following = outcome(osc, h, side, v, a, scale, duration - t)
-        own, kind, contact = side, ON_STOP_MOVING, FREE
+        start, contact = side, FREE
         if following == REST:
             come_to_rest(blocks, cA2k, motion, v)
             contact, chatter = side, chatter_time(load_at_rest(side, v, a, cA2k), R * abs(v), R)
@@ -230,7 +229,7 @@ def through_impacts(osc, motion, duration):
         saltation(blocks, R, V, a / v)
         tally[SPREAD] += spread
         if following == LEAVE:
-            kind = ON_STOP_AT_REST
+            start = 2 * side
             tally[LOST] = max(tally[LOST], 1.0)
             reset_frame_of(metric, motion)
 
