@@ -5,11 +5,14 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask
 import pytest
 from distributed import Client
 
 import atlas
 from tests.planes import plane_of
+
+dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process
 
 LONGEST = (
     "test_docs_site.py", "test_commands.py", "test_explore_page.py", "test_warm.py", "test_groups.py", "test_page.py",

@@ -112,3 +112,10 @@ def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(tmp_path: Path
     atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client, options)
     assert len(held) > 35
     assert max(held) <= IN_FLIGHT * 2
+
+
+def test_workers_of_the_local_cluster_do_not_sample_their_threads() -> None:
+    sampled = "distributed.worker.profile.enabled"
+    with dask.config.set({sampled: True}), local_cluster(1) as client:
+        found = client.run(lambda: dask.config.get(sampled))
+    assert list(found.values()) == [False]

@@ -72,12 +72,17 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 
 @contextmanager
 def local_cluster(count: int) -> Iterator["Client"]:
-    """Worker processes of one thread each, reachable from this machine only."""
+    """Worker processes of one thread each, reachable from this machine only.
+
+    Dask does not sample what their threads do: nobody looks at that, and Python 3.11 can crash where the frames of a
+    thread are read while it runs.
+    """
+    import dask
     from distributed import Client, LocalCluster
 
     with _quiet(), ExitStack() as stack:
         try:
-            with _interrupts_blocked():
+            with _interrupts_blocked(), dask.config.set({"distributed.worker.profile.enabled": False}):
                 cluster = LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
