@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from distributed import Client
+from distributed import CancelledError, Client, Future
 
 import atlas
 from atlas.explore import kept
@@ -255,6 +255,27 @@ def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path
     keeper.stop()
     kept = [sheet for _, sheet in sheets(read_header(finished))]
     assert kept in ([], [SheetKey(5, 5, 0, 0).name])
+
+
+def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
+    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    back = threading.Event()
+
+    def gone(future: Future) -> object:
+        if not back.is_set():
+            raise CancelledError(future.key)
+        return result(future)
+
+    result = Future.result
+    monkeypatch.setattr(Future, "result", gone)
+    with exploring(finished, client) as explorer:
+        sight = view_of(explorer.subject)
+        explorer.want("test", explorer.subject.plane, sight, range(3, -1, -1))
+        assert waited(lambda: explorer.patches.state.trouble == "the cluster was lost; trying again")
+        back.set()
+        solved(explorer, sight)
+        assert explorer.patches.state.trouble == ""
 
 
 def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:

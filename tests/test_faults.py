@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 import zarr
-from distributed import Client, LocalCluster, get_worker
+from distributed import CancelledError, Client, Future, LocalCluster, get_worker
+from distributed.comm.core import CommClosedError
 
 import atlas
 from atlas.errors import NetworkError, RunError
@@ -324,6 +325,18 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
     monkeypatch.setattr(fanout, "run_job", refuse)
     with pytest.raises(RunError, match=r"no worker can do this run: inproc://\S+: sees no store"):
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
+
+
+@pytest.mark.parametrize("raised", [CancelledError, CommClosedError])
+def test_a_cluster_that_goes_before_a_result_is_here_ends_the_run_in_one_line(
+    tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch, raised: type[Exception]
+) -> None:
+    def gone(future: Future) -> None:
+        raise raised
+
+    monkeypatch.setattr(Future, "result", gone)
+    with pytest.raises(RunError, match=r"^the cluster was lost; the same command resumes from the stored tiles$"):
+        atlas.run(plane, tmp_path / "out.zarr", client)
 
 
 def test_a_scheduler_without_this_package_is_reported_once_and_at_once(

@@ -102,22 +102,34 @@ def local_cluster(count: int) -> Iterator["Client"]:
         yield stack.enter_context(Client(cluster, set_as_default=False))
 
 
+@contextmanager
+def loss_reported(client: "Client") -> Iterator[None]:
+    """Raise RunError in place of whatever Dask raises where the cluster goes away in the middle of a call."""
+    from distributed import CancelledError
+    from distributed.comm.core import CommClosedError
+
+    try:
+        yield
+    except (InputError, RunError):
+        raise
+    except Exception as error:
+        if client.status == "running" and not isinstance(error, CancelledError | CommClosedError):
+            raise
+        raise RunError(LOST) from error
+
+
 def worker_threads(client: "Client") -> dict[str, int]:
     """Threads of each worker by its address; RunError where the cluster is gone."""
     if client.status != "running":
         raise RunError(LOST)
-    try:
+    with loss_reported(client):
         return dict(client.nthreads())
-    except OSError:
-        raise RunError(LOST) from None
 
 
 def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
     """Of each worker by its address: its memory limit in bytes, 0 for none, and whether Dask has paused it."""
-    try:
+    with loss_reported(client):
         found = client.scheduler_info()["workers"]
-    except OSError:
-        raise RunError(LOST) from None
     return {name: (int(each.get("memory_limit") or 0), each.get("status") == "paused") for name, each in found.items()}
 
 

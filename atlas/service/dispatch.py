@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from atlas.errors import NetworkError, RunError
-from atlas.service.cluster import LOST, worker_memory, worker_threads
+from atlas.service.cluster import LOST, loss_reported, worker_memory, worker_threads
 from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
@@ -174,7 +174,8 @@ class _Window(Generic[J, R]):
         for future in lost:
             self.again.append(self.running.pop(future))
         if lost:
-            self.client.cancel(lost)
+            with loss_reported(self.client):
+                self.client.cancel(lost)
 
     def workers(self) -> Workers:
         """The workers, as far as the last look and the ends of attempts show."""
@@ -224,13 +225,9 @@ class _Window(Generic[J, R]):
 
     def submit(self, attempt: Attempt[J]) -> None:
         self.submitted += 1  # a key of its own for each attempt: Dask remembers a failed one's
-        future = self.client.submit(
-            work,
-            self.act,
-            attempt.job,
-            key=(f"tile-{self.token}", self.submitted, *attempt.job.index),
-            workers=attempt.workers,
-        )
+        key = (f"tile-{self.token}", self.submitted, *attempt.job.index)
+        with loss_reported(self.client):
+            future = self.client.submit(work, self.act, attempt.job, key=key, workers=attempt.workers)
         self.running[future] = attempt
         future.add_done_callback(self.ended.put)
 
@@ -241,7 +238,8 @@ class _Window(Generic[J, R]):
             return None  # it was given to other workers
         self.last_end = time.monotonic()
         if future.status == "finished":
-            result = future.result()
+            with loss_reported(self.client):  # its result is still on the worker
+                result = future.result()
             future.release()
         elif future.status == "error":
             result = self.failure_of(future)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
-from atlas.service.cluster import LOST, worker_threads
+from atlas.service.cluster import LOST, loss_reported, worker_threads
 from atlas.service.timing import TIMING, Timing
 from atlas.task.patch import Patch, solve_patch
 
@@ -29,6 +29,8 @@ SPARE = 1
 """Patches under way beyond one for each thread: the next begins as soon as one ends, and little is to be dropped."""
 RATE_SECONDS = 10.0
 """The rate is that of so many last seconds."""
+
+_LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -120,10 +122,10 @@ class Patches:
     def _serve(self) -> None:
         while not self._stopped.is_set():
             try:
-                with self._connect() as client:
+                with self._connect() as client, loss_reported(client):
                     self._work(client)
             except (InputError, RunError, OSError) as error:
-                self._say(f"{error}; trying again")
+                self._say(f"{str(error).replace(LOST, _LOST)}; trying again")
             finally:
                 with self._lock:
                     lost = [key for key, _ in self._running.values()]
@@ -138,7 +140,7 @@ class Patches:
         try:
             while not self._stopped.is_set():
                 if client.status != "running":
-                    raise RunError(_LOST)
+                    raise RunError(LOST)
                 if time.monotonic() - ticked >= self._timing.tick:
                     ticked, threads = time.monotonic(), self._looked(client)
                 self._drop(client)
@@ -156,10 +158,7 @@ class Patches:
 
     def _looked(self, client: "Client") -> int:
         """Threads of the cluster now, which the state reports."""
-        try:
-            threads = sum(worker_threads(client).values())
-        except RunError:
-            raise RunError(_LOST) from None
+        threads = sum(worker_threads(client).values())
         self._say("" if threads else "waiting for a worker: there is none", threads)
         return threads
 
@@ -218,7 +217,7 @@ class Patches:
             self._done_with(key)  # not before it is known: who asks meanwhile would have it solved again
             return
         if future.status != "error":
-            raise RunError(_LOST)
+            raise RunError(LOST)
         error = future.exception()
         self._forget(future)
         self._tries[key] = self._tries.get(key, 0) + 1
@@ -244,6 +243,3 @@ class Patches:
             for keys in self._wanted.values():
                 with suppress(ValueError):
                     keys.remove(key)
-
-
-_LOST = LOST.partition(";")[0]
