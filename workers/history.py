@@ -10,8 +10,7 @@ from workers.cell.cells import work_allowed
 from workers.cell.stretch import batch_of, begin, run, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames
 from workers.kernel.lanes.run import Batch
-from workers.kernel.motion import RECORDED, WORK
-from workers.kernel.period import OVERDRAFT
+from workers.kernel.motion import OVERDRAFT, RECORDED, WORK
 from workers.model.oscillator import each
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError

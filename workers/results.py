@@ -47,7 +47,8 @@ class Reason:
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
-) = range(20)  # fmt: skip
+    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS,
+) = range(24)  # fmt: skip
 
 REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("none", PENDING, ""),
@@ -71,6 +72,10 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
      "the last two averages of the exponent still differed when the budget ended; the error bar covers both"),
     ("unstable", INVALID, "motion grows: stiffness or damping is negative in some direction"),
     ("rested", UNDETERMINED, "its one mass rests and repeats from there on; its period is not known"),
+    ("many_modes", FAILED, "the motion goes through more modes than there is room for"),
+    ("no_mode", FAILED, "contacts and friction hold it in a way for which there is no motion in closed form"),
+    ("endless_events", FAILED, "contacts and friction change without end at one time"),
+    ("two_impacts", FAILED, "a rigid contact is struck while another one is held: what follows is not defined"),
 )))  # fmt: skip
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 

@@ -1,11 +1,14 @@
 """The stable orbits of cells: those that their motions are proved to fall into, and others known beside them."""
 
+from typing import Any
+
 import numpy as np
 
 from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
 from workers.cell.stretch import Mask, Rows, batch_of, run
-from workers.model.oscillator import Array, taken
+from workers.model.hybrid import Hybrid, build_missing
+from workers.model.oscillator import Array, Oscillator, taken
 from workers.orbit.newton import settle_each
 from workers.orbit.rest import rest_to_rest
 
@@ -22,13 +25,24 @@ def end_on_orbits(cells: Cells, rows: Rows, budget: Rows, near: Array) -> Rows:
     One is looked for where the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
     """
     spent = np.zeros_like(cells.used)
-    proved = settle_each(
-        cells.oscillators, cells.bare.motions, cells.batch.sections, cells.kept(), near, cells.settings.max_period,
-        budget, rows, cells.orbits, spent,
+    proved = _settled(
+        rows, cells.oscillators, cells.bare.motions, cells.batch.sections, cells.kept(), near,
+        cells.settings.max_period, budget, cells.orbits, spent,
     )  # fmt: skip
     cells.used[rows] += spent[rows]
     put_periodic(cells, rows[proved])
     return rows[~proved]
+
+
+def _settled(rows: Rows, oscillators: Oscillator, *given: Any) -> Mask:
+    """settle_each of these cells; once more where a mode had to be built for it."""
+    *asked, orbits, spent = given
+    proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
+    tried = rows
+    while len(tried):
+        proved[tried] = settle_each(oscillators, *asked, tried, orbits, spent)
+        tried = build_missing(oscillators, tried) if isinstance(oscillators, Hybrid) else tried[:0]
+    return proved[rows]
 
 
 def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
@@ -54,9 +68,9 @@ def _prove_long(cells: Cells, rows: Rows) -> Mask:
     kept = np.where(batch.done == length, length, 0)
     flown = batch.done + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, kept)
     through = every[kept > 0]
-    proved[through] = settle_each(
-        batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR), LONG_PERIOD,
-        budget - flown, through, orbits, spent,
+    proved[through] = _settled(
+        through, batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR), LONG_PERIOD,
+        budget - flown, orbits, spent,
     )  # fmt: skip
     cells.used[rows] += flown + spent
     for mine, new in zip(cells.orbits, orbits, strict=True):
@@ -71,6 +85,8 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     one. Another is an orbit that a near return led to, and that the motion left again. One mass that a stop
     can hold at some phase of the force has another: what follows a release repeats with the next rest.
     """
+    if isinstance(cells.oscillators, Hybrid):
+        return np.asarray(cells.orbits.near[rows])
     osc = taken(cells.oscillators, rows)
     damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1)
     stays_inside = osc.gap.amplitude < np.minimum(osc.b_upper, osc.b_lower)

@@ -18,6 +18,7 @@ from workers.cell.stretch import Rows, sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
 from workers.kernel.contact import COMPLETION
+from workers.model.hybrid import Hybrid
 from workers.model.oscillator import Array, Oscillator, taken
 from workers.orbit.newton import Orbits, no_orbits
 
@@ -84,8 +85,12 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     cells.used[rows] += orbits.period
     sticks = orbits.tally[:, motion.STUCK] > 0.0
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
-    put_impact_free(cells, rows[free], orbits.h[free])
-    rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
+    if isinstance(cells.oscillators, Hybrid):
+        regime = np.where(free & (cells.oscillators.machines.sizes[1] > 0), results.NO_IMPACT, results.PERIODIC)
+    else:
+        put_impact_free(cells, rows[free], orbits.h[free])
+        rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
+        regime = np.full(len(rows), results.PERIODIC)
     if not len(rows):
         return
     oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
@@ -94,7 +99,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
     orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
     reach = impact_range(oscillators, tally, orbits.h, orbits.contact, orbits.period)
-    _put_orbits(cells, rows, orbits, regime=results.PERIODIC, sum_law_defect=defect, peak_to_peak=reach)
+    _put_orbits(cells, rows, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
 
 
 def _put_orbits(cells: Cells, rows: Rows, orbits: Orbits, **more: Any) -> None:

@@ -12,8 +12,17 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend
-from workers.kernel.motion import FREE, RUNNING, STATUS, WORK, motion_of, motion_with, oscillator_of
-from workers.kernel.period import OVERDRAFT, advance
+from workers.kernel.motion import (
+    FREE,
+    OVERDRAFT,
+    RUNNING,
+    STATUS,
+    WORK,
+    motion_of,
+    motion_with,
+    oscillator_of,
+)
+from workers.kernel.period import advance
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame_of
 from workers.model.oscillator import HEAD

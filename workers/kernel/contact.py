@@ -52,7 +52,13 @@ def outcome(osc, h, side, v, a, scale, remaining):
     rounding, w^2 <= 2 |a0| 100 eps scale. R = 1 never completes.
     """
     R, cA2k = osc.head[HEAD.R], osc.head[HEAD.cA2k]
-    load = load_at_rest(side, v, a, cA2k)
+    M3 = derivative_bounds(osc.gap.blocks, osc.gap.numbers, h)[2]
+    return impact_outcome(load_at_rest(side, v, a, cA2k), v, R, cA2k, scale, remaining, M3)
+
+
+@inline_always
+def impact_outcome(load, v, R, cA2k, scale, remaining, M3):
+    """outcome by the load that would press on the stop and a bound M3 of the third derivative of y from here on."""
     if is_rebound(load, v, R, cA2k, scale, remaining):
         return REBOUND
     if R == 0.0:
@@ -60,7 +66,6 @@ def outcome(osc, h, side, v, a, scale, remaining):
     w = R * abs(v)
     if w * w <= 200.0 * load * EPS * scale:
         return REST
-    M3 = derivative_bounds(osc.gap.blocks, osc.gap.numbers, h)[2]
     duration = chatter_time(load, w, R)
     return REST if duration * M3 + 2.0 * abs(cA2k * v) <= COMPLETION * load else REBOUND
 

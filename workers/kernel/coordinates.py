@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.contact import forced_state, load_on_stop, to_held
-from workers.kernel.jit import inline_always, kernel
+from workers.kernel.hybrid.state import product, shown_number
+from workers.kernel.jit import by_record, inline_always, kernel
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, Motion, motion_at
+from workers.model.hybrid import FIRST_NUMBER, HybridCell
 from workers.model.oscillator import HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
 
@@ -29,9 +31,18 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     return motion_at(h, contact, vectors, record)
 
 
-@inline_always
-def start_at(osc, state, h):
-    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
+@kernel
+def start_hybrid(osc, state, h):
+    """start_at of a HybridCell: the contact is the number of its mode."""
+    for i in range(len(state)):
+        h[i // 2, i % 2] = product(osc.to_blocks[i], state, 0)
+    number = shown_number(osc.table.elements, state)
+    return BEYOND if number < 0 else number + FIRST_NUMBER
+
+
+@kernel
+def start_linear(osc, state, h):
+    """start_at of an Oscillator."""
     row, rest, tau = osc.gap_row, osc.rest, osc.tau
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
@@ -46,6 +57,11 @@ def start_at(osc, state, h):
         v_sum += abs(row[j] * state[n + j])
     contact = placed(y, v, ROUNDING * y_sum, ROUNDING * v_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
     return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
+
+
+@by_record(HybridCell, start_hybrid, start_linear)
+def start_at(osc, state, h):
+    """Write the block coordinates h (n, 2), forced response taken off, of a physical section state; its contact."""
 
 
 @inline_always
@@ -90,19 +106,16 @@ def put_on_stop(row, stop, state, first):
 
 
 @kernel
-def blocks_to_physical(osc, motion):
-    """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there: ``placed`` so.
-
-    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
-    """
-    state = np.zeros(2 * motion.h.shape[0])
-    leave_blocks(osc, motion.h, motion.contact[0], state)
-    return state
+def leave_hybrid(osc, h, contact, state):
+    """leave_blocks of a HybridCell."""
+    for i in range(len(state)):
+        for j in range(len(state)):
+            state[i] += osc.to_physical[i, j] * h[j // 2, j % 2]
 
 
-@inline_always
-def leave_blocks(osc, h, contact, state):
-    """Add to a state (2n,) of zeros what ``blocks_to_physical`` makes of block coordinates h (n, 2) at a contact."""
+@kernel
+def leave_linear(osc, h, contact, state):
+    """leave_blocks of an Oscillator."""
     row, rest, upper, lower = osc.gap_row, osc.rest, osc.head[HEAD.upper], osc.head[HEAD.lower]
     n = h.shape[0]
     terms = np.zeros(n)
@@ -124,3 +137,19 @@ def leave_blocks(osc, h, contact, state):
         stop = min(max(y, lower), upper)
         if y != stop and abs(y - stop) <= 1e-12 * size:
             put_on_stop(row, stop, state, 0)
+
+
+@by_record(HybridCell, leave_hybrid, leave_linear)
+def leave_blocks(osc, h, contact, state):
+    """Add to a state (2n,) of zeros what ``blocks_to_physical`` makes of block coordinates h (n, 2) at a contact."""
+
+
+@kernel
+def blocks_to_physical(osc, motion):
+    """Physical section state (2n,) of a motion; on the stop with v = 0 where it rests there: ``placed`` so.
+
+    A motion is never beyond a stop; what rounding leaves of that in the coordinates is taken off.
+    """
+    state = np.zeros(2 * motion.h.shape[0])
+    leave_blocks(osc, motion.h, motion.contact[0], state)
+    return state

@@ -4,17 +4,19 @@ The compiler neither reorders nor fuses: what is rounded once is written so, see
 depend on what was compiled or loaded before it, nor on the processor.
 """
 
+import inspect
 from collections.abc import Callable
-from functools import partial, update_wrapper
+from functools import partial, update_wrapper, wraps
 from typing import Any
 
-from numba import njit, types
-from numba.extending import typeof_impl
+from numba import config, njit, types
+from numba.extending import overload, typeof_impl
 
 from workers.kernel.apart import load
 from workers.kernel.cache import CACHE
+from workers.kernel.lend import Lent
 
-__all__ = ["inline_always", "inlined", "kernel"]
+__all__ = ["by_record", "inline_always", "inlined", "kernel"]
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -59,3 +61,27 @@ inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
 """Decorator of kernels that are parts of one other or of few, compiled with their caller: a kernel compiles all that it
 calls once more, and so would each of those on the way from it to the kernels below."""
+
+
+def by_record(kind: type, act: Any, otherwise: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator of an empty function that is ``act`` where its first argument is a record of that kind, else another.
+
+    Which one is decided where a kernel is compiled, by the types of what it is given.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def chosen(*given: Any) -> Any:
+            return (act if isinstance(given[0], kind) else otherwise)(*given)
+
+        def pick(*given: types.Type) -> Callable[..., Any]:
+            record = given[0].kind if isinstance(given[0], Lent) else given[0]
+            meant: Callable[..., Any] = (act if getattr(record, "instance_class", None) is kind else otherwise).py_func
+            return meant
+
+        pick.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+        if not config.DISABLE_JIT:  # type: ignore[attr-defined]
+            overload(chosen, jit_options={"error_model": "numpy"})(pick)
+        return chosen
+
+    return decorate

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS
 from workers.kernel.borrow import borrowed
-from workers.kernel.jit import inlined, kernel
+from workers.kernel.jit import by_record, inline_always, inlined, kernel
+from workers.model.hybrid import Elements, Hybrid, HybridCell, Pieces, Table
 from workers.model.oscillator import Held, Mode, Oscillator, each
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
@@ -27,8 +28,15 @@ speed off like any other, but is neither counted at its stop nor summed: their n
 NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
 """The tally (TALLIES,) of a motion that has gone nowhere, and may cost nothing."""
 
-RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND = range(5)
-"""Status: fine, or why a cell cannot go on."""
+(
+    RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND,
+    MODE_MISSING, NO_MODE, ENDLESS_EVENTS, SIMULTANEOUS,
+) = range(9)  # fmt: skip
+"""Status: fine, or why a cell cannot go on. Of machines with modes: one is not built, or cannot be; events follow each
+other without end at one time; two rigid contacts are reached at once."""
+
+OVERDRAFT = 1_000_000
+"""Evaluations by which a period may exceed what is left, so that motions can end at a section."""
 
 WORK_OF_A_TRIAL = 1_000_000
 """Evaluations allowed to a motion that tries something out: a turn of an orbit, a Newton step."""
@@ -71,6 +79,15 @@ MOTION = _record(Motion, 2, types.Array(types.int64, 1, "C"), 3, 1, 2, 1, 2, 1, 
 """Types of records in kernels."""
 
 
+@inline_always
+def spend(tally, evaluations):
+    """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
+    tally[EVALUATIONS] += evaluations
+    tally[WORK] -= max(1, evaluations)
+    if tally[WORK] < -OVERDRAFT:
+        tally[STATUS] = OUT_OF_WORK
+
+
 @inlined
 def mode_of(modes, r):
     """Mode r of many."""
@@ -79,13 +96,36 @@ def mode_of(modes, r):
 
 
 @kernel
-def oscillator_of(oscillators, r):
+def linear_of(oscillators, r):
     """Oscillator r of many, borrowed from them."""
     o, held = oscillators, oscillators.held
     return borrowed(Oscillator(
         mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],
         Held(mode_of(held.mode, r), held.down[r], held.up[r], held.into[r], held.out[r], held.push[r]),
     ))  # fmt: skip
+
+
+@kernel
+def hybrid_of(oscillators, r):
+    """Machine r of many whose law changes, borrowed from them."""
+    o, t = oscillators, oscillators.table
+    p, e = t.pieces, t.elements
+    pieces = Pieces(
+        p.blocks[r], p.metric[r], p.waves[r], p.numbers[r], p.forced[r], p.rows[r], p.direct[r], p.offset[r], p.ends[r],
+        p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r],
+    )  # fmt: skip
+    elements = Elements(
+        e.row[r], e.kick[r], e.stops[r], e.R[r], e.soft[r], e.slide[r], e.brake[r], e.belt[r], e.even[r], e.starts[r],
+    )  # fmt: skip
+    return borrowed(HybridCell(
+        mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],
+        Table(t.codes[r], t.wrong[r], t.missing[r], pieces, elements, t.omega[r], t.tau[r]),
+    ))  # fmt: skip
+
+
+@by_record(Hybrid, hybrid_of, linear_of)
+def oscillator_of(oscillators, r):
+    """Oscillator r of many, or machine r of a Hybrid, borrowed from them."""
 
 
 @kernel

@@ -24,11 +24,11 @@ from workers.kernel.contact import (
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
-from workers.kernel.jit import inline_always, inlined, kernel
+from workers.kernel.hybrid.motion import propagate_hybrid
+from workers.kernel.jit import by_record, inline_always, inlined, kernel
 from workers.kernel.motion import (
     AT_REST,
     BEYOND,
-    EVALUATIONS,
     FREE,
     LOSS,
     LOST,
@@ -38,7 +38,6 @@ from workers.kernel.motion import (
     MIN_SPEED,
     MOTION,
     OSCILLATOR,
-    OUT_OF_WORK,
     RECORDED,
     RUNNING,
     SPEEDS,
@@ -47,7 +46,7 @@ from workers.kernel.motion import (
     STATUS,
     STUCK,
     UPPER,
-    WORK,
+    spend,
 )
 from workers.kernel.signal import evaluate
 from workers.kernel.tangent import (
@@ -60,10 +59,8 @@ from workers.kernel.tangent import (
     reset_frame_of,
     spread_rate,
 )
+from workers.model.hybrid import HybridCell
 from workers.model.oscillator import HEAD, NUMBER
-
-OVERDRAFT = 1_000_000
-"""Evaluations by which a period may exceed what is left, so that motions can end at a section."""
 
 AT_THE_END = 1e-9
 """Share of its duration before which a motion that is released from a stop ends at rest on it: in so short a time the
@@ -97,15 +94,6 @@ def come_to_rest(blocks, cA2k, motion, v):
     tally[LOSS] += v * v
     kick(blocks, motion.h, -v)
     rest_projection(blocks, cA2k, motion.V)
-
-
-@inline_always
-def spend(tally, evaluations):
-    """Count evaluations; every piece of motion costs one at least, so that no chain of them is endless."""
-    tally[EVALUATIONS] += evaluations
-    tally[WORK] -= max(1, evaluations)
-    if tally[WORK] < -OVERDRAFT:
-        tally[STATUS] = OUT_OF_WORK
 
 
 @inline_always
@@ -235,12 +223,17 @@ def through_impacts(osc, motion, duration):
 
 
 @inline_always
+def propagate_linear(osc, motion, duration):
+    """propagate of an Oscillator."""
+    through_impacts(osc, motion, duration)
+
+
+@by_record(HybridCell, propagate_hybrid, propagate_linear)
 def propagate(osc, motion, duration):
     """Take a motion from a section on by ``duration`` <= one period, in place, through all its impacts.
 
     Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
     """
-    through_impacts(osc, motion, duration)
 
 
 @inline_always

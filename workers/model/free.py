@@ -236,8 +236,13 @@ def finite(record: Any) -> Mask:
 
 
 def derivative(row: Array, modes: Modes) -> Array:
+    """derivative_of in these modes."""
+    return derivative_of(row, modes.eta, modes.lam)
+
+
+def derivative_of(row: Array, eta: Array, lam: Array) -> Array:
     """row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
-    return np.stack([-modes.lam * row[..., 1], row[..., 0] - 2.0 * modes.eta * row[..., 1]], axis=-1)
+    return np.stack([-lam * row[..., 1], row[..., 0] - 2.0 * eta * row[..., 1]], axis=-1)
 
 
 def times(row: Array, matrix: Array) -> Array:

@@ -70,8 +70,8 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     found = Modes(
         eta=np.where(eta <= FREE * n * size[:, None], 0.0, eta),
         lam=lam,
-        to_blocks=_interleaved(weighted),
-        to_physical=np.ascontiguousarray(_interleaved(modes.swapaxes(1, 2)).swapaxes(1, 2)),
+        to_blocks=interleaved(weighted),
+        to_physical=np.ascontiguousarray(interleaved(modes.swapaxes(1, 2)).swapaxes(1, 2)),
         rigid=np.sum(lam == 0.0, axis=1),
         unstable=unstable,
         inseparable=np.zeros(N, dtype=np.bool_),
@@ -133,7 +133,7 @@ def _values_and_vectors(matrix: Array) -> Array:
     return np.concatenate([values[..., None, :], vectors], axis=-2)
 
 
-def _interleaved(rows: Array) -> Array:
+def interleaved(rows: Array) -> Array:
     """Rows (N, n, n) for displacements and for velocities alike, as rows (h_1, h_1', ...) of (x, x')."""
     N, n = rows.shape[:2]
     both = np.zeros((N, 2 * n, 2 * n))

@@ -139,6 +139,11 @@ def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
     raise AttributeError(name)
 
 
+def named_in_head(head: Array, name: str) -> Any:
+    """The number of a record's head of that name, see Head."""
+    return _named(name, (head, _OF_HEAD))
+
+
 def _plain(field: Array) -> Any:
     """An array, or the number that one without axes holds."""
     return field if field.ndim else float(field)
@@ -221,7 +226,7 @@ class Oscillator(NamedTuple):
 
     def __getattr__(self, name: str) -> Any:
         """One of the numbers of ``head``, see Head, by its name."""
-        return _named(name, (self.head, _OF_HEAD))
+        return named_in_head(self.head, name)
 
     @property
     def b_upper(self) -> Any:

@@ -1,0 +1,1 @@
+"""Motion of machines whose law changes, see model/hybrid.py: modes, guards and resets."""

@@ -1,0 +1,204 @@
+"""The one loop of mode, first guard and reset, of hybrid machines."""
+
+import math
+
+import numpy as np
+
+from workers.kernel.contact import REST
+from workers.kernel.crossing import TINY, next_crossing
+from workers.kernel.flow import flow, flow_with_tangent
+from workers.kernel.hybrid.events import (
+    ENDLESS,
+    MISSING,
+    follow_jumps,
+    friction_event,
+    impact,
+    soft_event,
+    strikes_while_held,
+)
+from workers.kernel.hybrid.state import (
+    enter,
+    from_vectors,
+    guard_rate,
+    into_vectors,
+    leave,
+    read_number,
+    right_hand_side,
+)
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.motion import (
+    ENDLESS_EVENTS,
+    LOST,
+    LOWER,
+    MARCH_GAVE_UP,
+    MAX_SPEED,
+    MIN_SPEED,
+    MODE_MISSING,
+    NO_MODE,
+    RECORDED,
+    RUNNING,
+    SIMULTANEOUS,
+    SPEEDS,
+    STATUS,
+    STUCK,
+    UPPER,
+    spend,
+)
+from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spread_rate
+from workers.model.hybrid import FIRST_NUMBER, OPEN, SIGNALS
+from workers.model.oscillator import Mode
+
+
+@inline_always
+def stop_at(table, tally, k, number):
+    """Write why a motion cannot go on into a mode that is none, see events.mode_of."""
+    if k == MISSING:
+        tally[STATUS] = MODE_MISSING
+        table.missing[0] = number
+    else:
+        tally[STATUS] = ENDLESS_EVENTS if k == ENDLESS else NO_MODE
+
+
+@kernel
+def first_event(pieces, k, h, phase, begun, H, scratch, tally):
+    """(time, signal, side) of the first guard that is reached in [0, H]; signal -1 where none is."""
+    s, hit, side = H, -1, 0
+    for g in range(pieces.ends.shape[1]):
+        low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+        if low == -np.inf and high == np.inf:
+            continue
+        mode = Mode(pieces.blocks[k, g], pieces.metric[k], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k])
+        at, there, evaluations = next_crossing(mode, h, phase, pieces.offset[k, g], high, low, begun[g], s, scratch)
+        spend(tally, evaluations)
+        if there == 2:
+            tally[STATUS] = MARCH_GAVE_UP
+        if abs(there) == 1 and (at < s or hit < 0):
+            s, hit, side = at, g, there
+    return s, hit, side
+
+
+@inline_always
+def fly(pieces, k, s, h, V, growth, triangle, tally):
+    """Move the block state and the tangent vectors on by s in mode k."""
+    blocks, rank = pieces.blocks[k, 0], 2 * h.shape[0] - int(tally[LOST])
+    framed = growth.shape[0] > 0
+    if framed and s * spread_rate(blocks) > MAX_SPREAD:
+        flow(blocks, s, h)
+        graded_flow(blocks, s, V, growth, triangle, rank)
+    else:
+        flow_with_tangent(blocks, s, h, V)
+    if framed:
+        orthonormalise(pieces.metric[k], V, growth, triangle, rank)
+
+
+@inline_always
+def count_hit(tally, side, speed):
+    """Count that a contact is reached."""
+    tally[UPPER if side > 0 else LOWER] += 1.0
+    tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
+    tally[SPEEDS] += speed
+
+
+@kernel
+def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
+    """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
+
+    In place, with the number of their mode in code (1,). growth (m,), triangle: see tangent.orthonormalise; of no
+    length where the vectors are not to be made orthonormal. events (K, 3): the first K of them, (time, +-(1 + signal)
+    with the side's sign, rate of the guard). Stops early with tally[STATUS] set where it cannot go on.
+    """
+    pieces, elements = table.pieces, table.elements
+    n, m = len(z) // 2, W.shape[0]
+    C, F = elements.row.shape[0], elements.slide.shape[0]
+    states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
+    begun = np.zeros(pieces.ends.shape[1], dtype=np.int64)
+    h, scratch, V = np.empty((n, 2)), np.empty((n, 2)), np.empty((m, n, 2))
+    f, after, slopes = np.empty(2 * n), np.empty(2 * n), np.empty(m)
+    t, phase, period = 0.0, table.tau, 2.0 * math.pi / table.omega
+    read_number(code[0], states, slips)
+    where = 0  # a section is where the first phase begins
+    k, number = follow_jumps(table, states, slips, where, z, phase, begun)
+    while True:
+        if k < 0:
+            stop_at(table, tally, k, number)
+        if tally[STATUS] != RUNNING:
+            return
+        tally[LOST] = max(tally[LOST], pieces.lost[k])
+        until = min(duration, elements.starts[where + 1] * period)
+        enter(pieces, k, z, W, phase, h, V)
+        s, hit, side = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
+        if tally[STATUS] != RUNNING:
+            return
+        fly(pieces, k, s, h, V, growth, triangle, tally)
+        tally[STUCK] += s if pieces.lost[k] > 0.0 else 0.0
+        if s > 0.0:
+            begun[:] = 0
+        t = until if hit < 0 else t + s
+        phase = table.tau + table.omega * t
+        leave(pieces, k, h, V, phase, z, W)
+        if hit < 0 and until >= duration:
+            code[0] = number
+            return
+        if hit < 0:
+            where += 1
+            k, number = follow_jumps(table, states, slips, where, z, phase, begun)
+            continue
+        right_hand_side(pieces, k, z, phase, f)
+        rate = side * max(side * guard_rate(pieces, k, hit, f, table.omega, phase), TINY)
+        for e in range(m):
+            slopes[e] = 0.0
+            for i in range(2 * n):
+                slopes[e] += pieces.rows[k, hit, i] * W[e, i] / rate
+        place = int(tally[RECORDED])
+        if place < events.shape[0]:
+            events[place, 0], events[place, 1], events[place, 2] = t, side * (1.0 + hit), rate
+            tally[RECORDED] += 1.0
+        c = hit // SIGNALS
+        if c >= C:
+            wanted = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
+            if wanted >= 0:
+                stop_at(table, tally, MISSING, wanted)
+                return
+        elif elements.soft[c] > 0.0:
+            if states[c] == OPEN:
+                count_hit(tally, side, abs(rate))
+            soft_event(hit, c, side, states, begun)
+        elif states[c] != OPEN:
+            begun[hit] = 3 * states[c]
+            states[c] = OPEN
+        elif strikes_while_held(elements, c, states):
+            tally[STATUS] = SIMULTANEOUS
+            return
+        else:
+            tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
+            following = impact(table, k, hit, c, side, rate, duration - t, h, states, slips, z, f, W, slopes, begun)
+            if following == REST:
+                tally[MIN_SPEED] = 0.0
+            else:
+                count_hit(tally, side, abs(rate))
+        k, number = follow_jumps(table, states, slips, where, z, phase, begun)
+        if k >= 0:
+            right_hand_side(pieces, k, z, phase, after)
+            for e in range(m):
+                for i in range(2 * n):
+                    W[e, i] += (after[i] - f[i]) * slopes[e]
+
+
+@kernel
+def propagate_hybrid(osc, motion, duration):
+    """period.propagate of a HybridCell. Where a mode is missing the motion stays where it was."""
+    size = 2 * motion.h.shape[0]
+    h, z, W = motion.h.copy().reshape((1, size // 2, 2)), np.zeros((1, size)), np.zeros((motion.V.shape[0], size))
+    growth, triangle, tally = motion.growth.copy(), motion.triangle.copy(), motion.tally.copy()
+    from_vectors(osc.to_physical, h, z)
+    from_vectors(osc.to_physical, motion.V, W)
+    code = motion.contact - FIRST_NUMBER
+    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, duration)
+    if tally[STATUS] == RUNNING:
+        into_vectors(osc.to_blocks, z, h)
+        into_vectors(osc.to_blocks, W, motion.V)
+        motion.h[:] = h[0]
+        motion.contact[0] = code[0] + FIRST_NUMBER
+        motion.growth[:], motion.triangle[:], motion.tally[:] = growth, triangle, tally
+    else:
+        motion.tally[STATUS] = tally[STATUS]

@@ -1,0 +1,469 @@
+"""Machines whose law changes: soft and rigid contacts, dry friction, phases; each law they can be under is a mode.
+
+    M x'' + C x' + K x = load + force(omega t + tau) + contacts + friction
+
+A contact is a stop, or two, on y = row . x. Beyond a soft one, at depth delta > 0, acts preload + stiffness delta +
+damping delta'; a rigid one turns y' into -R y'. Friction on v = row . x' - belt resists with kinetic + slope |v|, and
+holds v = 0 up to ``static``. Phases change matrices, force, load and the constants of elements from ``start`` on, a
+share of the forcing period.
+
+A mode is an affine linear flow between events: which phase it is, what each contact does and each friction. What is
+held or sticks leaves the flow: x = D y + N q with y = G x, which goes at a constant rate, and N spanning what G sends
+to zero. In blocks y is a rigid mode without a load, so that all modes of a machine have the same number of blocks.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.free import Flow, Mask, derivative_of, finite, loading_of, phase_of
+from workers.model.free import mode_of as motion_in
+from workers.model.modes import FREE as RIGID
+from workers.model.modes import interleaved, split, stacked, undamped_modes
+from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Array, Head, Mode, make_blocks, named_in_head, taken
+from workers.results import NO_REASON, OUT_OF_DOUBLES
+
+OPEN, ON, DETACHED = 0, 1, 2
+"""What a contact does, with the sign of its side: it is open; held by a rigid stop or engaged by a soft one; or within
+a soft one that can only push and does not."""
+
+CONTACT_DIGIT, SLIP_DIGIT = 5, 3
+"""Bases of the digits of contacts and of slips in the number of a mode."""
+
+SIGNALS = 2
+"""Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
+
+
+class HybridMachines(NamedTuple):
+    """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
+
+    mass         (N, n, n)
+    damping, stiffness (N, P, n, n), load (N, P, n), force_sin and force_cos (N, P, H, n): those of each phase
+    omega, tau   (N,)             forcing frequency, forcing phase at a section
+    starts       (N, P + 1)       of phases, shares of the forcing period; the last one is 1
+    row          (N, C, n)        of each contact, stops (N, C, 2) the lower one and the upper one, infinite for none
+    R            (N, C)           coefficient of restitution of rigid contacts
+    soft         (N, C)           1 for soft contacts, by_force (N, C) 1 where these let go by force; alike in all
+    pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts
+    slide        (N, F, n)        row of each friction, belt (N, F)
+    rub          (N, P, F, 3)     kinetic and static level, slope
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+    load: Array
+    force_sin: Array
+    force_cos: Array
+    omega: Array
+    tau: Array
+    starts: Array
+    row: Array
+    stops: Array
+    R: Array
+    soft: Array
+    by_force: Array
+    pad: Array
+    slide: Array
+    belt: Array
+    rub: Array
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """How many phases, contacts and frictions there are."""
+        return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
+
+
+class Code(NamedTuple):
+    """Which mode it is: the phase, what each contact does and the sign of each slip, 0 while it sticks."""
+
+    phase: int
+    contacts: tuple[int, ...]
+    slips: tuple[int, ...]
+
+    @property
+    def number(self) -> int:
+        """The code as one number, the phase first."""
+        found = self.phase
+        for state in self.contacts:
+            found = CONTACT_DIGIT * found + state + CONTACT_DIGIT // 2
+        for sign in self.slips:
+            found = SLIP_DIGIT * found + sign + SLIP_DIGIT // 2
+        return found
+
+
+def code_of(number: int, contacts: int, slips: int) -> Code:
+    """The code of a number, of a machine with so many contacts and frictions."""
+    signs, states = [], []
+    for _ in range(slips):
+        number, digit = divmod(number, SLIP_DIGIT)
+        signs.append(digit - SLIP_DIGIT // 2)
+    for _ in range(contacts):
+        number, digit = divmod(number, CONTACT_DIGIT)
+        states.append(digit - CONTACT_DIGIT // 2)
+    return Code(number, tuple(reversed(states)), tuple(reversed(signs)))
+
+
+class Pieces(NamedTuple):
+    """A mode of N machines with n blocks, G signals and H harmonics.
+
+    blocks       (N, G, n, columns)    flow of the blocks, and the row of each signal, see oscillator.Block
+    metric       (N, n)                their column of that name
+    waves        (N, G, H, 2)          forced part of each signal, see oscillator.Mode
+    numbers      (N, G, NUMBER)        see oscillator.Numbers
+    forced       (N, n, 2, H, 2)       forced response of the blocks
+    rows         (N, G, 2n + 1)        each signal as a row on (x, v, 1)
+    direct       (N, G, H, 2)          and what the force adds to it
+    offset       (N, G)                what it is while the blocks are at rest
+    ends         (N, G, 2)             the values between which it stays in this mode, infinite where nothing ends it
+    to_blocks    (N, 2n, 2n)           blocks of (x, v), from ``rest`` on; to_physical the way back
+    rest         (N, 2n)               blocks at rest, the forced response taken off
+    acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
+    lost         (N,)                  dimensions that the flow does not have
+    """
+
+    blocks: Array
+    metric: Array
+    waves: Array
+    numbers: Array
+    forced: Array
+    rows: Array
+    direct: Array
+    offset: Array
+    ends: Array
+    to_blocks: Array
+    to_physical: Array
+    rest: Array
+    acceleration: Array
+    drive: Array
+    lost: Array
+
+
+@np.errstate(all="ignore")
+def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
+    """A mode of machines, and of which of them it is none.
+
+    That is where held rows depend on each other, motion grows or resonates undamped, planes cannot be told apart, or a
+    load drives a free motion that what is held leaves.
+    """
+    p, mass, omega = code.phase, machines.mass, machines.omega
+    N, n = machines.load.shape[0], machines.load.shape[2]
+    damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
+    force = machines.force_sin[:, p] + 1j * machines.force_cos[:, p]
+    held = []
+    for c, state in enumerate(code.contacts):
+        row = machines.row[:, c]
+        if abs(state) == ON and not machines.soft[0, c]:
+            held.append(row)
+        elif abs(state) == ON:
+            (k, d, preload), stop = machines.pad[:, p, c].T, machines.stops[:, c, 1 if state > 0 else 0]
+            square = row[:, :, None] * row[:, None, :]
+            stiffness += k[:, None, None] * square
+            damping += d[:, None, None] * square
+            load += (k * stop - state * preload)[:, None] * row
+    stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0]
+    for f, sign in enumerate(code.slips):
+        if sign != 0:
+            row, (kinetic, _, slope) = machines.slide[:, f], machines.rub[:, p, f].T
+            damping += slope[:, None, None] * row[:, :, None] * row[:, None, :]
+            load += (slope * machines.belt[:, f] - sign * kinetic)[:, None] * row
+    G = np.stack([*held, *stuck], axis=1) if held or stuck else np.zeros((N, 0, n))
+    inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
+    D, hold = _holding(G, inverse_mass)
+    forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
+    kept = inverse_mass - D @ G @ inverse_mass
+    acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
+    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of what is held
+    rows, direct, ends = _signals(machines, code, multipliers, driven)
+    reduced, to_blocks, to_physical, rest, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega)
+    flow, forced = reduced
+    every = rows.shape[1]
+    blocks: Array = np.repeat(flow[:, None], every, axis=1)
+    metric = flow[..., COLUMN.metric].copy()
+    seen = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
+    eta, lam = flow[:, None, :, COLUMN.eta], flow[:, None, :, COLUMN.lam]
+    seen1 = derivative_of(seen, eta, lam)
+    blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen, seen1], axis=-1)
+    blocks[..., COLUMN.cAA0 :] = derivative_of(seen1, eta, lam)
+    H = force.shape[1]
+    parts = (seen.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
+    waves = parts + direct
+    w = omega[:, None, None] * np.arange(1.0, H + 1.0)
+    sizes = np.hypot(waves[..., 0], waves[..., 1])
+    numbers = np.stack([np.repeat(omega[:, None], every, axis=1),
+                        *(np.sum(sizes * w**power, axis=2) for power in (0, 2, 3, 4))], axis=-1)  # fmt: skip
+    offset = (rows[:, :, : 2 * n] @ (to_physical @ rest[..., None]))[..., 0] + rows[:, :, 2 * n]
+    found = Pieces(
+        blocks, metric, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, rest, acceleration,
+        np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
+        np.full(N, float(2 * len(held) + len(stuck))),
+    )  # fmt: skip
+    return Pieces(*map(np.ascontiguousarray, found)), wrong
+
+
+def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:
+    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held."""
+    turned = np.ascontiguousarray(G.swapaxes(1, 2))
+    compliance = G @ inverse_mass @ turned
+    hold = stacked(np.linalg.solve, (*G.shape,), compliance, G @ inverse_mass)
+    return np.ascontiguousarray(hold.swapaxes(1, 2)), hold
+
+
+def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: Any) -> tuple[Array, Array, Array]:
+    """Rows (N, G, 2n + 1), what the force adds (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
+
+    multipliers (N, r, 2n + 1) and driven (N, H, r): the forces of what is held, in the order of contacts and friction.
+    """
+    p, (_, C, F), (N, H) = code.phase, machines.sizes, driven.shape[:2]
+    n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of one are those of the flow
+    rows, direct, ends = np.zeros((N, count, 2 * n + 1)), np.zeros((N, count, H, 2)), np.empty((N, count, 2))
+    ends[:, :, 0], ends[:, :, 1] = -np.inf, np.inf
+    forces = iter(range(multipliers.shape[1]))
+
+    def hold(k: int) -> None:
+        i = next(forces)
+        rows[:, k] = multipliers[:, i]
+        direct[:, k, :, 0], direct[:, k, :, 1] = driven[..., i].real, driven[..., i].imag
+
+    for c, state in enumerate(code.contacts):
+        k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
+        inner, outer = (0, 1) if side > 0 else (1, 0)
+        if abs(state) == ON and not machines.soft[0, c]:
+            hold(k)
+            ends[:, k, outer] = 0.0
+            continue
+        rows[:, k, :n] = row
+        if state == OPEN:
+            ends[:, k] = machines.stops[:, c]
+            continue
+        stop = machines.stops[:, c, outer]
+        ends[:, k, inner] = stop
+        if machines.by_force[0, c]:
+            stiffness, damping, preload = machines.pad[:, p, c].T
+            rows[:, k + 1, :n], rows[:, k + 1, n : 2 * n] = (side * f[:, None] * row for f in (stiffness, damping))
+            rows[:, k + 1, 2 * n] = preload - side * stiffness * stop
+            ends[:, k + 1, 0 if abs(state) == ON else 1] = 0.0
+    for f, sign in enumerate(code.slips):
+        k = SIGNALS * C + f
+        if sign == 0:
+            hold(k)
+            static = machines.rub[:, p, f, 1]
+            ends[:, k, 0], ends[:, k, 1] = -static, static
+            continue
+        rows[:, k, n : 2 * n], rows[:, k, 2 * n] = machines.slide[:, f], -machines.belt[:, f]
+        ends[:, k, 0 if sign > 0 else 1] = 0.0
+    return rows, direct, ends
+
+
+def _reduced(
+    mass: Array, damping: Array, stiffness: Array, load: Array, force: Any, G: Array, D: Array, omega: Array
+) -> tuple[tuple[Array, Array], Array, Array, Array, Mask]:
+    """The flow while rows G (N, r, n) are held: its blocks and their forced response, the ways between them and
+    (x, v), the blocks at rest, and of which machines there is none.
+
+    With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
+    """
+    N, n = load.shape
+    r = G.shape[1]
+    free = n - r
+    null = _null(G)
+    across = np.ascontiguousarray(null.swapaxes(1, 2))
+    m, c, k = across @ mass @ null, across @ damping @ null, across @ stiffness @ null
+    modes = split(m, c, k)
+    flow = Flow(modes, stacked(np.linalg.inv, m.shape, m), make_blocks(modes.eta, modes.lam))
+    push = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
+    mode, resonant = motion_in(flow, push, omega)
+    a, b = np.zeros((2, N, free, r))
+    if r and free:
+        rigid = modes.rigid > 0  # nothing pulls such a motion back: what is held must not pull at it either
+        safe = np.where(rigid[:, None, None], np.eye(free), k)
+        a = -stacked(np.linalg.solve, a.shape, safe, across @ stiffness @ D)
+        b = -stacked(np.linalg.solve, a.shape, safe, across @ damping @ (D + null @ a))
+        pulls = np.any(np.abs(a) > 1e-12, axis=(1, 2)) | np.any(np.abs(b) > 1e-12, axis=(1, 2))
+        resonant = resonant | (rigid & pulls)
+    gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
+    down = np.zeros((N, 2 * n, 2 * n))
+    q_rows = np.zeros((N, 2 * free, 2 * n))
+    q_rows[:, :free, :n], q_rows[:, :free, n:] = gather - a @ G, -b @ G
+    q_rows[:, free:, n:] = gather - a @ G
+    down[:, : 2 * free] = modes.to_blocks @ q_rows
+    up = np.zeros((N, 2 * n, 2 * n))
+    up[:, :n, : 2 * free] = null @ modes.to_physical[:, :free]
+    up[:, n:, : 2 * free] = null @ modes.to_physical[:, free:]
+    for i in range(r):
+        down[:, 2 * free + 2 * i, :n] = down[:, 2 * free + 2 * i + 1, n:] = G[:, i]
+        carried = D[:, :, i] + (null @ a[:, :, i, None])[..., 0]
+        up[:, :n, 2 * free + 2 * i] = up[:, n:, 2 * free + 2 * i + 1] = carried
+        up[:, :n, 2 * free + 2 * i + 1] = (null @ b[:, :, i, None])[..., 0]
+    still = make_blocks(np.zeros((N, r)), np.zeros((N, r)))
+    still[..., COLUMN.metric] = omega[:, None] ** 2
+    blocks = np.concatenate([mode.blocks, still], axis=1)
+    forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
+    rest = np.concatenate([push.rest.reshape(N, 2 * free), np.zeros((N, 2 * r))], axis=1)
+    wrong = resonant | modes.unstable | modes.inseparable | ~np.isfinite(down).all(axis=(1, 2))
+    return (blocks, forced), down, up, rest, wrong | ~np.isfinite(up).all(axis=(1, 2))
+
+
+def _null(G: Array) -> Array:
+    """Orthonormal bases (N, n, n - r) of what rows (N, r, n) send to zero."""
+    if not G.shape[1]:
+        return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)
+    return np.ascontiguousarray(
+        np.linalg.qr(np.ascontiguousarray(G.swapaxes(1, 2)), mode="complete")[0][:, :, G.shape[1] :]
+    )
+
+
+class Elements(NamedTuple):
+    """Contacts and friction of N machines as the kernels need them: fields of HybridMachines, and besides
+
+    kick (N, C, n) M^-1 g / (g M^-1 g) of each contact's row g, brake (N, F, n) likewise of each friction's row;
+    even (N, F): 1 where static = kinetic in all phases.
+    """
+
+    row: Array
+    kick: Array
+    stops: Array
+    R: Array
+    soft: Array
+    slide: Array
+    brake: Array
+    belt: Array
+    even: Array
+    starts: Array
+
+
+def elements_of(machines: HybridMachines) -> Elements:
+    """The elements of machines."""
+    inverse_mass = np.linalg.inv(machines.mass)
+
+    def along(rows: Array) -> Array:
+        pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
+        return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
+
+    even = np.all(machines.rub[..., 0] == machines.rub[..., 1], axis=1).astype(np.float64)
+    return Elements(
+        machines.row, along(machines.row), machines.stops, machines.R, machines.soft,
+        machines.slide, along(machines.slide), machines.belt, even, machines.starts,
+    )  # fmt: skip
+
+
+class Table(NamedTuple):
+    """The modes of N machines that are built so far, at most K of each.
+
+    codes (N, K): the number of each, see Code, -1 where there is none yet; wrong (N, K): 1 where it is no mode; missing
+    (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau is that at a
+    section, see free.phase_of.
+    """
+
+    codes: NDArray[np.int64]
+    wrong: NDArray[np.int64]
+    missing: NDArray[np.int64]
+    pieces: Pieces
+    elements: Elements
+    omega: Array
+    tau: Array
+
+
+class Hybrid(NamedTuple):
+    """Many machines whose law changes, in the place of an Oscillator of many.
+
+    States between periods are in blocks of the undamped modes of the first phase with all contacts open, no force and
+    no load, whatever the mode: gap has these blocks, with the damping that each mode feels, and no guard. The contact
+    of a motion is the number of its mode, FIRST_NUMBER added.
+    """
+
+    gap: Mode
+    swing: Array
+    rest: Array
+    to_physical: Array
+    to_blocks: Array
+    gap_row: Array
+    head: Array
+    tau: Any
+    machines: HybridMachines
+    table: Table
+
+    def __getattr__(self, name: str) -> Any:
+        """One of the numbers of ``head``, see oscillator.Head, by its name."""
+        return named_in_head(self.head, name)
+
+
+class HybridCell(NamedTuple):
+    """One machine of a Hybrid, as kernels see it."""
+
+    gap: Mode
+    swing: Array
+    rest: Array
+    to_physical: Array
+    to_blocks: Array
+    gap_row: Array
+    head: Array
+    tau: Any
+    table: Table
+
+
+FIRST_NUMBER = 4
+"""Added to numbers of modes in contacts of motions, above all contacts of motions without modes."""
+
+ROOM = 24
+"""Modes that there is room for in the table of a machine, at most."""
+
+
+@np.errstate(all="ignore")
+def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
+    """Machines as the kernels run them, without a mode yet, and the reason against each, or NO_REASON."""
+    (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
+    mass, stiffness = machines.mass, machines.stiffness[:, 0]
+    lam, modes = undamped_modes(mass, stiffness)
+    lam = np.where(np.abs(lam) <= RIGID * np.max(np.abs(lam), axis=1, initial=0.0)[:, None], 0.0, np.abs(lam))
+    turned = np.ascontiguousarray(modes.swapaxes(1, 2))
+    eta = 0.5 * np.maximum(np.diagonal(turned @ machines.damping[:, 0] @ modes, axis1=1, axis2=2), 0.0)
+    blocks = make_blocks(eta, lam)
+    metric = np.where(lam == 0.0, machines.omega[:, None] ** 2, lam)
+    blocks[..., COLUMN.metric] = metric
+    to_blocks = interleaved(turned @ mass)
+    to_physical = np.ascontiguousarray(interleaved(turned).swapaxes(1, 2))
+    still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
+    size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
+    swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
+    none, endless = np.zeros(N), np.full(N, np.inf)
+    head = Head(
+        top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
+        time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), upper=endless, lower=-endless, symmetric=none,
+        gap_mass=np.full(N, np.nan), trace=np.full(N, np.nan),
+    )  # fmt: skip
+    numbers = np.zeros((N, len(NUMBER)))
+    numbers[:, NUMBER.omega] = machines.omega
+    sides = np.isfinite(machines.stops[0]).sum(axis=1) * np.where(machines.by_force[0] > 0.0, 2, 1)
+    room = min(ROOM, P * 3**F * int(np.prod(1 + sides)))
+    table = Table(
+        np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
+        Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
+        elements_of(machines), machines.omega, phase_of(machines.tau),
+    )  # fmt: skip
+    found = Hybrid(
+        gap=Mode(blocks, metric, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
+        swing=np.where(np.isfinite(swing) & ~wrong[:, None, None], swing, 0.0), rest=np.zeros((N, n, 2)),
+        to_physical=to_physical, to_blocks=to_blocks, gap_row=np.zeros((N, n)), head=np.stack(head, axis=-1),
+        tau=table.tau, machines=machines, table=table,
+    )  # fmt: skip
+    known = finite((to_blocks, to_physical, blocks, swing * 0.0, *table.elements._replace(stops=none)))
+    return found, np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+
+
+def build_missing(oscillators: Any, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Build the mode that each of these machines is missing; which of them had one missing and have it now.
+
+    Those whose table is full keep it missing.
+    """
+    table, machines = oscillators.table, oscillators.machines
+    number, used = table.missing[rows, 0], np.sum(table.codes[rows] >= 0, axis=1)
+    rows, number, used = (field[(number >= 0) & (used < table.codes.shape[1])] for field in (rows, number, used))
+    for each in np.unique(number).tolist():
+        some, place = rows[number == each], used[number == each]
+        made, wrong = pieces_of(taken(machines, some), code_of(each, *machines.sizes[1:]))
+        table.codes[some, place], table.wrong[some, place], table.missing[some, 0] = each, wrong, -1
+        for field, new in zip(table.pieces, made, strict=True):
+            field[some, place] = new
+    return rows
