@@ -94,7 +94,11 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     if not len(rows):
         return
     oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
-    defect = _defect(oscillators, np.sum(orbits.exponents, axis=1), tally, impact_count(tally) / orbits.period)
+    total = np.sum(orbits.exponents, axis=1)
+    if isinstance(oscillators, Hybrid):
+        defect = np.where(tally[:, motion.LOST] == 0.0, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
+    else:
+        defect = _defect(oscillators, total, tally, impact_count(tally) / orbits.period)
     chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
     error = np.fmax(np.maximum(orbits.error, chatter), np.abs(defect))
     orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))

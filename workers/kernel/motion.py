@@ -18,11 +18,12 @@ FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 
 (
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
-    EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, TALLIES,
-) = range(14)  # fmt: skip
+    EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, CONTRACTION, TALLIES,
+) = range(15)  # fmt: skip
 """What is counted on the way: impacts per stop, slowest and fastest impact, the sum of their speeds, what they take off
 the square of y', time at rest; evaluations, evaluations still allowed, directions lost, spread of the frame since it
-was last orthonormal, impacts recorded, status. An impact that completes a chatter to rest is the fastest and takes
+was last orthonormal, impacts recorded, status; of machines with modes the log of how volume has changed, where no
+direction is lost. An impact that completes a chatter to rest is the fastest and takes
 speed off like any other, but is neither counted at its stop nor summed: their number is infinite."""
 
 NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
@@ -112,10 +113,11 @@ def hybrid_of(oscillators, r):
     p, e = t.pieces, t.elements
     pieces = Pieces(
         p.blocks[r], p.metric[r], p.waves[r], p.numbers[r], p.forced[r], p.rows[r], p.direct[r], p.offset[r], p.ends[r],
-        p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r],
+        p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r], p.trace[r],
     )  # fmt: skip
     elements = Elements(
-        e.row[r], e.kick[r], e.stops[r], e.R[r], e.soft[r], e.slide[r], e.brake[r], e.belt[r], e.even[r], e.starts[r],
+        e.row[r], e.kick[r], e.stops[r], e.R[r], e.soft[r], e.slide[r], e.brake[r], e.belt[r], e.even[r],
+        e.along[r], e.starts[r],
     )  # fmt: skip
     return borrowed(HybridCell(
         mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],

@@ -31,6 +31,9 @@ a soft one that can only push and does not."""
 CONTACT_DIGIT, SLIP_DIGIT = 5, 3
 """Bases of the digits of contacts and of slips in the number of a mode."""
 
+PARALLEL = 1e-12
+"""Share of a row by which another may be no multiple of it, and count as one."""
+
 SIGNALS = 2
 """Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
 
@@ -120,7 +123,7 @@ class Pieces(NamedTuple):
     to_blocks    (N, 2n, 2n)           blocks of (x, v), from ``rest`` on; to_physical the way back
     rest         (N, 2n)               blocks at rest, the forced response taken off
     acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
-    lost         (N,)                  dimensions that the flow does not have
+    lost, trace  (N,)                  dimensions that the flow does not have; trace of M^-1 C, as it contracts volume
     """
 
     blocks: Array
@@ -138,6 +141,7 @@ class Pieces(NamedTuple):
     acceleration: Array
     drive: Array
     lost: Array
+    trace: Array
 
 
 @np.errstate(all="ignore")
@@ -162,7 +166,8 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
             stiffness += k[:, None, None] * square
             damping += d[:, None, None] * square
             load += (k * stop - state * preload)[:, None] * row
-    stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0]
+    resting = _resting(machines, code)
+    stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     for f, sign in enumerate(code.slips):
         if sign != 0:
             row, (kinetic, _, slope) = machines.slide[:, f], machines.rub[:, p, f].T
@@ -197,9 +202,25 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     found = Pieces(
         blocks, metric, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, rest, acceleration,
         np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
-        np.full(N, float(2 * len(held) + len(stuck))),
+        np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
     return Pieces(*map(np.ascontiguousarray, found)), wrong
+
+
+def _resting(machines: HybridMachines, code: Code) -> dict[int, int]:
+    """Frictions that stick on the row of a rigid contact that is held, each with that contact."""
+    held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[0, c]]
+    stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
+    along = _along(machines)
+    return {f: c for f in stuck for c in held if np.all(along[:, f, c] != 0.0)}
+
+
+def _along(machines: HybridMachines) -> Array:
+    """(N, F, C): the factor a where the row of a friction is a times that of a contact to rounding, else 0."""
+    slide, row = machines.slide[:, :, None], machines.row[:, None]
+    share = np.vecdot(slide, row) / np.vecdot(row, row)
+    apart = np.max(np.abs(slide - share[..., None] * row), axis=-1)
+    return np.where(apart <= PARALLEL * np.max(np.abs(slide), axis=-1), share, 0.0)
 
 
 def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:
@@ -219,7 +240,7 @@ def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: A
     n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of one are those of the flow
     rows, direct, ends = np.zeros((N, count, 2 * n + 1)), np.zeros((N, count, H, 2)), np.empty((N, count, 2))
     ends[:, :, 0], ends[:, :, 1] = -np.inf, np.inf
-    forces = iter(range(multipliers.shape[1]))
+    forces, resting, along = iter(range(multipliers.shape[1])), _resting(machines, code), _along(machines)
 
     def hold(k: int) -> None:
         i = next(forces)
@@ -230,8 +251,9 @@ def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: A
         k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
         inner, outer = (0, 1) if side > 0 else (1, 0)
         if abs(state) == ON and not machines.soft[0, c]:
-            hold(k)
-            ends[:, k, outer] = 0.0
+            hold(k)  # what presses, or pulls no more than friction that holds there too
+            helping = [machines.rub[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c]
+            ends[:, k, outer] = side * sum(helping, np.zeros(N))
             continue
         rows[:, k, :n] = row
         if state == OPEN:
@@ -246,6 +268,8 @@ def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: A
             ends[:, k + 1, 0 if abs(state) == ON else 1] = 0.0
     for f, sign in enumerate(code.slips):
         k = SIGNALS * C + f
+        if f in resting:
+            continue
         if sign == 0:
             hold(k)
             static = machines.rub[:, p, f, 1]
@@ -318,7 +342,8 @@ class Elements(NamedTuple):
     """Contacts and friction of N machines as the kernels need them: fields of HybridMachines, and besides
 
     kick (N, C, n) M^-1 g / (g M^-1 g) of each contact's row g, brake (N, F, n) likewise of each friction's row;
-    even (N, F): 1 where static = kinetic in all phases.
+    even (N, F): 1 where static = kinetic in all phases; along (N, F, C): the factor a where a friction's row is a times
+    a contact's, else 0.
     """
 
     row: Array
@@ -330,6 +355,7 @@ class Elements(NamedTuple):
     brake: Array
     belt: Array
     even: Array
+    along: Array
     starts: Array
 
 
@@ -344,7 +370,7 @@ def elements_of(machines: HybridMachines) -> Elements:
     even = np.all(machines.rub[..., 0] == machines.rub[..., 1], axis=1).astype(np.float64)
     return Elements(
         machines.row, along(machines.row), machines.stops, machines.R, machines.soft,
-        machines.slide, along(machines.slide), machines.belt, even, machines.starts,
+        machines.slide, along(machines.slide), machines.belt, even, _along(machines), machines.starts,
     )  # fmt: skip
 
 

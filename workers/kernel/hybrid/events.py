@@ -76,27 +76,39 @@ def follow_one(pieces, elements, k, states, slips, z, phase, begun):
             states[c] = (DETACHED if abs(states[c]) == ON else ON) * np.sign(states[c])
             return True
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            begun[g] = 2 * states[c]
-            states[c] = OPEN
+            release(elements, g, c, states, slips, begun)
             return True
     return False
+
+
+@kernel
+def release(elements, g, c, states, slips, begun):
+    """A rigid stop lets go. Friction that held the mass there too slides: what pulls jumps then, unless it is even."""
+    side, order = states[c], 3
+    for e in range(len(slips)):
+        if slips[e] == 0 and elements.along[e, c] != 0.0:
+            slips[e] = -np.int64(np.sign(side * elements.along[e, c]))
+            begun[SIGNALS * len(states) + e] = -slips[e] * (2 if elements.even[e] > 0.0 else 1)
+            order = 3 if elements.even[e] > 0.0 else 2
+    states[c] = OPEN
+    begun[g] = side * order
 
 
 @kernel
 def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begun):
     """Friction e begins to slip, or slides no more: then it sticks where it can, else it slides the other way.
 
-    The number of a mode that has to be built first to know, else -1.
+    Where the mode is in which it sticks and its number, as of mode_of: that has to be built to know.
     """
     elements = table.elements
     if slips[e] == 0:
         slips[e] = -side
         begun[g] = side * (2 if elements.even[e] > 0.0 else 1)  # with static = kinetic the force is continuous
-        return np.int64(-1)
+        return np.int64(0), np.int64(0)
     slips[e] = 0
     k, number = mode_of(table, states, slips, where)
     if k < 0:
-        return number
+        return k, number
     n, row, brake = len(z) // 2, elements.slide[e], elements.brake[e]
     force, _ = guard_value(table.pieces, k, g, z, phase)
     if abs(force) <= table.pieces.ends[k, g, 1]:
@@ -107,7 +119,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begu
     else:
         slips[e] = -1 if force > 0.0 else 1
         begun[g] = -slips[e]
-    return np.int64(-1)
+    return k, number
 
 
 @kernel
@@ -134,6 +146,9 @@ def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slo
     for i in range(n):
         scale += abs(row[i] * z[i])
     M3 = derivative_bounds(table.pieces.blocks[k, g], table.pieces.numbers[k, g], h)[2]
+    for e in range(len(slips)):
+        if product(elements.slide[e], kick, 0) != 0.0:
+            M3 = np.inf  # friction turns at each hop: chatter is followed until its hops are below rounding
     cA2k = damping_along(table.pieces.acceleration[k], row, kick)
     load = load_at_rest(side, rate, product(row, f, n), cA2k)
     following = impact_outcome(load, rate, R, cA2k, scale, remaining, M3)
@@ -155,6 +170,8 @@ def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slo
         if product(elements.slide[e], kick, 0) != 0.0 and sliding != 0.0:
             slips[e] = np.sign(sliding)
             begun[SIGNALS * len(states) + e] = 0
+        if following == REST and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
+            slips[e] = 0
     return following
 
 

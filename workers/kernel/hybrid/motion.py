@@ -13,6 +13,7 @@ from workers.kernel.hybrid.events import (
     follow_jumps,
     friction_event,
     impact,
+    release,
     soft_event,
     strikes_while_held,
 )
@@ -22,11 +23,14 @@ from workers.kernel.hybrid.state import (
     guard_rate,
     into_vectors,
     leave,
+    product,
     read_number,
+    reset,
     right_hand_side,
 )
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import (
+    CONTRACTION,
     ENDLESS_EVENTS,
     LOST,
     LOWER,
@@ -45,7 +49,7 @@ from workers.kernel.motion import (
     spend,
 )
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spread_rate
-from workers.model.hybrid import FIRST_NUMBER, OPEN, SIGNALS
+from workers.model.hybrid import FIRST_NUMBER, ON, OPEN, SIGNALS
 from workers.model.oscillator import Mode
 
 
@@ -99,6 +103,20 @@ def count_hit(tally, side, speed):
     tally[SPEEDS] += speed
 
 
+@inline_always
+def keep_held(elements, states, slips, z):
+    """Take off what rounding has moved of what a stop holds or of what sticks."""
+    n = len(z) // 2
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            row, kick, stop = elements.row[c], elements.kick[c], elements.stops[c, 1 if states[c] > 0 else 0]
+            reset(z, 0, row, kick, stop, 1.0)
+            reset(z, n, row, kick, 0.0, 1.0)
+    for e in range(len(slips)):
+        if slips[e] == 0:
+            reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
+
+
 @kernel
 def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
@@ -117,6 +135,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
     t, phase, period = 0.0, table.tau, 2.0 * math.pi / table.omega
     read_number(code[0], states, slips)
     where = 0  # a section is where the first phase begins
+    keep_held(elements, states, slips, z)
     k, number = follow_jumps(table, states, slips, where, z, phase, begun)
     while True:
         if k < 0:
@@ -130,6 +149,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
         if tally[STATUS] != RUNNING:
             return
         fly(pieces, k, s, h, V, growth, triangle, tally)
+        tally[CONTRACTION] -= pieces.trace[k] * s
         tally[STUCK] += s if pieces.lost[k] > 0.0 else 0.0
         if s > 0.0:
             begun[:] = 0
@@ -155,17 +175,15 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
             tally[RECORDED] += 1.0
         c = hit // SIGNALS
         if c >= C:
-            wanted = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
-            if wanted >= 0:
-                stop_at(table, tally, MISSING, wanted)
-                return
+            k, number = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
+            if k < 0:
+                continue
         elif elements.soft[c] > 0.0:
             if states[c] == OPEN:
                 count_hit(tally, side, abs(rate))
             soft_event(hit, c, side, states, begun)
         elif states[c] != OPEN:
-            begun[hit] = 3 * states[c]
-            states[c] = OPEN
+            release(elements, hit, c, states, slips, begun)
         elif strikes_while_held(elements, c, states):
             tally[STATUS] = SIMULTANEOUS
             return
@@ -176,12 +194,18 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
                 tally[MIN_SPEED] = 0.0
             else:
                 count_hit(tally, side, abs(rate))
+                tally[CONTRACTION] += 2.0 * math.log(elements.R[c])
+        row = pieces.rows[k, hit]
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
-        if k >= 0:
-            right_hand_side(pieces, k, z, phase, after)
+        if k < 0:
+            continue
+        right_hand_side(pieces, k, z, phase, after)
+        for i in range(2 * n):
+            after[i] -= f[i]
             for e in range(m):
-                for i in range(2 * n):
-                    W[e, i] += (after[i] - f[i]) * slopes[e]
+                W[e, i] += after[i] * slopes[e]
+        if c >= C or elements.soft[c] > 0.0:  # det S = 1 + r.(f+ - f-) / r'
+            tally[CONTRACTION] += math.log(abs(1.0 + product(row, after, 0) / rate))
 
 
 @kernel
