@@ -165,10 +165,9 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
             continue
         right_hand_side(pieces, k, z, phase, f)
         rate = side * max(side * guard_rate(pieces, k, hit, f, table.omega, phase), TINY)
+        row = pieces.rows[k, hit, : 2 * n]
         for e in range(m):
-            slopes[e] = 0.0
-            for i in range(2 * n):
-                slopes[e] += pieces.rows[k, hit, i] * W[e, i] / rate
+            slopes[e] = product(row, W[e], 0) / rate
         place = int(tally[RECORDED])
         if place < events.shape[0]:
             events[place, 0], events[place, 1], events[place, 2] = t, side * (1.0 + hit), rate
@@ -195,7 +194,6 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
             else:
                 count_hit(tally, side, abs(rate))
                 tally[CONTRACTION] += 2.0 * math.log(elements.R[c])
-        row = pieces.rows[k, hit]
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:
             continue
