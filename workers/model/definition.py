@@ -1,8 +1,9 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
+import dataclasses
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,8 @@ from workers.model.parameter import OMEGA, TAU
 
 Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
+MATRICES = ("mass", "damping", "stiffness")
+OF_FORCE = ("force_sin", "force_cos")
 NO_STOP = {"upper": math.inf, "lower": -math.inf}
 
 
@@ -50,33 +53,44 @@ class Definition:
     lower: Expression | None
     let: tuple[tuple[str, Expression], ...]
 
-    @np.errstate(all="ignore")
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
+        return Machines(**self.fields(values, Machines._fields))
+
+    @np.errstate(all="ignore")
+    def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
+        """These fields of the machines of many values (N,) of each parameter, by name."""
         if values[OMEGA].size == 1:
             # Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
-            pair = self.machines({name: np.repeat(value, 2) for name, value in values.items()})
-            return Machines(*(field[:1] for field in pair))
+            pair = self.fields({name: value.repeat(2) for name, value in values.items()}, wanted)
+            return {name: field[:1] for name, field in pair.items()}
         named = dict(values)
         for name, expression in self.let:
             named[name] = expression(named)
-        count = named[OMEGA].size
-        force_sin, force_cos = self._force(named)
-        machines = Machines(
-            mass=symmetrised(_evaluated(self.mass, named)),
-            damping=symmetrised(_evaluated(self.damping, named)),
-            stiffness=symmetrised(_evaluated(self.stiffness, named)),
-            gap_row=_evaluated(self.gap, named),
-            force_sin=force_sin,
-            force_cos=force_cos,
-            load=_evaluated(self.load, named),
-            omega=named[OMEGA],
-            tau=named[TAU],
-            upper=np.full(count, NO_STOP["upper"]) if self.upper is None else self.upper(named),
-            lower=np.full(count, NO_STOP["lower"]) if self.lower is None else self.lower(named),
-            R=self.restitution(named),
-        )
-        return Machines(*map(np.ascontiguousarray, machines))
+        found = {name: evaluated(entries, named) for name, entries in self._entries.items() if name in wanted}
+        found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
+        if not set(OF_FORCE).isdisjoint(wanted):
+            found |= zip(OF_FORCE, self._force(named), strict=True)
+        return {name: np.ascontiguousarray(field) for name, field in found.items()}
+
+    def depending(self, names: Collection[str]) -> frozenset[str]:
+        """The fields of machines that depend on parameters of these names."""
+        changing = set(names)
+        for name, expression in self.let:
+            if not expression.names.isdisjoint(changing):
+                changing.add(name)
+        entries = self._entries | dict.fromkeys(OF_FORCE, tuple((each.force, each.phase) for each in self.harmonics))
+        return frozenset(field for field, of in entries.items() if not _names(of).isdisjoint(changing))
+
+    @property
+    def _entries(self) -> dict[str, Any]:
+        """The expressions, or numbers, that each field of machines but those of the force is made of."""
+        stops = {"upper": self.upper, "lower": self.lower}
+        return {
+            **{name: getattr(self, name) for name in (*MATRICES, "load")},
+            **{name: NO_STOP[name] if stop is None else stop for name, stop in stops.items()},
+            "gap_row": self.gap, "omega": Expression(OMEGA), "tau": Expression(TAU), "R": self.restitution,
+        }  # fmt: skip
 
     def _force(self, named: Mapping[str, Array]) -> tuple[Array, Array]:
         """The force (N, H, n) as amplitudes of the sines and of the cosines."""
@@ -84,13 +98,13 @@ class Definition:
         force_sin = np.zeros((count, max(each.order for each in self.harmonics), n))
         force_cos = np.zeros_like(force_sin)
         for order, force, phase in self.harmonics:
-            size, angle = _evaluated(force, named), _evaluated(phase, named)
+            size, angle = evaluated(force, named), evaluated(phase, named)
             force_sin[:, order - 1], force_cos[:, order - 1] = size * np.cos(angle), size * np.sin(angle) + 0.0
         return force_sin, force_cos
 
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
-        found = {field.name: _written(getattr(self, field.name)) for field in fields(self)}
+        found = {field.name: _written(getattr(self, field.name)) for field in dataclasses.fields(self)}
         found["let"] = {name: _written(each) for name, each in self.let}
         return {key: entry for key, entry in found.items() if entry not in (None, {})}
 
@@ -109,13 +123,22 @@ def symmetrised(matrices: Array) -> Array:
     return np.where(near & (matrices != other), 0.5 * matrices + 0.5 * other, matrices)
 
 
-def _evaluated(entries: Row | Matrix, named: Mapping[str, Array]) -> Array:
-    """A row (N, n) or a matrix (N, n, n) of expressions."""
+def evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
+    """An expression (N,), a row (N, n) or a matrix (N, n, n) of them; a number stands for itself."""
+    if isinstance(entries, Expression):
+        return entries(named)
     grid = np.array(entries, dtype=object)
     found = np.empty((named[OMEGA].size, *grid.shape))
     for index, entry in np.ndenumerate(grid):
-        found[:, *index] = entry(named) if entry.constant is None else entry.constant
+        found[:, *index] = entry(named) if isinstance(entry, Expression) else entry
     return found
+
+
+def _names(entries: Any) -> set[str]:
+    """The names that these expressions use."""
+    if isinstance(entries, tuple):
+        return set().union(*map(_names, entries))
+    return entries.names if isinstance(entries, Expression) else set()
 
 
 def _written(entries: Any) -> Any:

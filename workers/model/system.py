@@ -1,6 +1,6 @@
 """The systems that can be solved: those in the package, and what a user defines in the same form."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -105,12 +105,18 @@ class System:
         oscillators, reasons = build(machines)
         return oscillators, self.refused(machines, values, reasons)
 
-    def refused(self, machines: Machines, values: Mapping[str, Any], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
-        """These reasons (N,) against machines of values, (N,) or one for all, but where the numbers alone tell one."""
-        wrong = faults(machines)
+    def refused(
+        self,
+        machines: Machines,
+        values: Mapping[str, Array],
+        reasons: NDArray[np.int8],
+        fields: Collection[str] = Machines._fields,
+    ) -> NDArray[np.int8]:
+        """These reasons (N,) against machines, but where the numbers of these fields or values (N,) alone tell one."""
+        wrong = faults(machines, fields)
         reasons = np.where(wrong != NO_REASON, wrong, reasons)
-        for parameter in self.parameters:
-            reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
+        for name, value in values.items():
+            reasons[~self.parameter(name).admits(value)] = OUT_OF_RANGE
         return reasons
 
     def parameter(self, name: str) -> Parameter:
