@@ -9,7 +9,8 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.definition import MATRICES, NO_STOP
+from workers.model.definition import MATRICES
+from workers.model.elements import NO_STOP
 from workers.model.free import (
     AtRest,
     Frame,
