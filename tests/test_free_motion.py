@@ -66,3 +66,20 @@ def test_a_dashpot_along_the_gap_leaves_what_moves_on_a_stop_undamped() -> None:
         )  # fmt: skip
         assert reasons[0] == NO_REASON
         assert built.held.mode.blocks[0, 0, COLUMN.eta] == 0.0
+
+
+def test_a_machine_depends_on_parameters_through_names_too() -> None:
+    two_mass = find_system("two-mass").definition
+    assert two_mass.depending(("omega", "b")) == {"omega", "upper", "lower"}
+    assert two_mass.depending(("f2", "x1")) == {"force_sin", "force_cos"}
+    through = {"name": "named", "let": {"c": "2 * zeta", "d": "1 + c"}, "load": [0.0, "d"]}
+    named = System.from_mapping(find_system("two-mass").table() | through).definition
+    assert named.depending(("zeta",)) == {"damping", "load"}
+
+
+def test_rows_after_some_that_make_no_machine_are_as_before() -> None:
+    system = find_system("two-mass")
+    good, bad = np.array([[2.0, 0.3], [3.0, 0.2]]), np.array([[2.0, -0.3], [np.nan, 0.2]])
+    motions = FreeMotions(system, {}, ("omega", "b"))
+    told = [motions(rows)[1].tolist() for rows in (bad, good, bad, good)]
+    assert told == [[OUT_OF_RANGE, OUT_OF_RANGE], [NO_REASON, NO_REASON]] * 2

@@ -30,7 +30,7 @@ from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.store.tally import GROUP as TALLY
 from tests.test_systems import table
 from workers import Settings, System
-from workers.model.reading import DefinitionError
+from workers.model.entries import DefinitionError
 from workers.model.system import packaged_system, system_names
 from workers.results import result_variables
 

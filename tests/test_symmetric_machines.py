@@ -12,8 +12,8 @@ from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import STUCK
 from workers.kernel.period import mirror, propagate
 from workers.model.build import build
+from workers.model.entries import DefinitionError
 from workers.model.oscillator import Machines, Oscillator, one_of
-from workers.model.reading import DefinitionError
 from workers.results import NO_OSCILLATOR, NO_REASON
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from workers import System
+from workers.model.entries import DefinitionError
 from workers.model.oscillator import Machines
-from workers.model.reading import DefinitionError
 from workers.model.soundness import check_at_defaults
 from workers.model.system import find_system, identity, system_names
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE

@@ -97,7 +97,7 @@ def gap_label(ds: xr.Dataset) -> str:
 
 def gap_label_of(system: System) -> str:
     """The same, of a system."""
-    entries = [entry.constant for entry in system.definition.gap]
+    entries = [entry.constant for entry in system.definition.stop.gap]
     states = [system.parameter(name) for name in system.definition.coordinates]
     (unit, *others) = {each.unit for each, entry in zip(states, entries, strict=True) if entry != 0.0}
     ending = " at $t = kT$" + ("" if others else f" [{style.unit_text(unit)}]")

@@ -27,15 +27,16 @@ def equation_of(system: System) -> str:
         ]
         right = [(machine.load[i], ""), *((each.force[i], _sine(each, i)) for each in machine.harmonics)]
         lines.append(f"{_sum(left)} = {_sum(right)}")
-    gap = _sum(zip(machine.gap, machine.coordinates, strict=True))
+    stop = machine.stop
+    gap = _sum(zip(stop.gap, machine.coordinates, strict=True))
     name = gap if gap in machine.coordinates else "gap"
-    if machine.lower is None and machine.upper is None:
+    if not stop.stops or stop.restitution is None:
         return "\n".join([*lines, "no stop"])
     if name != gap:
         lines.append(f"gap = {gap}")
-    ends = [name if each is None else _number(each) for each in (machine.lower, machine.upper)]
+    ends = [name if each is None else _number(each) for each in (stop.lower, stop.upper)]
     lines.append(" <= ".join([ends[0], name, ends[1]] if name not in ends else ends))
-    lines.append(f"at a stop {name}' -> -{_factor(machine.restitution)} * {name}'")
+    lines.append(f"at a stop {name}' -> -{_factor(stop.restitution)} * {name}'")
     return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
 
 

@@ -4,10 +4,13 @@ What one oscillator is made of does not depend on the others, to the bit.
 """
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.model.definition import MATRICES
+from workers.model.elements import NO_STOP
 from workers.model.free import (
     AtRest,
     Frame,
@@ -81,17 +84,19 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     return each(oscillators, np.ascontiguousarray), reasons
 
 
-def faults(machines: Machines) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as its numbers alone tell.
+def faults(machines: Machines, fields: Collection[str] = Machines._fields) -> NDArray[np.int8]:
+    """The reason against each of N machines, or NO_REASON, as far as the numbers of these fields alone tell.
 
     Matrices have to be symmetric to rounding, the lower stop below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    for matrix in (machines.mass, machines.damping, machines.stiffness):
+    for matrix in (getattr(machines, name) for name in MATRICES if name in fields):
         reasons[np.any(matrix != matrix.swapaxes(1, 2), axis=(1, 2))] = NO_OSCILLATOR
-    reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
+    if not {"upper", "lower", "R"}.isdisjoint(fields):
+        reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
     stops = np.isnan(machines.upper) | np.isnan(machines.lower)  # which may be infinitely far away
-    reasons[stops | ~finite(machines._replace(upper=machines.R, lower=machines.R))] = OUT_OF_DOUBLES
+    others = [getattr(machines, name) for name in fields if name not in NO_STOP]
+    reasons[stops | ~finite(others)] = OUT_OF_DOUBLES
     return reasons
 
 

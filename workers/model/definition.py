@@ -1,20 +1,21 @@
 """What a system's motion is made of, as expressions of its parameters, and the machines that values make of them."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+import dataclasses
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.model.expression import Expression
+from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, pad, rub, stops
+from workers.model.expression import Expression, Matrix, Row, evaluated
 from workers.model.free import ULPS
+from workers.model.hybrid_machines import HybridMachines
 from workers.model.oscillator import Array, Machines
 from workers.model.parameter import OMEGA, TAU
 
-Row = tuple[Expression, ...]
-Matrix = tuple[Row, ...]
-NO_STOP = {"upper": math.inf, "lower": -math.inf}
+MATRICES = ("mass", "damping", "stiffness")
+OF_FORCE = ("force_sin", "force_cos")
 
 
 class Harmonic(NamedTuple):
@@ -27,14 +28,13 @@ class Harmonic(NamedTuple):
 
 @dataclass(frozen=True)
 class Definition:
-    """A linear oscillator with stops on one output, every entry an expression of parameters:
+    """A linear oscillator with contacts and friction, every entry an expression of parameters:
 
-        M x'' + C x' + K x = load + sum over harmonics of force sin(order (omega t + tau) + phase)
-        lower <= y <= upper,  y = gap . x;  at a stop y' -> -R y'
+        M x'' + C x' + K x = load + sum over harmonics of force sin(order (omega t + tau) + phase) + contacts + friction
 
-    ``let`` are names for expressions that others may use, each after those it uses itself. A stop that is None does
-    not exist; so does one at an infinite position. Tables have the order of these fields, which digests of curves
-    depend on.
+    ``let`` are names for expressions that others may use, each after those it uses itself. ``phases`` are parts of the
+    forcing period in which entries differ, ``drift`` is a coordinate that may drift. Tables have the order of these
+    fields, which digests of curves depend on.
     """
 
     coordinates: tuple[str, ...]
@@ -44,55 +44,128 @@ class Definition:
     stiffness: Matrix
     harmonics: tuple[Harmonic, ...]
     load: Row
-    gap: Row
-    restitution: Expression
-    upper: Expression | None
-    lower: Expression | None
+    contacts: tuple[Contact, ...]
     let: tuple[tuple[str, Expression], ...]
+    friction: tuple[Friction, ...] = ()
+    phases: tuple[Phase, ...] = ()
+    drift: str = ""
 
-    @np.errstate(all="ignore")
+    @property
+    def stop(self) -> Contact:
+        """The contact of a definition that has one: what ``machines`` are made of."""
+        (contact,) = self.contacts
+        return contact
+
+    @property
+    def short(self) -> bool:
+        """Whether its contact is written as entries of the machine itself: one, rigid, named STOP."""
+        return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
+
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
-        if values[OMEGA].size == 1:
-            # Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
-            pair = self.machines({name: np.repeat(value, 2) for name, value in values.items()})
-            return Machines(*(field[:1] for field in pair))
-        named = dict(values)
-        for name, expression in self.let:
-            named[name] = expression(named)
-        count = named[OMEGA].size
-        force_sin, force_cos = self._force(named)
-        machines = Machines(
-            mass=symmetrised(_evaluated(self.mass, named)),
-            damping=symmetrised(_evaluated(self.damping, named)),
-            stiffness=symmetrised(_evaluated(self.stiffness, named)),
-            gap_row=_evaluated(self.gap, named),
-            force_sin=force_sin,
-            force_cos=force_cos,
-            load=_evaluated(self.load, named),
+        return Machines(**self.fields(values, Machines._fields))
+
+    @np.errstate(all="ignore")
+    def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
+        """These fields of the machines of many values (N,) of each parameter, by name."""
+        named, count = self._named(values), values[OMEGA].size
+        found = {name: evaluated(entries, named) for name, entries in self._entries.items() if name in wanted}
+        found |= {name: symmetrised(found[name]) for name in MATRICES if name in wanted}
+        if not set(OF_FORCE).isdisjoint(wanted):
+            found |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
+        return {name: np.ascontiguousarray(field[:count]) for name, field in found.items()}
+
+    @np.errstate(all="ignore")
+    def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
+        """The machines of many values (N,) of each parameter with all contacts, friction and phases."""
+        named, count, n = self._named(values), values[OMEGA].size, len(self.coordinates)
+        contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
+        forces = [self._force(named, self._harmonics_in(phase)) for phase in phases]
+
+        def of_phases(key: str) -> list[Array]:
+            return [evaluated(getattr(phase, key) or getattr(self, key), named) for phase in phases]
+
+        def table(entries: list[Any], *shape: int) -> Array:
+            return evaluated(entries, named).reshape(named[OMEGA].size, *shape)
+
+        C, F, P = len(contacts), len(friction), len(phases)
+        found = HybridMachines(
+            mass=symmetrised(evaluated(self.mass, named)),
+            damping=np.stack([symmetrised(each) for each in of_phases("damping")], axis=1),
+            stiffness=np.stack([symmetrised(each) for each in of_phases("stiffness")], axis=1),
+            load=np.stack(of_phases("load"), axis=1),
+            force_sin=np.stack([sines for sines, _ in forces], axis=1),
+            force_cos=np.stack([cosines for _, cosines in forces], axis=1),
             omega=named[OMEGA],
             tau=named[TAU],
-            upper=np.full(count, NO_STOP["upper"]) if self.upper is None else self.upper(named),
-            lower=np.full(count, NO_STOP["lower"]) if self.lower is None else self.lower(named),
-            R=self.restitution(named),
+            starts=table([*(each.start for each in phases), 1.0], P + 1),
+            row=table([each.gap for each in contacts], C, n),
+            stops=table([stops(each) for each in contacts], C, 2),
+            R=table([each.restitution or 1.0 for each in contacts], C),
+            soft=table([float(not each.rigid) for each in contacts], C),
+            by_force=table([float(each.release == "force") for each in contacts], C),
+            pad=table([[pad(each, phase.contacts) for each in contacts] for phase in phases], P, C, 3),
+            slide=table([each.row for each in friction], F, n),
+            belt=table([each.belt for each in friction], F),
+            rub=table([[rub(each, phase.friction) for each in friction] for phase in phases], P, F, 3),
         )
-        return Machines(*map(np.ascontiguousarray, machines))
+        return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in found))
 
-    def _force(self, named: Mapping[str, Array]) -> tuple[Array, Array]:
-        """The force (N, H, n) as amplitudes of the sines and of the cosines."""
+    def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """These values (N,) and those of each name in ``let``; two alike in the place of a lone one.
+
+        Of a lone number numpy computes a power by other means: its last bits would depend on the others' absence.
+        """
+        alone = values[OMEGA].size == 1
+        named = {name: value.repeat(2) if alone else value for name, value in values.items()}
+        for name, expression in self.let:
+            named[name] = expression(named)
+        return named
+
+    def depending(self, names: Collection[str]) -> frozenset[str]:
+        """The fields of machines that depend on parameters of these names."""
+        changing = set(names)
+        for name, expression in self.let:
+            if not expression.names.isdisjoint(changing):
+                changing.add(name)
+        entries = self._entries | dict.fromkeys(OF_FORCE, tuple((each.force, each.phase) for each in self.harmonics))
+        return frozenset(field for field, of in entries.items() if not _names(of).isdisjoint(changing))
+
+    @property
+    def _entries(self) -> dict[str, Any]:
+        """The expressions, or numbers, that each field of machines but those of the force is made of."""
+        lower, upper = stops(self.stop)
+        return {
+            **{name: getattr(self, name) for name in (*MATRICES, "load")},
+            "gap_row": self.stop.gap, "omega": Expression(OMEGA), "tau": Expression(TAU), "upper": upper,
+            "lower": lower, "R": self.stop.restitution,
+        }  # fmt: skip
+
+    def _force(self, named: Mapping[str, Array], harmonics: Iterable[Harmonic]) -> tuple[Array, Array]:
+        """The force (N, H, n) of harmonics as amplitudes of the sines and of the cosines."""
         count, n = named[OMEGA].size, len(self.coordinates)
-        force_sin = np.zeros((count, max(each.order for each in self.harmonics), n))
+        force_sin = np.zeros((count, max((each.order for each in self.harmonics), default=1), n))
         force_cos = np.zeros_like(force_sin)
-        for order, force, phase in self.harmonics:
-            size, angle = _evaluated(force, named), _evaluated(phase, named)
+        for order, force, phase in harmonics:
+            size, angle = evaluated(force, named), evaluated(phase, named)
             force_sin[:, order - 1], force_cos[:, order - 1] = size * np.cos(angle), size * np.sin(angle) + 0.0
         return force_sin, force_cos
 
+    def _harmonics_in(self, phase: Phase) -> tuple[Harmonic, ...]:
+        """The harmonics of the force in a phase: that of order 1 has the phase's amplitude, if it names one."""
+        if phase.force is None:
+            return self.harmonics
+        angles = {each.order: each.phase for each in self.harmonics}
+        first = Harmonic(1, phase.force, angles.get(1, (Expression("0.0"),) * len(self.coordinates)))
+        return (first, *(each for each in self.harmonics if each.order != 1))
+
     def table(self) -> dict[str, Any]:
         """The definition as a TOML file has it, in one spelling of its own: equal definitions make equal tables."""
-        found = {field.name: _written(getattr(self, field.name)) for field in fields(self)}
-        found["let"] = {name: _written(each) for name, each in self.let}
-        return {key: entry for key, entry in found.items() if entry not in (None, {})}
+        found: dict[str, Any] = {}
+        for name, entries in _written(self).items():
+            short = name == "contacts" and self.short
+            found |= {key: entry for key, entry in entries[0].items() if key != "name"} if short else {name: entries}
+        return found
 
 
 def symmetrised(matrices: Array) -> Array:
@@ -109,20 +182,24 @@ def symmetrised(matrices: Array) -> Array:
     return np.where(near & (matrices != other), 0.5 * matrices + 0.5 * other, matrices)
 
 
-def _evaluated(entries: Row | Matrix, named: Mapping[str, Array]) -> Array:
-    """A row (N, n) or a matrix (N, n, n) of expressions."""
-    grid = np.array(entries, dtype=object)
-    found = np.empty((named[OMEGA].size, *grid.shape))
-    for index, entry in np.ndenumerate(grid):
-        found[:, *index] = entry(named) if entry.constant is None else entry.constant
-    return found
+def _names(entries: Any) -> set[str]:
+    """The names that these expressions use."""
+    if isinstance(entries, tuple):
+        return set().union(*map(_names, entries))
+    return entries.names if isinstance(entries, Expression) else set()
 
 
 def _written(entries: Any) -> Any:
+    """Entries as a TOML file has them: records, and pairs of a name and an entry, are tables without what is empty."""
+    if isinstance(entries, Expression):
+        return entries.text if entries.constant is None else entries.constant
     if isinstance(entries, Harmonic):
         return {key: _written(of) for key, of in entries._asdict().items()}
-    if isinstance(entries, tuple):
-        return [_written(entry) for entry in entries]
-    if not isinstance(entries, Expression):
+    if dataclasses.is_dataclass(entries):
+        pairs = ((field.name, _written(getattr(entries, field.name))) for field in dataclasses.fields(entries))
+        return {key: entry for key, entry in pairs if entry not in (None, "", [])}
+    if not isinstance(entries, tuple):
         return entries
-    return entries.text if entries.constant is None else entries.constant
+    if entries and all(isinstance(each, tuple) and isinstance(each[0], str) for each in entries):
+        return {name: _written(of) for name, of in entries}
+    return [_written(entry) for entry in entries]

@@ -79,6 +79,21 @@ class Expression:
         return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 
 
+Row = tuple[Expression, ...]
+Matrix = tuple[Row, ...]
+
+
+def evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
+    """An expression (N,), a row (N, n) or a matrix (N, n, n) of them; a number stands for itself."""
+    if isinstance(entries, Expression):
+        return entries(named)
+    grid = np.array(entries, dtype=object)
+    found = np.empty((named[OMEGA].size, *grid.shape))
+    for index, entry in np.ndenumerate(grid):
+        found[:, *index] = entry(named) if isinstance(entry, Expression) else entry
+    return found
+
+
 def parse(text: str, known: Collection[str]) -> Expression:
     """The expression that a text is, of names that are known; ExpressionError otherwise."""
     if len(text) > LONGEST:

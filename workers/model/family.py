@@ -4,6 +4,7 @@ It is what ``System.build_many`` makes of the same values, to the bit, without t
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,19 @@ from workers.model.oscillator import Array, Machines, Mode
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
-OF_FRAME = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
+OF_FRAME = frozenset(("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load"))
 """The fields of machines that decide their frame and their loading."""
+
+
+class _Kept(NamedTuple):
+    """What N rows of values that make machines have in common with any N others: fixed values, machines, their frame.
+
+    Fields of the machines that free parameters decide are made anew, and the frame with them.
+    """
+
+    fixed: dict[str, Array]
+    machines: Machines
+    frame: Frame
 
 
 class FreeMotions:
@@ -23,7 +35,8 @@ class FreeMotions:
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
-        self._last: dict[int, tuple[bytes, Frame, NDArray[np.bool_]]] = {}
+        self._changing = system.definition.depending(free)
+        self._kept: dict[int, _Kept] = {}
 
     @np.errstate(all="ignore")
     def __call__(self, rows: Array) -> tuple[tuple[Mode, Array, Array, Array, Array], NDArray[np.int8]]:
@@ -32,23 +45,25 @@ class FreeMotions:
         Beside them the reason of each why there is none, or NO_REASON.
         """
         given = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
-        fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
-        machines = self.system.definition.machines(fixed | given)
-        frame, known = self._frame(machines)
+        kept = self._kept.get(len(rows))
+        if kept:
+            values, fields = given, self._changing
+            machines = kept.machines._replace(**self.system.definition.fields(kept.fixed | given, fields))
+            frame = kept.frame if OF_FRAME.isdisjoint(fields) else frame_of(machines)
+        else:
+            fixed = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
+            values, fields = fixed | given, frozenset(Machines._fields)
+            machines = self.system.definition.machines(values)
+            frame = frame_of(machines)
         at_rest = centred(frame, machines)
         gap, against = free_motion(frame, at_rest, machines.omega)
-        known = known & finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
+        known = finite((gap.numbers,)) & ~np.isnan(at_rest.b_upper) & ~np.isnan(at_rest.b_lower)
+        if not OF_FRAME.isdisjoint(fields):
+            known &= finite(frame)
         reasons = np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
         for reason, holds in against.items():
             reasons[holds] = reason
-        motions = gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R
-        return motions, self.system.refused(machines, self.fixed | given, reasons)
-
-    def _frame(self, machines: Machines) -> tuple[Frame, NDArray[np.bool_]]:
-        """Their frames, of as many machines before where these had the same matrices and force; which are finite."""
-        key = b"".join(getattr(machines, name).tobytes() for name in OF_FRAME)
-        count = len(machines.omega)
-        if count not in self._last or self._last[count][0] != key:
-            frame = frame_of(machines)
-            self._last[count] = key, frame, finite(frame)
-        return self._last[count][1:]
+        reasons = self.system.refused(machines, values, reasons, fields)
+        if not kept and np.all(reasons == NO_REASON):
+            self._kept[len(rows)] = _Kept(fixed, machines, frame)
+        return (gap, at_rest.b_upper, at_rest.b_lower, phase_of(machines.tau), machines.R), reasons

@@ -107,7 +107,7 @@ def loading_of(flow: Flow, force: Any, load: Array) -> Loading:
     rigid = modes.lam == 0.0
     l0, l1 = steady[..., 0], steady[..., 1]
     p = l1 + 2.0 * modes.eta * l0
-    at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam))
+    at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam)) + 0.0  # no -0.0
     return Loading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
 
 
@@ -126,7 +126,7 @@ def mode_of(flow: Flow, push: Loading, omega: Array, direct: Any = 0.0) -> tuple
     parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
     waves = np.stack([direct.real + parts[..., 0], direct.imag + parts[..., 1]], axis=-1)
     sizes = np.hypot(waves[..., 0], waves[..., 1])
-    numbers = (omega, *(np.sum(size, axis=1) for size in (sizes, sizes * w**2, sizes * w**3, sizes * w**4)))
+    numbers = (omega, *np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1))
     return Mode(blocks, metric, waves, np.stack(numbers, axis=-1), forced), resonant
 
 
@@ -146,8 +146,8 @@ def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask
     resonant = (push != 0.0) & (size * np.sqrt(square) < 1e-13 * (lam + w**2))
     Z = np.where(push != 0.0, push / (square * unit), 0.0) * (re - 1j * im)
     rate = 1j * w * Z - l0
-    response = np.stack([np.stack([z.real, z.imag], axis=-1) for z in (Z, rate)], axis=-2)  # (N, H, n, 2, 2)
-    return np.ascontiguousarray(np.moveaxis(response, 1, 3)), np.any(resonant, axis=(1, 2))
+    response = np.ascontiguousarray(np.stack([Z, rate], axis=-1).transpose(0, 2, 3, 1))  # (N, n, 2, H)
+    return response.view(np.float64).reshape(*response.shape, 2), np.any(resonant, axis=(1, 2))
 
 
 def against(modes: Modes, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
@@ -176,21 +176,25 @@ def centred(frame: Frame, machines: Machines) -> AtRest:
     A rigid mode's position is counted from between the stops, or from the only one.
     """
     upper, lower, modes, push = machines.upper, machines.lower, frame.flow.modes, frame.push
-    rigid, even = modes.lam == 0.0, balanced(machines)
-    moving = np.any(rigid, axis=1)
-    share = np.sum(np.where(rigid, frame.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
-    unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.inverse_gap_mass))
+    rigid, even, unseen = modes.lam == 0.0, balanced(machines), np.zeros(len(upper), dtype=np.bool_)
     middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
         np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
     rest = push.rest.copy()
-    move = np.where(moving & ~unseen, (middle - frame.gap(rest)) / np.where(share != 0.0, share, 1.0), 0.0)
-    rest[..., 0] += np.where(rigid, move[:, None], 0.0)
-    rounding = np.where(even, middle - frame.gap(rest), 0.0)
+    y0 = frame.gap(rest)
+    if np.any(rigid):
+        moving = np.any(rigid, axis=1)
+        share = np.sum(np.where(rigid, frame.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
+        unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(frame.inverse_gap_mass))
+        move = np.where(moving & ~unseen, (middle - y0) / np.where(share != 0.0, share, 1.0), 0.0)
+        rest[..., 0] += np.where(rigid, move[:, None], 0.0)
+        y0 = frame.gap(rest)
+    rounding = np.where(even, middle - y0, 0.0)
     if np.any(rounding != 0.0):
         d = frame.accelerance / frame.inverse_gap_mass[:, None] * rounding[:, None]
         rest += (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
+        y0 = frame.gap(rest)
     load = np.where(even[:, None], 0.0, push.load)
-    y0, half = frame.gap(rest), 0.5 * (upper - lower)
+    half = 0.5 * (upper - lower)
     b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
     return AtRest(push._replace(rest=rest, load=load), b_upper, b_lower, unseen)
 

@@ -1,20 +1,32 @@
 """A table, as a TOML file has it, to a definition and its parameters, each fault in one line."""
 
-import math
-import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
-from numbers import Real
-from reprlib import Repr
 from typing import Any
 
 import numpy as np
 
-from workers.model.definition import NO_STOP, Definition, Harmonic
-from workers.model.expression import RESERVED, Expression, ExpressionError, parse
+from workers.model.definition import Definition, Harmonic
+from workers.model.entries import (
+    DefinitionError,
+    check_name,
+    fault,
+    read_entries,
+    read_flag,
+    read_list,
+    read_names,
+    read_number,
+    read_table,
+    read_tables,
+    read_text,
+    read_words,
+    taken,
+)
+from workers.model.expression import Expression
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
+from workers.model.reading_elements import read_contacts, read_friction, read_phases
 
 LARGEST = 8
 """Coordinates of a system."""
@@ -23,18 +35,16 @@ HARMONICS = 4
 MANY = 64
 """Parameters, and names in ``let``, of a system."""
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi", "rho",
     "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Xi", "Sigma", "Phi", "Psi",
     "Omega",
 )  # fmt: skip
-_short = Repr()
-_short.maxstring = _short.maxlong = _short.maxother = 60
-
-
-class DefinitionError(ValueError):
-    """What is wrong with the definition of a system, in one line: the entry, what was found, what would be right."""
+_read_end = partial(read_number, infinite=True)
+_PARAMETER_KEYS: dict[str, Any] = {
+    "default": read_number, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
+    "symbol": read_words, "unit": read_words, "meaning": read_words,
+}  # fmt: skip
 
 
 def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tuple[str, ...]) -> tuple[Parameter, ...]:
@@ -68,7 +78,7 @@ def read_parameters(table: object, coordinates: tuple[str, ...], velocities: tup
 def _read_parameter(name: str, given: object, base: Parameter | None) -> Parameter:
     where = f"system.parameters.{name}"
     table = read_table(where, given, _PARAMETER_KEYS)
-    _check_name(where, name)
+    check_name(where, name)
     if base is None and "default" not in table:
         raise DefinitionError(f"{where}: default missing; give a number")
     read = {key: _PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
@@ -87,11 +97,13 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 
     A velocity that is not named is v with the number that ends its coordinate's name: v1 of x1, v of y.
     """
-    coordinates = _names("system.coordinates", table["coordinates"])
+    coordinates = read_names("system.coordinates", table["coordinates"])
     if not 1 <= len(coordinates) <= LARGEST:
         raise DefinitionError(f"system.coordinates: found {len(coordinates)}, must be 1 to {LARGEST}")
     if "velocities" in table:
-        velocities = _names("system.velocities", read_list("system.velocities", table["velocities"], len(coordinates)))
+        velocities = read_names(
+            "system.velocities", read_list("system.velocities", table["velocities"], len(coordinates))
+        )
     else:
         velocities = tuple("v" + name[len(name.rstrip("0123456789")) :] for name in coordinates)
     names = (*coordinates, *velocities)
@@ -113,23 +125,32 @@ def read_definition(
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
     let = _read_let(table.get("let", {}), known, parameters)
     known = [*known, *(name for name, _ in let)]
-    if isinstance(table.get("gap"), list) and any(isinstance(each, list) for each in table["gap"]):
-        raise fault("system.gap", table["gap"], "several gaps at once are not supported; give one row")
+    contacts, friction = read_contacts(table, known, n), read_friction(table, known, n)
     matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
     return Definition(
         coordinates=coordinates,
         velocities=velocities,
-        mass=_read_entries("system.mass", table["mass"], known, n, n),
-        damping=_read_entries("system.damping", table.get("damping", matrix), known, n, n),
-        stiffness=_read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
+        mass=read_entries("system.mass", table["mass"], known, n, n),
+        damping=read_entries("system.damping", table.get("damping", matrix), known, n, n),
+        stiffness=read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
         harmonics=_read_harmonics(table, known, n),
-        load=_read_entries("system.load", table.get("load", row), known, n),
-        gap=_read_entries("system.gap", table["gap"], known, n),
-        restitution=_read_entries("system.restitution", table["restitution"], known),
-        upper=_read_stop(table, "upper", known),
-        lower=_read_stop(table, "lower", known),
+        load=read_entries("system.load", table.get("load", row), known, n),
+        contacts=contacts,
         let=let,
+        friction=friction,
+        phases=read_phases(table, known, n, contacts, friction),
+        drift=_read_drift(table.get("drift"), coordinates),
     )
+
+
+def _read_drift(given: object, coordinates: Collection[str]) -> str:
+    """The coordinate that may drift; none is an empty name."""
+    if given is None:
+        return ""
+    name = read_text("system.drift", given)
+    if name not in coordinates:
+        raise DefinitionError(unknown_name("coordinate in system.drift", name, coordinates))
+    return name
 
 
 def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[tuple[str, Expression], ...]:
@@ -138,10 +159,10 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
     for name in table:
-        _check_name(f"system.let.{name}", name)
+        check_name(f"system.let.{name}", name)
         if name in taken:
             raise DefinitionError(f"system.let.{name}: {name} is a parameter already; choose another name")
-    waiting = {name: _read_entries(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
+    waiting = {name: read_entries(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
     ready: list[tuple[str, Expression]] = []
     while waiting:
         free = next((name for name, each in waiting.items() if not each.names & waiting.keys()), None)
@@ -157,14 +178,12 @@ def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[
 
 def _read_harmonics(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Harmonic, ...]:
     given = table.get("harmonics", [])
-    if not isinstance(given, list):
-        raise fault("system.harmonics", given, "must be tables [[system.harmonics]]")
-    parts = {f"system.harmonics[{i}]": one for i, one in enumerate(given)}
+    parts = read_tables("system.harmonics", given)
     if "force" in table:
         parts = {"system": {"order": 1} | {key: table[key] for key in ("force", "phase") if key in table}} | parts
     elif "phase" in table:
         raise DefinitionError("system.phase: there is no force that it could be of; give force too")
-    elif not given:
+    elif not given and not (table.get("friction") or table.get("phases")):
         raise DefinitionError(f"system: force missing; give a list of {n}")
     found: list[Harmonic] = []
     for where, one in parts.items():
@@ -176,94 +195,9 @@ def _read_harmonics(table: Mapping[str, Any], known: Collection[str], n: int) ->
             raise DefinitionError(f"{where}.order: there is a force of order {order} already; add the two")
         if "force" not in part:
             raise DefinitionError(f"{where}: force missing; give a list of {n}")
-        rows = (_read_entries(f"{where}.{key}", part[key], known, n) for key in ("force", "phase"))
+        rows = (read_entries(f"{where}.{key}", part[key], known, n) for key in ("force", "phase"))
         found.append(Harmonic(order, *rows))
     return tuple(sorted(found))
-
-
-def _read_stop(table: Mapping[str, Any], key: str, known: Collection[str]) -> Expression | None:
-    if "upper" not in table and "lower" not in table:
-        where = "system: upper and lower missing"
-        raise DefinitionError(f"{where}; give one stop or both as positions of the gap coordinate")
-    if key not in table or table[key] == NO_STOP[key]:
-        return None
-    found: Expression = _read_entries(f"system.{key}", table[key], known)
-    return found
-
-
-def _read_entries(where: str, given: object, known: Collection[str], *shape: int) -> Any:
-    """The expression that a number or a text is; of a list of that shape a row or a matrix of them."""
-    if shape:
-        entries = read_list(where, given, shape[0], "rows" if len(shape) > 1 else "entries")
-        return tuple(_read_entries(f"{where}[{i}]", entry, known, *shape[1:]) for i, entry in enumerate(entries))
-    if isinstance(given, str):
-        try:
-            return parse(given, known)
-        except ExpressionError as error:
-            raise DefinitionError(f"{where}: {error}") from None
-    return Expression(repr(read_number(where, given, "must be a number or an expression in quotes")))
-
-
-def read_text(where: str, value: object) -> str:
-    """A text; DefinitionError for anything else."""
-    if not isinstance(value, str) or len(value) > 5000:
-        raise fault(where, value, "must be text in quotes")
-    return value
-
-
-def _read_words(where: str, value: object) -> str:
-    """Words on one line that can stand beside a formula."""
-    found = read_text(where, value)
-    if not found.isprintable() or "$" in found or len(found) > 200:
-        raise fault(where, value, "must be one line of at most 200 characters without a dollar")
-    return found
-
-
-def _read_flag(where: str, given: object) -> bool:
-    if not isinstance(given, bool):
-        raise fault(where, given, "must be true or false")
-    return given
-
-
-def read_number(where: str, given: object, right: str = "must be a number", infinite: bool = False) -> float:
-    """The value as a float."""
-    if isinstance(given, bool) or not isinstance(given, Real):
-        raise fault(where, given, right)
-    try:
-        number = float(given) + 0.0  # -0.0 becomes 0.0: equal definitions have one digest
-    except OverflowError:
-        raise fault(where, given, "must be a finite number") from None
-    if math.isnan(number) or (math.isinf(number) and not infinite):
-        raise DefinitionError(f"{where}: found {number!r}, must be a finite number")
-    return number
-
-
-_read_end = partial(read_number, infinite=True)
-_PARAMETER_KEYS: dict[str, Any] = {
-    "default": read_number, "low": _read_end, "high": _read_end, "low_open": _read_flag, "high_open": _read_flag,
-    "symbol": _read_words, "unit": _read_words, "meaning": _read_words,
-}  # fmt: skip
-
-
-def read_table(where: str, given: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
-    """The value, a table that has these keys at most, or any; DefinitionError for anything else."""
-    if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
-        raise fault(where, given, "must be a table")
-    for key in given:
-        if keys and key not in keys:
-            raise DefinitionError(unknown_name(f"key in {where}", key, keys))
-    return given
-
-
-def read_list(
-    where: str, given: object, length: int, what: str = "entries", each: str = ", one per coordinate"
-) -> list[Any]:
-    """The value, a list of that length; DefinitionError for anything else."""
-    if not isinstance(given, list | tuple):
-        raise fault(where, given, f"must be a list of {length} {what}{each}")
-    if len(given) != length:
-        raise DefinitionError(f"{where}: found {len(given)} {what}, must be {length}{each}")
-    return list(given)
 
 
 def symbol_of(name: str) -> str:
@@ -275,38 +209,10 @@ def symbol_of(name: str) -> str:
     return sign + (f"_{{{below}}}" if below else "")
 
 
-def _names(where: str, given: object) -> tuple[str, ...]:
-    if not isinstance(given, list | tuple):
-        raise fault(where, given, "must be a list of names")
-    for i, name in enumerate(given):
-        _check_name(f"{where}[{i}]", name)
-    return tuple(given)
-
-
-def _check_name(where: str, name: object) -> None:
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise fault(where, name, "must be a name of letters, digits and underscores, 40 at most")
-    if name in RESERVED:
-        raise _taken(where, name)
-
-
 def refuse_taken(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """DefinitionError at the first name that is one of an atlas's own."""
     names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
     names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
     for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():
         if is_taken(name):
-            raise _taken(where, name)
-
-
-def _taken(where: str, name: str) -> DefinitionError:
-    return DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
-
-
-def fault(where: str, value: object, right: str) -> DefinitionError:
-    """The error of an entry: what was found, and what would be right."""
-    try:
-        shown = _short.repr(value)
-    except ValueError:  # a whole number of more digits than Python writes
-        shown = "a whole number of thousands of digits"
-    return DefinitionError(f"{where}: found {shown}, {right}")
+            raise taken(where, name)

@@ -1,14 +1,17 @@
 """Whether a definition makes a machine at the defaults of its parameters: what no machine can be is refused at once."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import chain
 
 import numpy as np
 
 from workers.model.definition import Definition
+from workers.model.elements import ALWAYS, PAD, RUB, Changes
+from workers.model.entries import DefinitionError
+from workers.model.hybrid_machines import HybridMachines, dependent, held_rows
 from workers.model.modes import undamped_modes
-from workers.model.oscillator import Array, Machines
+from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
-from workers.model.reading import DefinitionError
 
 ROUNDING = 1e-12
 """Relative size of an eigenvalue that counts as zero."""
@@ -17,30 +20,122 @@ ROUNDING = 1e-12
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
     """DefinitionError in one line unless the machine of the defaults is one.
 
-    M symmetric and positive definite; C and K symmetric and positive semidefinite; 0 <= R <= 1; the lower stop below
-    the upper one; a gap row other than zero, which sees every free motion, K x = 0.
+    M symmetric and positive definite; C and K symmetric and positive semidefinite; phases that begin one after the
+    other within the period. Of contacts 0 <= R <= 1, no negative stiffness, damping or preload, the lower stop below
+    the upper one; of friction 0 <= kinetic <= static; rows other than zero, independent where they can be held at once.
+    Contacts see every free motion, K x = 0, but that of the coordinate that may drift, which nothing ties down.
     """
-    many = definition.machines({p.name: np.array([p.default]) for p in parameters})
-    machine = Machines(*(field[0] for field in many))
-    matrices = {"mass": machine.mass, "damping": machine.damping, "stiffness": machine.stiffness}
-    rest = {"gap": machine.gap_row, "load": machine.load, "restitution": machine.R}
-    forces = [(f"force of order {k + 1}", row) for part in (machine.force_sin, machine.force_cos)
-              for k, row in enumerate(part)]  # fmt: skip
-    for name, entries in (*matrices.items(), *rest.items(), *forces):
+    many = definition.hybrid({p.name: np.array([p.default]) for p in parameters})
+    machine = HybridMachines(*(field[0] for field in many))
+    matrices = {"system.mass": machine.mass}
+    for key in ("damping", "stiffness"):
+        matrices |= {_entry_in(definition, p, key): each for p, each in enumerate(getattr(machine, key))}
+    rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row)}
+    rows |= {f"system.friction[{f}].row": row for f, row in enumerate(machine.slide)}
+    constants = dict(_constants(definition, machine))
+    for where, entries in chain(matrices.items(), rows.items(), _forces(definition, machine), constants.items()):
         if not np.isfinite(entries).all():
-            raise DefinitionError(f"system.{name}: found {_shown(entries)} at the defaults, must be finite numbers")
-    for name, matrix in matrices.items():
-        _check_matrix(f"system.{name}", matrix, definite=name == "mass")
-    if not 0.0 <= machine.R <= 1.0:
-        raise DefinitionError(f"system.restitution: found {machine.R:g} at the defaults, must be 0 to 1")
-    if not machine.lower < machine.upper:
-        raise DefinitionError(
-            f"system.upper: found {machine.upper:g}, lower {machine.lower:g} at the defaults, "
-            "must be above lower; stops are positions of the gap coordinate"
-        )
-    if not machine.gap_row.any():
-        raise DefinitionError("system.gap: found zeros only; give the row that makes y of the coordinates")
-    _check_free_motions(machine)
+            raise DefinitionError(f"{where}: found {_shown(entries)} at the defaults, must be finite numbers")
+    for where, matrix in matrices.items():
+        _check_matrix(where, matrix, definite=where == "system.mass")
+    for where, number in constants.items():
+        _check_constant(where, float(number))
+    _check_static(definition, machine)
+    _check_stops(definition, machine)
+    _check_starts(machine.starts)
+    for where, row in rows.items():
+        if not row.any():
+            made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
+            raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
+    _check_independent(list(rows), held_rows(many))
+    for where in (name for name in matrices if name.endswith("stiffness")):
+        _check_free_motions(definition, machine, where, matrices[where])
+
+
+def _contact(definition: Definition, c: int) -> str:
+    return "system" if definition.short else f"system.contacts[{c}]"
+
+
+def _entry_in(definition: Definition, p: int, key: str) -> str:
+    """The entry that counts in a phase, its own or that of the whole machine."""
+    own = definition.phases and getattr(definition.phases[p], key) is not None
+    return f"system.phases[{p}].{key}" if own else f"system.{key}"
+
+
+def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
+    """Load and force of each phase by their entries."""
+    for p, load in enumerate(machine.load):
+        yield _entry_in(definition, p, "load"), load
+        where = _entry_in(definition, p, "force")
+        for part in (machine.force_sin[p], machine.force_cos[p]):
+            yield from ((f"{where} of order {k + 1}", row) for k, row in enumerate(part))
+
+
+def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
+    """The constants of contacts and friction by their entries, those of each phase too."""
+    for c, contact in enumerate(definition.contacts):
+        if contact.rigid:
+            yield f"{_contact(definition, c)}.restitution", machine.R[c]
+    for p, phase in enumerate(definition.phases or ALWAYS):
+        for c, contact in enumerate(definition.contacts):
+            for key, number in () if contact.rigid else zip(PAD, machine.pad[p, c], strict=True):
+                yield _constant_in(phase.contacts, p, "contacts", contact.name, key, _contact(definition, c)), number
+        for f, friction in enumerate(definition.friction):
+            for key, number in zip(RUB, machine.rub[p, f], strict=True):
+                yield _constant_in(phase.friction, p, "friction", friction.name, key, f"system.friction[{f}]"), number
+    for f, belt in enumerate(machine.belt):
+        yield f"system.friction[{f}].belt", belt
+
+
+def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, whole: str) -> str:
+    changed = key in dict(dict(changes).get(name, ()))
+    return f"system.phases[{p}].{kind}.{name}.{key}" if changed else f"{whole}.{key}"
+
+
+def _check_constant(where: str, number: float) -> None:
+    key = where.rpartition(".")[2]
+    if key == "restitution" and not 0.0 <= number <= 1.0:
+        raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 to 1")
+    if key in (*PAD, "kinetic") and number < 0.0:
+        raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 or more")
+
+
+def _check_static(definition: Definition, machine: HybridMachines) -> None:
+    for p, phase in enumerate(definition.phases or ALWAYS):
+        for f, friction in enumerate(definition.friction):
+            kinetic, static, _ = machine.rub[p, f]
+            if static < kinetic:
+                where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")
+                found = f"found {static:g}, kinetic {kinetic:g} at the defaults"
+                raise DefinitionError(f"{where}: {found}, must not be below kinetic")
+
+
+def _check_stops(definition: Definition, machine: HybridMachines) -> None:
+    for c, (lower, upper) in enumerate(machine.stops):
+        if not lower < upper:
+            raise DefinitionError(
+                f"{_contact(definition, c)}.upper: found {upper:g}, lower {lower:g} at the defaults, "
+                "must be above lower; stops are positions of the gap coordinate"
+            )
+
+
+def _check_starts(starts: Array) -> None:
+    for p in range(1, len(starts) - 1):
+        if not starts[p - 1] < starts[p] < 1.0:
+            raise DefinitionError(
+                f"system.phases[{p}].start: found {starts[p]:g} after {starts[p - 1]:g} at the defaults, "
+                "must rise and stay below 1; it is a share of the forcing period"
+            )
+
+
+def _check_independent(named: list[str], held: Array) -> None:
+    """held (1, R, n): rows of rigid contacts and friction, zeros for others."""
+    for k, where in enumerate(named):
+        if dependent(held[:, : k + 1])[0]:
+            raise DefinitionError(
+                f"{where}: found {_shown(held[0, k])} at the defaults, depends on rows of rigid contacts and friction "
+                "before it; must be independent, or friction on the very row of a contact"
+            )
 
 
 def _check_matrix(where: str, matrix: Array, definite: bool) -> None:
@@ -59,21 +154,32 @@ def _check_matrix(where: str, matrix: Array, definite: bool) -> None:
         raise DefinitionError(f"{where}: its least eigenvalue is {least:g} at the defaults, must be 0 or more")
 
 
-def _check_free_motions(machine: Machines) -> None:
-    """The gap sees one free motion at most: of two, some combination leaves y as it is."""
+def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
+    """Contacts and what drifts see each free motion: of two that one gap sees, some combination leaves y as it is."""
     with np.errstate(all="ignore"):
-        squares, modes = (of[0] for of in undamped_modes(machine.mass[None], machine.stiffness[None]))
+        squares, modes = (of[0] for of in undamped_modes(machine.mass[None], stiffness[None]))
     if not np.isfinite(modes).all():
         raise DefinitionError(
-            f"system.mass: found {_shown(machine.mass)} at the defaults, with stiffness {_shown(machine.stiffness)}, "
+            f"system.mass: found {_shown(machine.mass)} at the defaults, with stiffness {_shown(stiffness)}, "
             "must be large enough that stiffness over mass is within double precision"
         )
+    rows = machine.row
+    if definition.drift:
+        i = definition.coordinates.index(definition.drift)
+        for what, entries in ((where, stiffness[i]), ("the gap row of a contact", rows[:, i])):
+            if entries.any():
+                raise DefinitionError(
+                    f"system.drift: {what} ties {definition.drift} down at the defaults; leave it out"
+                )
+        rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
     free = modes[:, squares <= ROUNDING * max(float(squares[-1]), 1e-300)]
-    seen = np.abs(machine.gap_row @ free)
-    if free.shape[1] > 1 or np.any(seen <= ROUNDING * np.abs(machine.gap_row) @ np.abs(free)):
+    seen, size = rows @ free, np.abs(rows) @ np.abs(free)
+    seen = np.where(np.abs(seen) > ROUNDING * size, seen, 0.0) / np.max(size, axis=1, keepdims=True, initial=1e-300)
+    if free.shape[1] and np.linalg.matrix_rank(seen, tol=ROUNDING) < free.shape[1]:
+        others = "" if definition.short else ", or let one coordinate drift: drift = NAME"
         raise DefinitionError(
-            "system.stiffness: leaves a free motion that the gap does not see; tie it down by a spring, or take the "
-            "relative displacement as the coordinate"
+            f"{where}: leaves a free motion that the gap does not see; tie it down by a spring, or take the "
+            f"relative displacement as the coordinate{others}"
         )
 
 

@@ -1,6 +1,6 @@
 """The systems that can be solved: those in the package, and what a user defines in the same form."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -13,20 +13,10 @@ from numpy.typing import NDArray
 from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
+from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
 from workers.model.oscillator import Array, Machines, Oscillator, one_of
 from workers.model.parameter import Parameter, unknown_name
-from workers.model.reading import (
-    DefinitionError,
-    fault,
-    read_coordinates,
-    read_definition,
-    read_list,
-    read_number,
-    read_parameters,
-    read_table,
-    read_text,
-    refuse_taken,
-)
+from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError
@@ -38,7 +28,8 @@ PROSE = (*TEXTS, "axes")
 """Keys that no number depends on."""
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
-    "harmonics", "load", "gap", "upper", "lower", "restitution", "let", "parameters",
+    "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
+    "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
 """The highest version of a definition."""
@@ -105,12 +96,18 @@ class System:
         oscillators, reasons = build(machines)
         return oscillators, self.refused(machines, values, reasons)
 
-    def refused(self, machines: Machines, values: Mapping[str, Any], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
-        """These reasons (N,) against machines of values, (N,) or one for all, but where the numbers alone tell one."""
-        wrong = faults(machines)
+    def refused(
+        self,
+        machines: Machines,
+        values: Mapping[str, Array],
+        reasons: NDArray[np.int8],
+        fields: Collection[str] = Machines._fields,
+    ) -> NDArray[np.int8]:
+        """These reasons (N,) against machines, but where the numbers of these fields or values (N,) alone tell one."""
+        wrong = faults(machines, fields)
         reasons = np.where(wrong != NO_REASON, wrong, reasons)
-        for parameter in self.parameters:
-            reasons[~parameter.admits(values[parameter.name])] = OUT_OF_RANGE
+        for name, value in values.items():
+            reasons[~self.parameter(name).admits(value)] = OUT_OF_RANGE
         return reasons
 
     def parameter(self, name: str) -> Parameter:
@@ -204,7 +201,7 @@ def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _read(given: Mapping[str, Any], packaged: bool) -> System:
     table = read_table("system", given, KEYS)
-    for key in ("coordinates", "mass", "gap", "restitution"):
+    for key in ("coordinates", "mass"):
         if key not in table:
             raise DefinitionError(f"system: {key} missing")
     name = read_text("system.name", table.get("name"))
@@ -220,9 +217,18 @@ def _read(given: Mapping[str, Any], packaged: bool) -> System:
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)
+    refuse_unsolved(name, definition)
     texts = {"title": name} | {key: read_text(f"system.{key}", table[key]) for key in TEXTS if key in table}
     axes = _read_axes(table.get("axes", {}), names)
     return System(name, parameters, definition, version, packaged, axes, **texts)
+
+
+def refuse_unsolved(name: str, definition: Definition) -> None:
+    """DefinitionError for a machine that can be written down but not solved: the only place that refuses it."""
+    more = definition.friction or definition.phases or definition.drift
+    if more or [each.rigid for each in definition.contacts] != [True]:
+        unsolved = "several or soft contacts, friction, phases and drift are not solved yet"
+        raise DefinitionError(f"system {name!r}: {unsolved}; give one contact with a restitution")
 
 
 def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:

@@ -1,0 +1,113 @@
+"""What changes the law of a machine: contacts, friction and phases, as its definition has them."""
+
+import math
+from dataclasses import dataclass
+
+from workers.model.expression import Expression, Matrix, Row
+
+STOP = "stop"
+"""The name of the contact that entries of the machine itself make."""
+
+NO_STOP = {"upper": math.inf, "lower": -math.inf}
+
+RELEASES = ("displacement", "force")
+"""When a soft contact lets go: where its stop is left, or where its force would begin to pull."""
+
+PAD = ("stiffness", "damping", "preload")
+"""The constants of a soft contact that phases may change."""
+
+RUB = ("kinetic", "static", "slope")
+"""The constants of friction that phases may change."""
+
+Changes = tuple[tuple[str, tuple[tuple[str, Expression], ...]], ...]
+"""Constants that a phase changes, by the name of the element and by their own."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A stop, or two, on y = gap . x, lower <= y <= upper. A stop that is None does not exist.
+
+    A rigid one has a restitution R and turns y' into -R y'. A soft one has none: at depth delta >= 0 beyond its stop it
+    pushes back along the gap row with the force preload + stiffness delta + damping delta', as long as delta > 0 where
+    it is released by "displacement", and no longer than that force is positive where by "force".
+    """
+
+    name: str
+    gap: Row
+    restitution: Expression | None = None
+    upper: Expression | None = None
+    lower: Expression | None = None
+    stiffness: Expression | None = None
+    damping: Expression | None = None
+    preload: Expression | None = None
+    release: str = ""
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it has a restitution."""
+        return self.restitution is not None
+
+    @property
+    def stops(self) -> int:
+        """How many sides have a stop."""
+        return (self.upper is not None) + (self.lower is not None)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction on the sliding velocity v = row . x' - belt.
+
+    While it slides it resists with the force kinetic + slope |v| along the row, and it holds v = 0 as long as the force
+    that this takes is at most ``static``, which is kinetic where it is None.
+    """
+
+    name: str
+    row: Row
+    kinetic: Expression
+    static: Expression | None
+    belt: Expression
+    slope: Expression
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of each forcing period: from ``start``, a share of 2 pi / omega after the section, to that of the next.
+
+    What it names takes the place of the entry of the whole machine while it lasts: the force that of order 1, with the
+    same phase angles.
+    """
+
+    start: Expression
+    stiffness: Matrix | None = None
+    damping: Matrix | None = None
+    force: Row | None = None
+    load: Row | None = None
+    contacts: Changes = ()
+    friction: Changes = ()
+
+
+ALWAYS = (Phase(Expression("0.0")),)
+"""The only phase of a machine that has none."""
+
+
+def in_phase(element: Contact | Friction, changes: Changes, key: str) -> Expression | None:
+    """A constant of an element where a phase makes these changes."""
+    changed = dict(dict(changes).get(element.name, ()))
+    return changed[key] if key in changed else getattr(element, key)
+
+
+def pad(contact: Contact, changes: Changes) -> tuple[Expression | float, ...]:
+    """Stiffness, damping and preload of a contact in a phase; zeros of a rigid one."""
+    return tuple(in_phase(contact, changes, key) or 0.0 for key in PAD)
+
+
+def rub(friction: Friction, changes: Changes) -> tuple[Expression | None, ...]:
+    """Kinetic and static level and slope of friction in a phase."""
+    kinetic, static, slope = (in_phase(friction, changes, key) for key in RUB)
+    return kinetic, static or kinetic, slope
+
+
+def stops(contact: Contact) -> tuple[Expression | float, Expression | float]:
+    """The lower and the upper stop of a contact, at infinity where there is none."""
+    lower = NO_STOP["lower"] if contact.lower is None else contact.lower
+    return lower, NO_STOP["upper"] if contact.upper is None else contact.upper

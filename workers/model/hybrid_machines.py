@@ -1,0 +1,108 @@
+"""Machines whose law changes, as numbers: what values of parameters make of contacts, friction and phases."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.free import finite
+from workers.model.modes import stacked
+from workers.model.oscillator import Array
+from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
+
+Mask = NDArray[np.bool_]
+
+INDEPENDENT = 1e-12
+"""Least singular value of rows of length 1 from which on they do not depend on each other."""
+
+
+class HybridMachines(NamedTuple):
+    """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
+
+    mass         (N, n, n)
+    damping, stiffness (N, P, n, n), load (N, P, n), force_sin and force_cos (N, P, H, n): those of each phase
+    omega, tau   (N,)             forcing frequency, forcing phase at a section
+    starts       (N, P + 1)       of phases, shares of the forcing period; the last one is 1
+    row          (N, C, n)        of each contact, stops (N, C, 2) the lower one and the upper one, infinite for none
+    R            (N, C)           coefficient of restitution of rigid contacts, 1 of soft ones
+    soft         (N, C)           1 for soft contacts, by_force (N, C) 1 where these let go by force; alike in all
+    pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts, 0 of rigid ones
+    slide        (N, F, n)        row of each friction, belt (N, F) the velocity of what it rubs on
+    rub          (N, P, F, 3)     kinetic and static level, slope
+
+    All are in the units of the definition: pad in force per displacement, force per velocity and force along the row,
+    rub in force, force, and force per velocity.
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+    load: Array
+    force_sin: Array
+    force_cos: Array
+    omega: Array
+    tau: Array
+    starts: Array
+    row: Array
+    stops: Array
+    R: Array
+    soft: Array
+    by_force: Array
+    pad: Array
+    slide: Array
+    belt: Array
+    rub: Array
+
+
+@np.errstate(all="ignore")
+def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
+    """The reason against each of N machines, or NO_REASON, as far as its numbers alone tell.
+
+    Matrices have to be symmetric; each lower stop below the upper one, 0 <= R <= 1, and no stiffness, damping or
+    preload of a contact negative; 0 <= kinetic <= static; starts rising from 0 and below 1; and rows that can be held
+    at once independent, see ``held_rows``.
+    """
+    own = machines
+    lower, upper = own.stops[..., 0], own.stops[..., 1]
+    reasons = np.full(len(own.omega), NO_REASON, dtype=np.int8)
+    for matrix in (own.mass, own.damping, own.stiffness):
+        reasons[_any(matrix != matrix.swapaxes(-1, -2))] = NO_OSCILLATOR
+    fine = (
+        (lower < upper) & (own.R >= 0.0) & (own.R <= 1.0),
+        own.pad >= 0.0,
+        (own.rub[..., 0] >= 0.0) & (own.rub[..., 1] >= own.rub[..., 0]),
+        own.starts[:, :1] == 0.0,
+        np.diff(own.starts, axis=1) > 0.0,
+    )
+    for each in fine:
+        reasons[_any(~each)] = OUT_OF_RANGE
+    reasons[dependent(held_rows(machines))] = OUT_OF_RANGE
+    reasons[_any(np.isnan(own.stops)) | ~finite(own._replace(stops=own.R))] = OUT_OF_DOUBLES
+    return reasons
+
+
+def held_rows(machines: HybridMachines) -> Array:
+    """The rows (N, C + F, n) that rigid contacts and friction can hold, zeros for all others.
+
+    Friction on the very row of a rigid contact is left out: what the contact holds does not slide.
+    """
+    rigid = machines.row * (1.0 - machines.soft)[..., None]
+    same = np.all(machines.slide[:, :, None] == rigid[:, None], axis=-1)  # (N, F, C)
+    return np.concatenate([rigid, np.where(np.any(same, axis=-1)[..., None], 0.0, machines.slide)], axis=1)
+
+
+def dependent(rows: Array) -> Mask:
+    """Of which machines (N,) rows (N, R, n) that are not zero depend on each other."""
+    length = np.sqrt(np.vecdot(rows, rows))
+    unit = rows / np.where(length > 0.0, length, 1.0)[..., None]
+    values = stacked(_singular_values, (len(rows), min(rows.shape[1:])), unit)
+    return np.asarray(np.sum(values > INDEPENDENT, axis=1) < np.sum(length != 0.0, axis=1))
+
+
+def _singular_values(rows: Array) -> Array:
+    return np.asarray(np.linalg.svd(rows, compute_uv=False))
+
+
+def _any(wrong: Mask) -> Mask:
+    """Of which machines anything is."""
+    return np.asarray(np.any(wrong, axis=tuple(range(1, wrong.ndim))))
