@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from workers.cell.cells import work_allowed
 from workers.cell.stretch import batch_of, begin, run, stop_reasons
-from workers.kernel.cells import physical_states, reset_frames
+from workers.kernel.cells import physical_states, reset_frames, states_within
 from workers.kernel.lanes.run import Batch
 from workers.kernel.motion import OVERDRAFT, RECORDED, WORK
+from workers.model.hybrid import Hybrid, build_missing
 from workers.model.oscillator import each
 from workers.model.system import System, find_system
 from workers.results import NO_REASON, REASONS, InvalidError
@@ -95,3 +96,11 @@ def _a_period_later(batch: Batch, cell: NDArray[np.int64]) -> Batch:
         if batch.motions.tally[0, RECORDED] < room:
             return batch
         batch = batch._replace(motions=each(before, np.copy)._replace(impacts=np.empty((1, 2 * room, 3))))
+
+
+def within_periods(oscillators: Hybrid, states: Array, times: Array) -> Array:
+    """Physical states (S, K, 2n) of one machine at times (K,) within the period after each section state (S, 2n)."""
+    while True:
+        found: Array = states_within(oscillators, 0, states, times)
+        if not len(build_missing(oscillators, np.zeros(1, dtype=np.int64))):
+            return found

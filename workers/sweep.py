@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from workers.cell.cells import Results
 from workers.kernel.cells import put_inside
+from workers.model.hybrid import rigid_stops
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
 from workers.settings import Settings
@@ -65,7 +66,8 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     known = np.isfinite(last).all(axis=-1)
     oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
     moved = last[known].copy()
-    put_inside(oscillators.gap_row, oscillators.upper, oscillators.lower, moved)
+    for row, upper, lower in rigid_stops(oscillators):
+        put_inside(row, upper, lower, moved)
     built = reasons == NO_REASON  # solve_tile calls the others invalid
     states[known] = np.where(built[:, None], moved, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

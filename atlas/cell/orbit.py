@@ -164,6 +164,8 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
     from workers.kernel.motion import RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
     from workers.kernel.period import propagate
 
+    if system.has_modes:
+        return _path_through_modes(system, parameters, periods)
     osc = system.build(parameters)
     start = np.array([parameters[name] for name in system.states])
     motion = motion_from(osc, start, record=_RECORD)
@@ -189,6 +191,19 @@ def _path(system: System, parameters: Mapping[str, float], periods: int) -> tupl
         times.append((i + 1) * piece)
         states.append(after)
     return np.array(times), np.array(states), np.concatenate(impacts)
+
+
+def _path_through_modes(system: System, parameters: Mapping[str, float], periods: int) -> tuple[Array, Array, Array]:
+    """The same of a machine whose law changes."""
+    from workers.history import trace, within_periods
+
+    followed = trace(system, parameters, periods)
+    oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
+    since = oscillators.period[0] / SAMPLES * np.arange(1.0, SAMPLES + 1.0)
+    states = within_periods(oscillators, followed.states[:-1], since)
+    times = followed.times[:-1, None] + since
+    states = np.concatenate([followed.states[:1], states.reshape(-1, states.shape[-1])])
+    return np.concatenate([followed.times[:1], times.ravel()]), states, followed.impacts
 
 
 def _at_stop(osc: Any, state: Array, side: float, velocity: float) -> Array:

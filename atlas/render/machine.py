@@ -57,6 +57,8 @@ def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Ar
 def why_no_twins(system: System, values: Mapping[str, float]) -> str:
     """What keeps the machine of these parameters from having mirror images of its motions."""
     osc = system.build(values)
+    if system.has_modes:
+        return "mirror images are known of machines with one rigid contact alone"
     if not (np.isfinite(osc.upper) and np.isfinite(osc.lower)):
         return "there is only one stop"
     if osc.b_upper != osc.b_lower:
@@ -85,8 +87,7 @@ def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
     """The rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
     count = max(np.size(value) for value in values.values())
     given = {name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()}
-    with np.errstate(all="ignore"):  # where there is no machine there are no states
-        return np.asarray(system.definition.machines(given).gap_row)
+    return system.definition.shown_rows(given)
 
 
 def gap_label(ds: xr.Dataset) -> str:
@@ -97,7 +98,7 @@ def gap_label(ds: xr.Dataset) -> str:
 
 def gap_label_of(system: System) -> str:
     """The same, of a system."""
-    entries = [entry.constant for entry in system.definition.stop.gap]
+    entries = [entry.constant for entry in system.definition.shown]
     states = [system.parameter(name) for name in system.definition.coordinates]
     (unit, *others) = {each.unit for each, entry in zip(states, entries, strict=True) if entry != 0.0}
     ending = " at $t = kT$" + ("" if others else f" [{style.unit_text(unit)}]")

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable
 
 from workers.model.definition import Harmonic
+from workers.model.elements import Contact
 from workers.model.expression import Expression
 from workers.model.system import System
 
@@ -27,17 +28,35 @@ def equation_of(system: System) -> str:
         ]
         right = [(machine.load[i], ""), *((each.force[i], _sine(each, i)) for each in machine.harmonics)]
         lines.append(f"{_sum(left)} = {_sum(right)}")
-    stop = machine.stop
-    gap = _sum(zip(stop.gap, machine.coordinates, strict=True))
-    name = gap if gap in machine.coordinates else "gap"
-    if not stop.stops or stop.restitution is None:
-        return "\n".join([*lines, "no stop"])
-    if name != gap:
-        lines.append(f"gap = {gap}")
-    ends = [name if each is None else _number(each) for each in (stop.lower, stop.upper)]
-    lines.append(" <= ".join([ends[0], name, ends[1]] if name not in ends else ends))
-    lines.append(f"at a stop {name}' -> -{_factor(stop.restitution)} * {name}'")
+    for contact in machine.contacts:
+        lines += _contact(contact, machine.coordinates)
+    for friction in machine.friction:
+        v = _sum(zip(friction.row, machine.velocities, strict=True))
+        v += "" if friction.belt.constant == 0.0 else f" - {_factor(friction.belt)}"
+        level = _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
+        static = "" if friction.static is None else f", {_number(friction.static)} at rest"
+        lines.append(f"friction {friction.name}: {level} against v = {v}{static}")
+    for phase in machine.phases:
+        changed = [key for key in ("stiffness", "damping", "force", "load") if getattr(phase, key) is not None]
+        changed += [name for name, _ in (*phase.contacts, *phase.friction)]
+        lines.append(f"from {_number(phase.start)} of the period on: other {' and '.join(changed) or 'nothing'}")
     return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
+
+
+def _contact(contact: Contact, coordinates: tuple[str, ...]) -> list[str]:
+    """The lines of a contact: its coordinate, where it is free, and what it does else."""
+    gap = _sum(zip(contact.gap, coordinates, strict=True))
+    name = gap if gap in coordinates else "gap"
+    if not contact.stops:
+        return ["no stop"]
+    lines = [] if name == gap else [f"gap = {gap}"]
+    ends = [name if each is None else _number(each) for each in (contact.lower, contact.upper)]
+    lines.append(" <= ".join([ends[0], name, ends[1]] if name not in ends else ends))
+    if contact.restitution is not None:
+        return [*lines, f"at a stop {name}' -> -{_factor(contact.restitution)} * {name}'"]
+    force = [(contact.preload, ""), (contact.stiffness, "d"), (contact.damping, "d'")]
+    known = [(each, of) for each, of in force if each is not None]
+    return [*lines, f"beyond a stop by d: the force {_sum(known)} back"]
 
 
 def _sine(harmonic: Harmonic, i: int) -> str:

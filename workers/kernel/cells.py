@@ -22,7 +22,7 @@ from workers.kernel.motion import (
     motion_with,
     oscillator_of,
 )
-from workers.kernel.period import advance
+from workers.kernel.period import advance, propagate
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame_of
 from workers.model.oscillator import HEAD
@@ -133,4 +133,23 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
                 advance(osc, borrowed(motion))
         if motion.tally[STATUS] == RUNNING:
             found[r, 0], found[r, 1] = motion.extremes[0], motion.extremes[1]
+    return found
+
+
+@kernel
+def states_within(oscillators, r, states, times):
+    """Physical states (S, K, 2n) of cell r at times (K,) within the period after each section state (S, 2n).
+
+    NaN where a motion cannot be followed.
+    """
+    found = np.full((len(states), len(times), states.shape[1]), np.nan)
+    for i in range(len(states)):
+        osc, h = lend(oscillator_of(oscillators, r)), np.zeros((states.shape[1] // 2, 2))
+        contact = start_at(osc, states[i], h)
+        for k in range(len(times)):
+            motion = motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
+            propagate(osc, borrowed(motion), times[k])
+            if motion.tally[STATUS] == RUNNING:
+                found[i, k] = 0.0
+                leave_blocks(osc, motion.h, motion.contact[0], found[i, k])
     return found

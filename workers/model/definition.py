@@ -61,6 +61,18 @@ class Definition:
         """Whether its contact is written as entries of the machine itself: one, rigid, named STOP."""
         return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
 
+    @property
+    def shown(self) -> Row:
+        """The row of the coordinate that pictures show: that of the first contact, else the first coordinate."""
+        if self.contacts:
+            return self.contacts[0].gap
+        return tuple(Expression(repr(float(i == 0))) for i in range(len(self.coordinates)))
+
+    @np.errstate(all="ignore")
+    def shown_rows(self, values: Mapping[str, Array]) -> Array:
+        """``shown`` (N, n) of many values (N,) of each parameter."""
+        return np.ascontiguousarray(evaluated(self.shown, self._named(values))[: values[OMEGA].size])
+
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines of many values (N,) of each parameter."""
         return Machines(**self.fields(values, Machines._fields))

@@ -19,9 +19,21 @@ from numpy.typing import NDArray
 
 from workers.model.free import Flow, Mask, derivative_of, finite, loading_of, phase_of
 from workers.model.free import mode_of as motion_in
+from workers.model.hybrid_machines import HybridMachines, hybrid_faults
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, split, stacked, undamped_modes
-from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Array, Head, Mode, make_blocks, named_in_head, taken
+from workers.model.oscillator import (
+    COLUMN,
+    NUMBER,
+    OF_FLOW,
+    Array,
+    Head,
+    Mode,
+    Oscillator,
+    make_blocks,
+    named_in_head,
+    taken,
+)
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
 OPEN, ON, DETACHED = 0, 1, 2
@@ -36,46 +48,6 @@ PARALLEL = 1e-12
 
 SIGNALS = 2
 """Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
-
-
-class HybridMachines(NamedTuple):
-    """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
-
-    mass         (N, n, n)
-    damping, stiffness (N, P, n, n), load (N, P, n), force_sin and force_cos (N, P, H, n): those of each phase
-    omega, tau   (N,)             forcing frequency, forcing phase at a section
-    starts       (N, P + 1)       of phases, shares of the forcing period; the last one is 1
-    row          (N, C, n)        of each contact, stops (N, C, 2) the lower one and the upper one, infinite for none
-    R            (N, C)           coefficient of restitution of rigid contacts
-    soft         (N, C)           1 for soft contacts, by_force (N, C) 1 where these let go by force; alike in all
-    pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts
-    slide        (N, F, n)        row of each friction, belt (N, F)
-    rub          (N, P, F, 3)     kinetic and static level, slope
-    """
-
-    mass: Array
-    damping: Array
-    stiffness: Array
-    load: Array
-    force_sin: Array
-    force_cos: Array
-    omega: Array
-    tau: Array
-    starts: Array
-    row: Array
-    stops: Array
-    R: Array
-    soft: Array
-    by_force: Array
-    pad: Array
-    slide: Array
-    belt: Array
-    rub: Array
-
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """How many phases, contacts and frictions there are."""
-        return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
 
 
 class Code(NamedTuple):
@@ -396,7 +368,7 @@ class Hybrid(NamedTuple):
 
     States between periods are in blocks of the undamped modes of the first phase with all contacts open, no force and
     no load, whatever the mode: gap has these blocks, with the damping that each mode feels, and no guard. The contact
-    of a motion is the number of its mode, FIRST_NUMBER added.
+    of a motion is the number of its mode, FIRST_NUMBER added. gap_row, upper and lower are those of the first contact.
     """
 
     gap: Mode
@@ -456,7 +428,8 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
     none, endless = np.zeros(N), np.full(N, np.inf)
     head = Head(
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
-        time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), upper=endless, lower=-endless, symmetric=none,
+        time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
+        upper=machines.stops[:, 0, 1] if C else endless, lower=machines.stops[:, 0, 0] if C else -endless,
         gap_mass=np.full(N, np.nan), trace=np.full(N, np.nan),
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
@@ -468,14 +441,16 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
         elements_of(machines), machines.omega, phase_of(machines.tau),
     )  # fmt: skip
+    row = machines.row[:, 0] if C else np.tile(np.eye(1, n), (N, 1))
     found = Hybrid(
         gap=Mode(blocks, metric, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
         swing=np.where(np.isfinite(swing) & ~wrong[:, None, None], swing, 0.0), rest=np.zeros((N, n, 2)),
-        to_physical=to_physical, to_blocks=to_blocks, gap_row=np.zeros((N, n)), head=np.stack(head, axis=-1),
+        to_physical=to_physical, to_blocks=to_blocks, gap_row=np.ascontiguousarray(row), head=np.stack(head, axis=-1),
         tau=table.tau, machines=machines, table=table,
     )  # fmt: skip
+    reasons = hybrid_faults(machines)
     known = finite((to_blocks, to_physical, blocks, swing * 0.0, *table.elements._replace(stops=none)))
-    return found, np.where(known, NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+    return found, np.where((reasons == NO_REASON) & ~known, np.int8(OUT_OF_DOUBLES), reasons)
 
 
 def build_missing(oscillators: Any, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -493,3 +468,13 @@ def build_missing(oscillators: Any, rows: NDArray[np.int64]) -> NDArray[np.int64
         for field, new in zip(table.pieces, made, strict=True):
             field[some, place] = new
     return rows
+
+
+def rigid_stops(oscillators: Oscillator | Hybrid) -> list[tuple[Array, Array, Array]]:
+    """Row (N, n), upper and lower stop (N,) of each rigid contact of many machines."""
+    if isinstance(oscillators, Oscillator):
+        return [(oscillators.gap_row, oscillators.upper, oscillators.lower)]
+    own = oscillators.machines
+    rigid = [c for c in range(own.sizes[1]) if not own.soft[0, c]]
+    fields = [(own.row[:, c], own.stops[:, c, 1], own.stops[:, c, 0]) for c in rigid]
+    return [tuple(np.ascontiguousarray(field) for field in each) for each in fields]  # type: ignore[misc]

@@ -53,6 +53,11 @@ class HybridMachines(NamedTuple):
     belt: Array
     rub: Array
 
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """How many phases, contacts and frictions there are."""
+        return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
+
 
 @np.errstate(all="ignore")
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:

@@ -14,7 +14,8 @@ from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
-from workers.model.oscillator import Array, Machines, Oscillator, one_of
+from workers.model.hybrid import build_hybrid
+from workers.model.oscillator import Array, Machines, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
@@ -83,15 +84,34 @@ class System:
         """Names of the components of the physical state: displacements, then velocities."""
         return (*self.definition.coordinates, *self.definition.velocities)
 
-    def build(self, values: Mapping[str, float]) -> Oscillator:
+    @property
+    def has_modes(self) -> bool:
+        """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
+        own = self.definition
+        return bool(own.friction or own.phases) or [each.rigid for each in own.contacts] != [True]
+
+    def refuse_modes(self, what: str) -> None:
+        """DefinitionError, in one line, that ``what`` is not there for machines like this one, if it has modes."""
+        if self.has_modes:
+            raise DefinitionError(
+                f"system {self.name!r}: {what} are there for machines with one rigid contact alone, which this is not"
+            )
+
+    def build(self, values: Mapping[str, float]) -> Any:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return one_of(oscillators, 0)
 
-    def build_many(self, values: Mapping[str, Array]) -> tuple[Oscillator, NDArray[np.int8]]:
-        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON."""
+    def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
+        """The oscillators of values (N,) of each parameter, and the reason against each, or NO_REASON.
+
+        A record of many: an Oscillator, or a Hybrid where the system has modes.
+        """
+        if self.has_modes:
+            hybrids, reasons = build_hybrid(self.definition.hybrid(values))
+            return hybrids, self.out_of_range(values, reasons)
         machines = self.definition.machines(values)
         oscillators, reasons = build(machines)
         return oscillators, self.refused(machines, values, reasons)
@@ -105,7 +125,10 @@ class System:
     ) -> NDArray[np.int8]:
         """These reasons (N,) against machines, but where the numbers of these fields or values (N,) alone tell one."""
         wrong = faults(machines, fields)
-        reasons = np.where(wrong != NO_REASON, wrong, reasons)
+        return self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
+
+    def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
+        """These reasons (N,), but where values (N,) of parameters are out of their ranges."""
         for name, value in values.items():
             reasons[~self.parameter(name).admits(value)] = OUT_OF_RANGE
         return reasons
@@ -225,10 +248,8 @@ def _read(given: Mapping[str, Any], packaged: bool) -> System:
 
 def refuse_unsolved(name: str, definition: Definition) -> None:
     """DefinitionError for a machine that can be written down but not solved: the only place that refuses it."""
-    more = definition.friction or definition.phases or definition.drift
-    if more or [each.rigid for each in definition.contacts] != [True]:
-        unsolved = "several or soft contacts, friction, phases and drift are not solved yet"
-        raise DefinitionError(f"system {name!r}: {unsolved}; give one contact with a restitution")
+    if definition.drift:
+        raise DefinitionError(f"system {name!r}: drift is not solved yet; tie {definition.drift} down by a spring")
 
 
 def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:

@@ -96,11 +96,16 @@ def fly(pieces, k, s, h, V, growth, triangle, tally):
 
 
 @inline_always
-def count_hit(tally, side, speed):
-    """Count that a contact is reached."""
+def count_hit(tally, hits, t, side, c, speed):
+    """Count that contact c is reached and, while there is room in hits (K, 3), write it down."""
     tally[UPPER if side > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
+    tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
     tally[SPEEDS] += speed
+    place = int(tally[RECORDED])
+    if place < hits.shape[0]:
+        hits[place, 0], hits[place, 1], hits[place, 2] = t, side * (1.0 + c), speed
+        tally[RECORDED] += 1.0
 
 
 @inline_always
@@ -118,12 +123,13 @@ def keep_held(elements, states, slips, z):
 
 
 @kernel
-def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
+def through_modes(table, z, W, code, growth, triangle, tally, hits, events, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
 
     In place, with the number of their mode in code (1,). growth (m,), triangle: see tangent.orthonormalise; of no
-    length where the vectors are not to be made orthonormal. events (K, 3): the first K of them, (time, +-(1 + signal)
-    with the side's sign, rate of the guard). Stops early with tally[STATUS] set where it cannot go on.
+    length where the vectors are not to be made orthonormal. hits (K, 3): the first K contacts, (time, +-(1 + contact)
+    with the side's sign, speed); events (K, 4): the first K events, (time, signal, side, its rate), NaN from there on.
+    Stops early with tally[STATUS] set where it cannot go on.
     """
     pieces, elements = table.pieces, table.elements
     n, m = len(z) // 2, W.shape[0]
@@ -132,7 +138,8 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
     begun = np.zeros(pieces.ends.shape[1], dtype=np.int64)
     h, scratch, V = np.empty((n, 2)), np.empty((n, 2)), np.empty((m, n, 2))
     f, after, slopes = np.empty(2 * n), np.empty(2 * n), np.empty(m)
-    t, phase, period = 0.0, table.tau, 2.0 * math.pi / table.omega
+    t, phase, period, seen = 0.0, table.tau, 2.0 * math.pi / table.omega, 0
+    events[:] = np.nan
     read_number(code[0], states, slips)
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
@@ -168,10 +175,9 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
         row = pieces.rows[k, hit, : 2 * n]
         for e in range(m):
             slopes[e] = product(row, W[e], 0) / rate
-        place = int(tally[RECORDED])
-        if place < events.shape[0]:
-            events[place, 0], events[place, 1], events[place, 2] = t, side * (1.0 + hit), rate
-            tally[RECORDED] += 1.0
+        if seen < events.shape[0]:
+            events[seen, 0], events[seen, 1], events[seen, 2], events[seen, 3] = t, hit, side, rate
+            seen += 1
         c = hit // SIGNALS
         if c >= C:
             k, number = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
@@ -179,7 +185,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
                 continue
         elif elements.soft[c] > 0.0:
             if states[c] == OPEN:
-                count_hit(tally, side, abs(rate))
+                count_hit(tally, hits, t, side, c, abs(rate))
             soft_event(hit, c, side, states, begun)
         elif states[c] != OPEN:
             release(elements, hit, c, states, slips, begun)
@@ -192,7 +198,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, events, duration):
             if following == REST:
                 tally[MIN_SPEED] = 0.0
             else:
-                count_hit(tally, side, abs(rate))
+                count_hit(tally, hits, t, side, c, abs(rate))
                 tally[CONTRACTION] += 2.0 * math.log(elements.R[c])
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:
@@ -215,7 +221,7 @@ def propagate_hybrid(osc, motion, duration):
     from_vectors(osc.to_physical, h, z)
     from_vectors(osc.to_physical, motion.V, W)
     code = motion.contact - FIRST_NUMBER
-    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, duration)
+    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, np.empty((0, 4)), duration)
     if tally[STATUS] == RUNNING:
         into_vectors(osc.to_blocks, z, h)
         into_vectors(osc.to_blocks, W, motion.V)
