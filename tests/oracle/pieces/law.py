@@ -12,14 +12,18 @@ import numpy as np
 from mpmath import mp
 
 from tests.oracle.linear import LinearSystem, Number, Row
-from tests.oracle.pieces.machine import Contact, Machine, Phase, Rows, Vector
+from tests.oracle.pieces.machine import Contact, Machine, Rows, Vector
+
+RESTS = ("held", "edge")
+"""What contacts do that hold their row in place."""
 
 
 @dataclass(frozen=True)
 class Mode:
     """The phase and what each contact and each friction element does.
 
-    Contacts: "open"; "held" (rigid), "engaged" or "detached" (soft), followed by the side, "+" or "-".
+    Contacts: "open"; "held" (rigid), "engaged", "detached" or "edge" (soft), followed by the side, "+" or "-". On its
+    edge a preloaded stop pushes with less than its preload, and nothing moves.
     Friction: "slip+", "slip-" or "stick".
     """
 
@@ -60,11 +64,12 @@ class Laws:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
+        self.machines = [machine.during(phase) for phase in machine.phases]
         self.n = machine.n
         self.omega = mp.mpf(machine.omega)
         self.period = 2 * mp.pi / self.omega
         self.inverse = mp.inverse(_matrix(machine.mass))
-        self.orders = sorted({force.order for force in _all_forces(machine)})
+        self.orders = sorted({force.order for each in self.machines for force in each.forces})
         self.size = 2 * self.n + 2 * len(self.orders) + 1
         self._laws: dict[Mode, Law] = {}
 
@@ -95,31 +100,52 @@ class Laws:
 
     def push(self, contact: Contact, side: int) -> Row:
         """The force of a soft contact away from the stop of a side."""
-        stop = mp.mpf(contact.stops[side])
-        force = _sum(
-            [
-                (mp.mpf(contact.stiffness), self.position(contact.row, stop, side)),
-                (mp.mpf(contact.damping), self.velocity(contact.row, 0, side)),
-            ]
-        )
-        force[self.size - 1] = force.get(self.size - 1, mp.zero) + mp.mpf(contact.preload)
-        return force
+        depth = self.position(contact.row, contact.stops[side], side)
+        rate = self.velocity(contact.row, 0, side)
+        spring = _sum([(mp.mpf(contact.stiffness), depth), (mp.mpf(contact.damping), rate)])
+        return self._less(spring, -mp.mpf(contact.preload))
+
+    def rubbing(self, mode: Mode, i: int, z: Sequence[Number]) -> str:
+        """What friction element i does when v_r = 0: stick if static friction can hold it, else slip."""
+        if self.twin(mode, i) is not None:
+            return "stick"
+        needed = value_of(self.law(mode.rub(i, "stick")).pressure["friction", i], z)
+        if abs(needed) <= mp.mpf(self.machines[mode.phase].friction[i].static):
+            return "stick"
+        return "slip-" if needed > 0 else "slip+"
+
+    def resting(self, mode: Mode, i: int, side: int, z: Sequence[Number]) -> Mode | None:
+        """The mode in which contact i rests on a stop, where row.x is without velocity, or None if it would leave."""
+        contact = self.machines[mode.phase].contacts[i]
+        rigid = contact.restitution is not None
+        rests = mode.contact(i, named("held" if rigid else "edge", side))
+        for k, friction in enumerate(self.machine.friction):
+            if self.twin(rests, k) == i and friction.belt == 0:
+                rests = rests.rub(k, "stick")
+        ends = [g for g in self.law(rests).guards if g.kind in ("leave", "sink") and g.index == i]
+        return None if any(value_of(g.functional, z) >= 0 for g in ends) else rests
+
+    def moving(self, mode: Mode, i: int, side: int, direction: int) -> Mode:
+        """The mode with contact i open and moving in a direction: friction on its row acts against that."""
+        rests = mode.contact(i, named("held", side))
+        for k, friction in enumerate(self.machine.friction):
+            if self.twin(rests, k) == i and friction.belt == 0:
+                mode = mode.rub(k, named("slip", direction if self._scale(k, i) > 0 else -direction))
+        return mode.contact(i, "open")
 
     def twin(self, mode: Mode, friction: int) -> int | None:
-        """The held contact whose row is parallel to that of a friction element, or None."""
+        """The contact at rest whose row is parallel to that of a friction element, or None."""
         row = np.array(self.machine.friction[friction].row, dtype=float)
         for index, state in enumerate(mode.contacts):
-            if state[:-1] == "held" and np.linalg.matrix_rank([row, self._gap(index)]) == 1:
+            gap = np.array(self.machine.contacts[index].row, dtype=float)
+            if state[:-1] in RESTS and np.linalg.matrix_rank([row, gap]) == 1:
                 return index
         return None
 
-    def scale(self, friction: int, contact: int) -> Number:
+    def _scale(self, friction: int, contact: int) -> Number:
         """The number c of parallel rows: friction row = c contact row."""
         a, b = (list(map(mp.mpf, e.row)) for e in (self.machine.friction[friction], self.machine.contacts[contact]))
         return mp.fdot(a, b) / mp.fdot(b, b)
-
-    def _gap(self, index: int) -> Any:
-        return np.array(self.machine.contacts[index].row, dtype=float)
 
     def _output(self, row: Vector, first: int, offset: Number, sign: int) -> Row:
         functional = {first + j: sign * mp.mpf(entry) for j, entry in enumerate(row) if entry != 0}
@@ -159,18 +185,17 @@ class Laws:
 
     def _forces(self, mode: Mode) -> Any:
         """F (n, size): the forces on the coordinates as functionals of z, those of constraints left out."""
-        machine, n, one = self.machine, self.n, self.size - 1
-        phase = machine.phases[mode.phase]
+        machine, n = self.machines[mode.phase], self.n
         F = mp.zeros(n, self.size)
-        F[:, :n] = -_matrix(_or(phase.stiffness, machine.stiffness))
-        F[:, n : 2 * n] = -_matrix(_or(phase.damping, machine.damping))
-        for force in _or(phase.forces, machine.forces):
+        F[:, :n] = -_matrix(machine.stiffness)
+        F[:, n : 2 * n] = -_matrix(machine.damping)
+        for force in machine.forces:
             at = 2 * n + 2 * self.orders.index(force.order)
             for i in range(n):
                 F[i, at] += mp.mpf(force.sin[i])
                 F[i, at + 1] += mp.mpf(force.cos[i])
-        for i, load in enumerate(_or(phase.load, machine.load)):
-            F[i, one] += mp.mpf(load)
+        for i, load in enumerate(machine.load):
+            F[i, self.size - 1] += mp.mpf(load)
         pushes: list[tuple[Vector, Row]] = []
         for contact, state in zip(machine.contacts, mode.contacts, strict=True):
             if state[:-1] == "engaged":
@@ -179,18 +204,18 @@ class Laws:
         for friction, state in zip(machine.friction, mode.friction, strict=True):
             if state != "stick":
                 sliding = _sum([(-mp.mpf(friction.slope), self.velocity(friction.row, friction.belt))])
-                sliding[one] = sliding.get(one, mp.zero) - side_of(state) * mp.mpf(friction.kinetic)
+                sliding = self._less(sliding, side_of(state) * mp.mpf(friction.kinetic))
                 pushes.append((friction.row, sliding))
-        for row, force in pushes:
+        for row, push in pushes:
             for i, entry in enumerate(row):
-                for j, value in force.items():
+                for j, value in push.items():
                     F[i, j] += mp.mpf(entry) * value
         return F
 
     def _constraints(self, mode: Mode) -> tuple[list[tuple[str, int]], list[Vector]]:
         keys, rows = [], []
         for index, state in enumerate(mode.contacts):
-            if state[:-1] == "held":
+            if state[:-1] in RESTS:
                 keys.append(("contact", index))
                 rows.append(self.machine.contacts[index].row)
         for index, state in enumerate(mode.friction):
@@ -200,36 +225,40 @@ class Laws:
         return keys, rows
 
     def _guards(self, mode: Mode, pressure: dict[tuple[str, int], Row]) -> Iterator[Guard]:
-        one = self.size - 1
-        for i, (contact, state) in enumerate(zip(self.machine.contacts, mode.contacts, strict=True)):
+        machine = self.machines[mode.phase]
+        for i, (contact, state) in enumerate(zip(machine.contacts, mode.contacts, strict=True)):
+            side, doing = side_of(state), state[:-1]
             if state == "open":
-                for side, stop in contact.stops.items():
-                    yield Guard("reach", i, self.position(contact.row, stop, side), side)
-                continue
-            side, minus = side_of(state), mp.mpf(-1)
-            if state[:-1] == "held":
+                for each, stop in contact.stops.items():
+                    yield Guard("reach", i, self.position(contact.row, stop, each), each)
+            elif doing in RESTS:
                 pull = _sum([(mp.mpf(side), pressure["contact", i])])
-                for k, rub in enumerate(mode.friction):
-                    if rub == "stick" and self.twin(mode, k) == i:
-                        held_back = abs(self.scale(k, i)) * mp.mpf(self.machine.friction[k].static)
-                        pull[one] = pull.get(one, mp.zero) - held_back
-                yield Guard("leave", i, pull, side)
-                continue
-            yield Guard("open", i, self.position(contact.row, contact.stops[side], -side), side)
-            if contact.release == "force":
+                yield Guard("leave", i, self._less(pull, self._held_back(mode, i)), side)
+                if doing == "edge":
+                    yield Guard("sink", i, self._less(_sum([(mp.mpf(-1), pull)]), contact.preload), side)
+            else:
+                yield Guard("open", i, self.position(contact.row, contact.stops[side], -side), side)
                 push = self.push(contact, side)
-                if state[:-1] == "engaged":
-                    yield Guard("detach", i, _sum([(minus, push)]), side)
-                else:
+                if contact.release == "force" and doing == "engaged":
+                    yield Guard("detach", i, _sum([(mp.mpf(-1), push)]), side)
+                elif doing == "detached":
                     yield Guard("engage", i, push, side)
-        for i, (friction, state) in enumerate(zip(self.machine.friction, mode.friction, strict=True)):
+        for i, (friction, state) in enumerate(zip(machine.friction, mode.friction, strict=True)):
             if state != "stick":
                 yield Guard("stop", i, self.velocity(friction.row, friction.belt, -side_of(state)))
             elif ("friction", i) in pressure:
                 for sign, kind in ((1, "slip-"), (-1, "slip+")):
                     needed = _sum([(mp.mpf(sign), pressure["friction", i])])
-                    needed[one] = needed.get(one, mp.zero) - mp.mpf(friction.static)
-                    yield Guard(kind, i, needed)
+                    yield Guard(kind, i, self._less(needed, friction.static))
+
+    def _less(self, functional: Row, number: Number) -> Row:
+        return _sum([(mp.one, functional), (-mp.mpf(number), {self.size - 1: mp.one})])
+
+    def _held_back(self, mode: Mode, contact: int) -> Number:
+        """The force along a contact's row that friction stuck on the same row can hold."""
+        friction = self.machines[mode.phase].friction
+        stuck = (k for k, state in enumerate(mode.friction) if state == "stick" and self.twin(mode, k) == contact)
+        return mp.fsum(abs(self._scale(k, contact)) * mp.mpf(friction[k].static) for k in stuck)
 
 
 def side_of(state: str) -> int:
@@ -237,17 +266,14 @@ def side_of(state: str) -> int:
     return 1 if state.endswith("+") else -1
 
 
+def named(state: str, side: int) -> str:
+    """A state's name with its side or direction."""
+    return state + ("+" if side > 0 else "-")
+
+
 def value_of(functional: Row, z: Sequence[Number]) -> Number:
     """A functional's value."""
     return mp.fdot((entry, z[j]) for j, entry in functional.items())
-
-
-def _all_forces(machine: Machine) -> list[Any]:
-    return [*machine.forces, *(force for phase in machine.phases for force in phase.forces or ())]
-
-
-def _or(own: Any, default: Any) -> Any:
-    return default if own is None else own
 
 
 def _sum(terms: Sequence[tuple[Number, Row]]) -> Row:
@@ -270,4 +296,4 @@ def _matrix(rows: Rows) -> Any:
     return mp.matrix([[mp.mpf(value) for value in row] for row in rows])
 
 
-__all__ = ["Guard", "Law", "Laws", "Mode", "Phase", "side_of", "value_of"]
+__all__ = ["RESTS", "Guard", "Law", "Laws", "Mode", "named", "side_of", "value_of"]

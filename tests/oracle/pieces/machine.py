@@ -5,7 +5,7 @@ M x'' + C x' + K x = sum_h (sin_h sin(h omega t) + cos_h cos(h omega t)) + load 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from tests.oracle.linear import Number
@@ -61,13 +61,18 @@ class Friction:
 
 @dataclass(frozen=True)
 class Phase:
-    """What holds from ``start`` (a fraction of the forcing period) to the next phase in place of the machine's own."""
+    """What holds from ``start`` (a fraction of the forcing period) to the next phase in place of the machine's own.
+
+    ``contacts`` and ``friction``: by index, the numbers of the element's law that are others.
+    """
 
     start: Number
     stiffness: Rows | None = None
     damping: Rows | None = None
     load: Vector | None = None
     forces: tuple[Force, ...] | None = None
+    contacts: Mapping[int, Mapping[str, Number]] | None = None
+    friction: Mapping[int, Mapping[str, Number]] | None = None
 
 
 @dataclass(frozen=True)
@@ -89,30 +94,25 @@ class Machine:
         """Number of coordinates."""
         return len(self.mass)
 
+    def during(self, phase: Phase) -> "Machine":
+        """The machine as it is in one phase."""
+        own = {key: getattr(phase, key) for key in ("stiffness", "damping", "load", "forces")}
+        return replace(
+            self,
+            contacts=tuple(replace(c, **(phase.contacts or {}).get(i, {})) for i, c in enumerate(self.contacts)),
+            friction=tuple(replace(f, **(phase.friction or {}).get(i, {})) for i, f in enumerate(self.friction)),
+            phases=(Phase(0.0),),
+            **{key: value for key, value in own.items() if value is not None},
+        )
+
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> "Machine":
         """The machine of a JSON record."""
-
-        def forces(entries: Sequence[Mapping[str, Any]]) -> tuple[Force, ...]:
-            return tuple(Force(**entry) for entry in entries)
-
-        phases = []
-        for entry in record.get("phases", ()):
-            given = dict(entry)
-            if "forces" in given:
-                given["forces"] = forces(given["forces"])
-            phases.append(Phase(**given))
-        return cls(
-            mass=record["mass"],
-            damping=record["damping"],
-            stiffness=record["stiffness"],
-            load=record["load"],
-            omega=record["omega"],
-            forces=forces(record["forces"]),
-            contacts=tuple(Contact(**entry) for entry in record["contacts"]),
-            friction=tuple(Friction(**entry) for entry in record["friction"]),
-            phases=tuple(phases) or (Phase(0.0),),
-        )
+        lists = {"contacts": Contact, "friction": Friction, "forces": Force}
+        made = {key: tuple(kind(**entry) for entry in record[key]) for key, kind in lists.items()}
+        phases = tuple(_phase(entry) for entry in record.get("phases", ())) or (Phase(0.0),)
+        plain = {key: record[key] for key in ("mass", "damping", "stiffness", "load", "omega")}
+        return cls(**plain, **made, phases=phases)
 
     def record(self) -> dict[str, Any]:
         """The machine as JSON can hold it; a contact has only the keys of its law."""
@@ -123,3 +123,13 @@ class Machine:
                 del contact[key]
         result["phases"] = [{k: v for k, v in phase.items() if v is not None} for phase in result["phases"]]
         return result
+
+
+def _phase(record: Mapping[str, Any]) -> Phase:
+    made = dict(record)
+    if "forces" in made:
+        made["forces"] = tuple(Force(**entry) for entry in made["forces"])
+    for key in ("contacts", "friction"):  # JSON's keys are strings
+        if key in made:
+            made[key] = {int(i): numbers for i, numbers in made[key].items()}
+    return Phase(**made)

@@ -36,7 +36,7 @@ class _Meter:
 
     def leg(self, laws: Laws, mode: Mode, law: Law, series: Series, u: Number, step: Number) -> None:
         """Add one leg, flown to u of its step."""
-        machine, n, time = self.machine, self.machine.n, u * step
+        machine, n, time = laws.machines[mode.phase], self.machine.n, u * step
 
         def along(functional: Row) -> list[Number]:
             return series.of(functional)[0]
@@ -46,8 +46,7 @@ class _Meter:
         for i in range(n):
             x = along({i: mp.one})
             self.sums["square", i] += step * _integral(x, x, u)
-        phase = machine.phases[mode.phase]
-        for i, row in enumerate(machine.damping if phase.damping is None else phase.damping):
+        for i, row in enumerate(machine.damping):
             for j, entry in enumerate(row):
                 if entry:
                     self.sums["damper"] += mp.mpf(entry) * step * _integral(velocities[i], velocities[j], u)
