@@ -103,17 +103,24 @@ def _integral(p: list[Number], q: list[Number], u: Number) -> Number:
 
 def _maximum(p: list[Number], u: Number) -> Number:
     """Largest value of p on [0, u], which has few maxima: the best of POINTS, then Newton's method on the slope."""
-    falling = p[::-1]
-    best = max((u * k / POINTS for k in range(POINTS + 1)), key=lambda s: mp.polyval(falling, s))
-    slope = [k * a for k, a in enumerate(p)][:0:-1]
-    curve = [k * (k - 1) * a for k, a in enumerate(p)][:1:-1]
+    slope = [k * a for k, a in enumerate(p)][1:]
+    curve = [k * a for k, a in enumerate(slope)][1:]
+    best = max((u * k / POINTS for k in range(POINTS + 1)), key=lambda s: _value(p, s))
     s = best
     for _ in range(8):
-        bend = mp.polyval(curve, s)
+        bend = _value(curve, s)
         if bend >= 0:
             break
-        s = min(max(s - mp.polyval(slope, s) / bend, mp.zero), u)
-    return max(mp.polyval(falling, s), mp.polyval(falling, best))
+        s = min(max(s - _value(slope, s) / bend, mp.zero), u)
+    return max(_value(p, s), _value(p, best))
+
+
+def _value(p: list[Number], s: Number) -> Number:
+    """p(s), the coefficients in ascending order."""
+    result = mp.zero
+    for coefficient in reversed(p):
+        result = result * s + coefficient
+    return result
 
 
 __all__ = ["measures"]

@@ -1,0 +1,340 @@
+"""The oracle of piecewise-linear machines against the definitions of its elements, invariants and closed forms."""
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpmath import mp
+from scipy.linalg import expm
+
+from tests.oracle.pieces import Contact, Force, Friction, Machine, Mode, Phase, monodromy, simulate
+from tests.oracle.pieces.draw import random_machine, random_state
+from tests.oracle.pieces.rows import oscillator, soft
+
+AT_REST = 1e-11
+SHORTEST = 1e-5  # legs of a chatter below this are not looked into
+
+
+@dataclass
+class Watch:
+    """An observer that holds each leg against the definitions, by plain sums of forces in double precision."""
+
+    machine: Machine
+    time: float = 0.0
+    before: np.ndarray | None = None
+    checked: int = 0
+    rigid_hits: int = 0
+    traces: list[tuple[Any, float]] = field(default_factory=list)
+
+    def leg(self, laws: Any, mode: Mode, law: Any, series: Any, u: Any, step: Any) -> None:
+        machine, n = self.machine.during(self.machine.phases[mode.phase]), self.machine.n
+        start, end = (np.array(series.at(at)[: 2 * n], dtype=float) for at in (mp.zero, u))
+        if self.before is not None:
+            self.check_jump(machine, self.before, start)
+        if u * step > SHORTEST:
+            for part in (0.2, 0.5, 0.8):
+                near = [series.at(u * part + shift)[: 2 * n] for shift in (mp.mpf("-1e-9"), mp.zero, mp.mpf("1e-9"))]
+                a = np.array([(p - q) / (mp.mpf("2e-9") * step) for p, q in zip(near[2][n:], near[0][n:], strict=True)])
+                z = np.array(near[1], dtype=float)
+                self.check(machine, self.time + float(u * step) * part, z[:n], z[n:], a.astype(float))
+        self.traces.append((mode, float(u * step)))
+        self.time += float(u * step)
+        self.before = end
+
+    def check(self, machine: Machine, t: float, x: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        """M a - F is made of the forces of held contacts and of sticking friction, and they are within their limits."""
+        force = np.array(machine.load, dtype=float) - np.array(machine.stiffness) @ x - np.array(machine.damping) @ v
+        for harmonic in machine.forces:
+            angle = harmonic.order * machine.omega * t
+            force += np.array(harmonic.sin) * math.sin(angle) + np.array(harmonic.cos) * math.cos(angle)
+        held: dict[tuple[float, ...], float] = {}  # side of the stop, by row
+        stuck: dict[tuple[float, ...], float] = {}  # static friction, by row
+        for contact in machine.contacts:
+            row = np.array(contact.row, dtype=float)
+            for side, stop in contact.stops.items():
+                depth, rate = side * (row @ x - stop), side * (row @ v)
+                if contact.restitution is not None:
+                    assert depth < 1e-12
+                    if abs(depth) < AT_REST and abs(rate) < AT_REST:
+                        held[tuple(contact.row)] = side
+                elif depth > 0:
+                    push = contact.preload + contact.stiffness * depth + contact.damping * rate
+                    force -= side * row * (max(push, 0.0) if contact.release == "force" else push)
+        for friction in machine.friction:
+            row = np.array(friction.row, dtype=float)
+            slip = row @ v - friction.belt
+            if abs(slip) < AT_REST:
+                stuck[tuple(friction.row)] = friction.static
+            else:
+                force -= row * (math.copysign(friction.kinetic, slip) + friction.slope * slip)
+        rows = list({**held, **stuck})
+        missing = np.array(machine.mass) @ a - force
+        forces = np.linalg.lstsq(np.array(rows).T, missing, rcond=None)[0] if rows else np.zeros(0)
+        made = np.array(rows).T @ forces if rows else np.zeros_like(missing)
+        np.testing.assert_allclose(made, missing, atol=1e-9)
+        for row, value in zip(rows, forces, strict=True):
+            limit = stuck.get(row, 0.0) + 1e-9
+            if row in held:
+                assert held[row] * value <= limit
+            else:
+                assert abs(value) <= limit
+        self.checked += 1
+
+    def check_jump(self, machine: Machine, before: np.ndarray, after: np.ndarray) -> None:
+        """Between legs nothing moves; velocities jump at rigid stops only, by the laws of impulse and restitution."""
+        n = self.machine.n
+        np.testing.assert_allclose(after[:n], before[:n], atol=1e-12)
+        jump = after[n:] - before[n:]
+        if np.abs(jump).max() < 1e-6:
+            return
+        hit = []
+        for contact in machine.contacts:
+            row = np.array(contact.row, dtype=float)
+            for side, stop in contact.stops.items() if contact.restitution is not None else ():
+                if abs(row @ before[:n] - stop) < 1e-10 and side * (row @ before[n:]) > AT_REST:
+                    hit.append((row, contact.restitution))
+        assert hit
+        rows = np.array([row for row, _ in hit])
+        impulse = np.array(machine.mass) @ jump
+        if len(hit) == 1:
+            (row, R), *_ = hit
+            share = (row @ impulse) / (row @ row)
+            np.testing.assert_allclose(impulse, share * rows[0], atol=1e-9)
+            assert row @ after[n:] == pytest.approx(-R * (row @ before[n:]), abs=1e-6)
+            self.rigid_hits += 1
+
+
+def watched(seed: int, periods: int) -> Watch:
+    machine = random_machine(seed, switched_elements=seed % 2 == 1)
+    watch = Watch(machine)
+    period = 2 * math.pi / machine.omega
+    state, mode = random_state(machine, seed), None
+    for _ in range(periods):
+        watch.time = 0.0
+        run = simulate(machine, state, mode=mode, digits=30, rest=1e-8, observe=watch.leg)
+        assert watch.time == pytest.approx(period, rel=1e-12)
+        state, mode = run.sections[-1], run.modes[-1]
+    return watch
+
+
+def test_random_machines_obey_the_definitions_of_their_elements_on_every_leg() -> None:
+    watches = [watched(seed, 1) for seed in range(24)]
+    assert sum(watch.checked for watch in watches) > 500
+    assert sum(watch.rigid_hits for watch in watches) > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(8))
+def test_many_random_machines_obey_the_definitions_of_their_elements(block: int) -> None:
+    for seed in range(400 + 30 * block, 430 + 30 * block):
+        watched(seed, 3)
+
+
+@pytest.mark.parametrize("R", [0.0, 0.5])
+def test_two_coupled_masses_pressed_on_each_other_and_on_a_stop_both_come_to_rest(R: float) -> None:
+    """x1 <= 0 and x2 <= x1, both pushed by 1: each impact of one parts the other, and the speeds fall to rounding."""
+    contacts = tuple(Contact(row, 0.0, restitution=R) for row in ([1.0, 0.0], [-1.0, 1.0]))
+    one = np.eye(2).tolist()
+    machine = Machine(one, (0.1 * np.eye(2)).tolist(), one, [1.0, 1.0], 1.0, contacts=contacts)
+    run = simulate(machine, [-0.5, -1.3, 0.0, 0.0], span=9.0, digits=30, rest=1e-8)
+    assert run.modes[-1].contacts == ("held+", "held+")
+    np.testing.assert_allclose(np.array(run.sections[-1], dtype=float), 0.0, atol=1e-20)
+
+
+def test_a_state_beyond_a_rigid_stop_is_refused() -> None:
+    machine = oscillator(1.0, 1.0, contact=Contact([1.0], 0.5, restitution=0.5))
+    with pytest.raises(ValueError, match=r"contact 0 is 0\.1 beyond its stop"):
+        simulate(machine, [0.6, 0.0])
+
+
+def test_the_oracle_imports_nothing_of_what_it_checks() -> None:
+    for path in (Path(__file__).parent / "oracle" / "pieces").glob("*.py"):
+        assert not any(line.startswith(("from workers", "import workers", "from atlas", "import atlas"))
+                       for line in path.read_text().splitlines())  # fmt: skip
+
+
+# Volumes of the state space
+
+
+def volume_change(machine: Machine, state: list[float], periods: int) -> float | None:
+    """ln |det DP| by the law of sums: what dampers take, and one factor an event; None where a direction is lost.
+
+    -int tr(M^-1 C_mode) dt + sum of ln R^2 over impacts; det S = 1 at all events of soft contacts. No friction.
+    """
+    watch = Watch(machine)
+    run = simulate(machine, state, periods, digits=30, rest=1e-8, observe=watch.leg)
+    if any(event.kind == "rest" for event in run.events):
+        return None
+    inverse = np.linalg.inv(np.array(machine.mass))
+    total = 0.0
+    for mode, time in watch.traces:
+        present = machine.during(machine.phases[mode.phase])
+        damping = np.array(present.damping, dtype=float)
+        for contact, does in zip(present.contacts, mode.contacts, strict=True):
+            damping += contact.damping * np.outer(contact.row, contact.row) * (does[:-1] == "engaged")
+        total -= float(np.trace(inverse @ damping)) * time
+    for event in run.events:
+        if event.kind == "impact":
+            total += 2 * math.log(machine.contacts[event.index].restitution)
+    return total
+
+
+@pytest.mark.slow
+def test_volumes_change_by_dampers_and_restitution_alone_where_nothing_rubs_or_rests() -> None:
+    compared = 0
+    for seed in range(120):
+        machine = random_machine(seed)
+        machine = replace(machine, friction=())
+        contacts = tuple(c if c.restitution != 0.0 else replace(c, restitution=0.5) for c in machine.contacts)
+        machine = replace(machine, contacts=contacts)
+        state = random_state(machine, seed)
+        expected = volume_change(machine, state, 1)
+        if expected is None:
+            continue
+        with mp.workdps(50):
+            found = float(mp.log(abs(mp.det(monodromy(machine, state, 1)))))
+        assert found == pytest.approx(expected, abs=1e-11), seed
+        compared += 1
+    assert compared > 80
+
+
+def test_a_turn_changes_volumes_by_the_ratio_of_the_accelerations() -> None:
+    """x'' + .1 x' + x + sgn x' = 2 cos .9 t: det S = a_r after / a_r before at each turn."""
+    machine = oscillator(0.9, 2.0, friction=Friction([1.0], 1.0, 1.2))
+    run = simulate(machine, [2.0, 3.0], span=6.0)
+    expected = -0.1 * 6.0
+    for event in run.events:
+        assert event.kind == "turn"
+        applied = 2 * math.cos(0.9 * float(event.t)) - float(event.value)
+        expected += math.log((abs(applied) - 1) / (abs(applied) + 1))
+    assert run.events
+    with mp.workdps(50):
+        found = mp.log(mp.det(monodromy(machine, [2.0, 3.0], span=6.0)))
+    assert float(found) == pytest.approx(expected, abs=1e-12)
+
+
+# Closed forms
+
+
+def test_chatter_with_friction_on_its_row_takes_the_time_of_its_geometric_series() -> None:
+    """A mass pressed by a with friction F: hops shrink by r = R sqrt((a - F)/(a + F)).
+
+    From a rebound w they last w (1/(a + F) + 1/sqrt(a^2 - F^2)) / (1 - r) in all.
+    """
+    a, F, R, w = 1.0, 0.3, 0.6, 0.5
+    machine = Machine(
+        [[1.0]], [[0.0]], [[0.0]], [a], 1.0,
+        contacts=(Contact([1.0], 0.0, restitution=R),), friction=(Friction([1.0], F, F),),
+    )  # fmt: skip
+    run = simulate(machine, [0.0, -w], span=3.0, digits=50, rest=1e-14)
+    rest = next(event for event in run.events if event.kind == "rest")
+    r = R * math.sqrt((a - F) / (a + F))
+    assert float(rest.t) == pytest.approx(w * (1 / (a + F) + 1 / math.sqrt(a**2 - F**2)) / (1 - r), abs=1e-13)
+    assert run.modes[-1] == Mode(0, ("held+",), ("stick",))
+
+
+def test_strong_friction_stops_a_mass_between_hops() -> None:
+    machine = Machine(
+        [[1.0]], [[0.0]], [[0.0]], [1.0], 1.0,
+        contacts=(Contact([1.0], 0.0, restitution=0.6),), friction=(Friction([1.0], 0.3, 1.1),),
+    )  # fmt: skip
+    run = simulate(machine, [0.0, -0.5], span=3.0)
+    assert [event.kind for event in run.events] == ["stick"]
+    assert float(run.events[0].value) == pytest.approx(-(0.5**2) / (2 * 1.3), abs=1e-15)
+
+
+def test_a_mass_at_rest_on_a_stop_with_friction_leaves_when_the_pull_exceeds_static_friction() -> None:
+    """Pressed by cos t: the pull away from the stop is -cos t, and reaches the static friction .5 at 2 pi / 3."""
+    machine = Machine(
+        [[1.0]], [[0.1]], [[0.0]], [0.0], 1.0, (Force(1, [0.0], [1.0]),),
+        (Contact([1.0], 0.0, restitution=0.5),), (Friction([1.0], 0.4, 0.5),),
+    )  # fmt: skip
+    run = simulate(machine, [0.0, 0.0], span=3.0)
+    assert run.modes[0] == Mode(0, ("held+",), ("stick",))
+    assert [event.kind for event in run.events] == ["leave"]
+    assert float(run.events[0].t) == pytest.approx(2 * math.pi / 3, abs=1e-15)
+    assert run.modes[-1] == Mode(0, ("open",), ("slip-",))
+
+
+def test_hops_on_the_edge_of_a_preload_slow_down_by_the_damper() -> None:
+    """Outer load a below the preload p: the speed of the hops falls as exp(-c a t / (3 p)), unit mass, small c."""
+    a, p, c = 0.3, 1.0, 0.5
+    machine = Machine([[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(Contact([1.0], 0.0, damping=c, preload=p),))
+    run = simulate(machine, [0.0, 0.02], span=20.0, digits=30, rest=1e-8)
+    hits = [event for event in run.events if event.kind == "hit"]
+    first, last = hits[0], hits[-1]
+    rate = math.log(float(first.value / last.value)) / float(last.t - first.t)
+    assert rate == pytest.approx(c * a / (3 * p), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("sign", "kind", "time"), [(1, "sink", math.asin(0.6)), (-1, "leave", math.asin(0.4))], ids=["sinks", "leaves"]
+)
+def test_an_edge_ends_where_its_force_reaches_the_preload_or_zero(sign: int, kind: str, time: float) -> None:
+    """The outer load .4 + sin t, or .4 - sin t, stays between 0 and the preload 1 until then."""
+    machine = Machine(
+        [[1.0]], [[0.1]], [[0.0]], [0.4], 1.0, (Force(1, [float(sign)], [0.0]),),
+        (Contact([1.0], 0.0, stiffness=10.0, damping=0.1, preload=1.0),),
+    )  # fmt: skip
+    run = simulate(machine, [0.0, 0.0], span=1.0)
+    assert run.modes[0].contacts == ("edge+",)
+    assert (run.events[0].kind, float(run.events[0].t)) == (kind, pytest.approx(time, abs=1e-15))
+    assert run.modes[-1].contacts == ("engaged+" if kind == "sink" else "open",)
+
+
+def test_a_stiffness_switched_during_contact_changes_the_flow_and_nothing_else() -> None:
+    """Against matrix exponentials of the two halves; the mass stays beyond the stop all the time."""
+    machine = Machine(
+        [[1.0]], [[0.1]], [[1.0]], [2.0], 2 * math.pi,
+        contacts=(Contact([1.0], 0.0, stiffness=20.0, damping=0.3),),
+        phases=(Phase(0.0), Phase(0.3, contacts={0: {"stiffness": 5.0}})),
+    )  # fmt: skip
+    state = np.array([0.15, 0.2, 1.0])
+    for k, time in ((21.0, 0.3), (6.0, 0.7)):
+        state = expm(np.array([[0.0, 1.0, 0.0], [-k, -0.4, 2.0], [0.0, 0.0, 0.0]]) * time) @ state
+    run = simulate(machine, [0.15, 0.2])
+    assert run.events == []
+    np.testing.assert_allclose(np.array(run.sections[-1], dtype=float), state[:2], atol=1e-14)
+
+
+def test_the_order_of_impacts_decides_where_two_coupled_contacts_are_hit_at_once() -> None:
+    """Rows (1, 0) and (-1, 1), unit masses, both hit at t = 1: (1, 0) first, as contacts come in order.
+
+    With R = .8 and v = (1, 2): x1 rebounds to (-.8, 2), then the gap x2 - x1 closing at 2.8 turns into -2.24.
+    """
+    rows = ([1.0, 0.0], [-1.0, 1.0])
+    machine = Machine(
+        np.eye(2).tolist(), np.zeros((2, 2)).tolist(), np.zeros((2, 2)).tolist(), [0.0, 0.0], 1.0,
+        contacts=tuple(Contact(row, 0.0, restitution=0.8) for row in rows),
+    )  # fmt: skip
+    run = simulate(machine, [-1.0, -2.0, 1.0, 2.0], span=1.0 + 1e-3)
+    assert [(event.index, float(event.value)) for event in run.events[:2]] == [
+        (0, pytest.approx(1.0)),
+        (1, pytest.approx(2.8)),
+    ]
+
+
+@pytest.mark.parametrize("depth", [1e-6, 1e-8])
+def test_a_graze_of_a_damped_stop_that_releases_by_force_kicks_in_proportion_to_its_depth(depth: float) -> None:
+    """A border collision: on the contact side the end differs from free flight by depth^1."""
+
+    def end(d: float, c: float) -> float:
+        stop = Contact([1.0], 0.0, damping=c, stiffness=20.0, release="force")
+        machine = Machine([[1.0]], [[0.0]], [[0.0]], [-1.0], 1.0, contacts=(stop,) if c else ())
+        return float(simulate(machine, [-0.5 + d, 1.0], span=2.0, digits=40).sections[-1][1])
+
+    c = 0.3
+    kick = (end(depth, c) - end(depth, 0.0)) / depth
+    assert kick == pytest.approx(-c, rel=100 * math.sqrt(depth))
+
+
+def test_soft_and_rigid_contacts_close_to_each_other_agree_in_the_limit() -> None:
+    """A spring of 1e8 without damper turns a mass as R = 1 does, up to the time of contact, pi / sqrt(k)."""
+    hard = oscillator(0.95, 0.5, contact=Contact([1.0], 0.3, stiffness=1e8))
+    rigid = oscillator(0.95, 0.5, contact=Contact([1.0], 0.3, restitution=1.0))
+    ends = [np.array(simulate(m, [0.0, 0.5], digits=24).sections[-1], dtype=float) for m in (hard, rigid)]
+    np.testing.assert_allclose(*ends, atol=5e-3)
+    assert soft(1.0).contacts[0].restitution is None
