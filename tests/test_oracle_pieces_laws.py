@@ -1,5 +1,6 @@
 """The oracle of piecewise-linear machines against the definitions of its elements, invariants and closed forms."""
 
+import json
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from mpmath import mp
 from scipy.linalg import expm
 
-from tests.oracle.pieces import Contact, Force, Friction, Machine, Mode, Phase, monodromy, simulate
+from tests.oracle.pieces import Contact, Force, Friction, Machine, Mode, Phase, monodromy, orbit, simulate
 from tests.oracle.pieces.draw import random_machine, random_state
 from tests.oracle.pieces.rows import oscillator, soft
 
@@ -142,6 +143,12 @@ def test_two_coupled_masses_pressed_on_each_other_and_on_a_stop_both_come_to_res
     run = simulate(machine, [-0.5, -1.3, 0.0, 0.0], span=9.0, digits=30, rest=1e-8)
     assert run.modes[-1].contacts == ("held+", "held+")
     np.testing.assert_allclose(np.array(run.sections[-1], dtype=float), 0.0, atol=1e-20)
+
+
+def test_a_machine_survives_json() -> None:
+    for seed in range(50):
+        machine = random_machine(seed, switched_elements=True)
+        assert Machine.of(json.loads(json.dumps(machine.record()))) == machine
 
 
 def test_a_state_beyond_a_rigid_stop_is_refused() -> None:
@@ -329,6 +336,45 @@ def test_a_graze_of_a_damped_stop_that_releases_by_force_kicks_in_proportion_to_
     c = 0.3
     kick = (end(depth, c) - end(depth, 0.0)) / depth
     assert kick == pytest.approx(-c, rel=100 * math.sqrt(depth))
+
+
+def test_a_detached_stop_engages_again_when_its_force_would_push() -> None:
+    """Unit mass .1 beyond the stop, leaving at 1.5, pushed back in by a = 100: F = k delta + c delta' with k 10, c 1.
+
+    F = -.5 + (c a - 1.5 k) t + k a t^2 / 2 until it is zero.
+    """
+    a, k, c, depth, speed = 100.0, 10.0, 1.0, 0.1, -1.5
+    stop = Contact([1.0], 0.0, stiffness=k, damping=c, release="force")
+    machine = Machine([[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(stop,))
+    run = simulate(machine, [depth, speed], span=0.02)
+    assert run.modes[0].contacts == ("detached+",)
+    rise, bend = k * speed + c * a, k * a / 2
+    time = (-rise + math.sqrt(rise**2 - 4 * bend * (k * depth + c * speed))) / (2 * bend)
+    assert [event.kind for event in run.events] == ["engage"]
+    assert float(run.events[0].t) == pytest.approx(time, abs=1e-16)
+    assert run.modes[-1].contacts == ("engaged+",)
+
+
+@pytest.mark.slow
+def test_at_the_onset_of_stick_with_higher_static_friction_the_multipliers_jump_though_the_stick_is_short() -> None:
+    """x'' + .1 x' + x + sgn x' = 2 cos(omega t), static 1.2, about omega = .655453162351025, where |Lambda| rises.
+
+    The stick begins with zero length and grows in proportion; the lost direction is there at once. No outside source.
+    """
+    lengths = []
+    for off in (1e-6, 1e-5):
+        machine = oscillator(0.655453162351025 * (1 - off), 2.0, friction=Friction([1.0], 1.0, 1.2))
+        found = orbit(machine, [2.2959656, 1.5007525])
+        stick, slip, *_ = found.run.events
+        assert (stick.kind, slip.kind) == ("stick", "slip-")
+        lengths.append(float(slip.t - stick.t))
+        assert found.multipliers[0] == pytest.approx(0.06751, abs=1e-4)
+        assert abs(found.multipliers[1]) < 1e-20
+    assert lengths[1] / lengths[0] == pytest.approx(10.0, rel=1e-3)
+    sliding = orbit(
+        oscillator(0.655453162351025 * (1 + 1e-6), 2.0, friction=Friction([1.0], 1.0, 1.2)), [2.296, 1.5007]
+    )
+    assert sliding.multipliers[0] == pytest.approx(-0.05589 + 0.0067j, abs=1e-4)
 
 
 def test_soft_and_rigid_contacts_close_to_each_other_agree_in_the_limit() -> None:

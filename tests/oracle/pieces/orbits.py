@@ -16,7 +16,6 @@ from tests.oracle.pieces.motion import Run, simulate
 DIGITS = 50
 REST = 1e-14
 STEPS = 30
-NODES = 40  # of a Gauss rule on one leg, whose integrands are entire functions of degree about 2 REACH
 
 
 @dataclass(frozen=True)
@@ -82,31 +81,23 @@ def orbit(
     elsewhere after the turn; it stays where it is in ``state``.
     """
     with mp.workdps(DIGITS):
-        span = 2 * mp.pi / mp.mpf(machine.omega) * periods
+        whole = 2 * mp.pi / mp.mpf(machine.omega) * periods
+        half = whole / 2 if symmetric else None
         image = -1 if symmetric else 1
-        pieces = 1
-        if symmetric:
-            span /= 2
-        else:
-            pieces = periods
         z = [mp.mpf(value) for value in state]
         known = [i for i in range(len(z)) if i != drift]
         for _ in range(STEPS):
-            run = _turn(machine, z, pieces, mode, span if symmetric else None)
+            run = simulate(machine, z, periods, mode=mode, span=half, digits=DIGITS, rest=REST)
             z, end = run.sections[0], run.sections[-1]
             closure = mp.matrix([image * end[i] - z[i] for i in known])
-            jacobian = image * monodromy(machine, z, pieces, mode=mode, span=span if symmetric else None)
+            jacobian = image * monodromy(machine, z, periods, mode=mode, span=half)
             if mp.norm(closure) < tolerance:
                 moved = mp.zero if drift is None else end[drift] - z[drift]
-                return Orbit(machine, run, span, jacobian, image, moved)
+                return Orbit(machine, run, half or whole, jacobian, image, moved)
             reduced = mp.matrix([[jacobian[i, j] - (i == j) for j in known] for i in known])
             for i, change in zip(known, mp.lu_solve(reduced, -closure), strict=True):
                 z[i] += change
         raise ArithmeticError(f"closure {mp.nstr(mp.norm(closure), 3)} after {STEPS} steps of Newton's method")
-
-
-def _turn(machine: Machine, z: Vector, periods: int, mode: Mode | None, span: Number | None) -> Run:
-    return simulate(machine, z, periods, mode=mode, span=span, digits=DIGITS, rest=REST)
 
 
 def _eigenvalues(matrix: Any) -> list[complex]:
