@@ -33,7 +33,7 @@ from atlas.service.progress import Progress, prepare_kernels, reporter
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
 from atlas.spec.system import checked_system
-from atlas.task.compile import ATTRACTORS
+from atlas.task.compile import ATTRACTORS, kernels_for
 from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import System, find_system, system_names
 
@@ -68,7 +68,7 @@ def point(given: tuple[str, ...], system: str, every: bool, starts: int, as_json
     record = checked_system(system)
     checked_parameters(record, pairs)
     with reporter(sys.stderr) as show:
-        prepare_kernels(show, *((ATTRACTORS,) if every else ()))
+        prepare_kernels(show, *kernels_for(record, *((ATTRACTORS,) if every else ())))
         show(Progress("solving"))
         if every:
             found = attractors(pairs, system=record, settings=settings, starts=starts)
@@ -122,7 +122,7 @@ def portrait(
         else:
             ds = select_plane(open_atlas(store), read_pairs("--select", select, read_number))
             cell = solved_cell(ds, read_pairs("--at", point, read_number))
-        prepare_kernels(show)
+        prepare_kernels(show, *kernels_for(cell.system))
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))

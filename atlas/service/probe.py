@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from atlas.service.plan import Probe
 from atlas.spec.spec import Spec
-from atlas.task.compile import warm_up
+from atlas.task.compile import kernels_for, warm_up
 from atlas.task.solving import solve_apart
 from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
@@ -53,7 +53,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     not count. Cells that are continued are measured in short parts of lines; where all
     attractors are sought, what a budget above the probed one would add is not known and left out.
     """
-    warm_up()
+    warm_up(*kernels_for(spec.record))
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     if spec.attractors is not None:

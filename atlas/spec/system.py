@@ -58,3 +58,11 @@ def _of_text(text: str) -> System | None:
         return resolved_system(json.loads(text))
     except (InputError, KeyError, TypeError, ValueError):
         return None
+
+
+def refuse_modes(record: System, what: str) -> None:
+    """InputError, in one line, that ``what`` is not there for machines like this one, where it has modes."""
+    try:
+        record.refuse_modes(what)
+    except ValueError as error:
+        raise InputError(str(error)) from None

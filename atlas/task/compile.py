@@ -15,22 +15,33 @@ from typing import IO
 import numpy as np
 
 from atlas.task.child import watched
-from workers.model.system import DEFAULT
+from workers.model.system import DEFAULT, System
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS = "", "attractors", "orbits"
+CELLS, ATTRACTORS, ORBITS, MODES = "", "attractors", "orbits", "modes"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
-as equations of their impacts, for branches, curves and labels."""
+as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law changes,
+in place of the first ones."""
 
-SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15}
+SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60}
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97}
+FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 255}
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 """A cell of the default system whose initial states all reach one orbit, soon."""
 AN_ORBIT = {"omega": 3.5, "b": 0.15}
 """A cell of the default system whose orbit has impacts."""
+
+WITH_MODES = {
+    "name": "warm-up",
+    "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [1.0],
+    "contacts": [{"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": 10.0}],
+    "friction": [{"name": "ground", "row": [1.0], "kinetic": 0.1}],
+    "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": [[2.0]]}],
+    "parameters": {"omega": {"default": 1.0}},
+}  # fmt: skip
+"""A machine whose law changes in every way."""
 
 YOUNG_OBJECTS = 50_000
 """So many new objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
@@ -54,6 +65,11 @@ class Compilation:
 Report = Callable[[Compilation], None]
 
 
+def kernels_for(record: System, *more: str) -> tuple[str, ...]:
+    """The parts that cells of a system take, and ``more``, as the functions below are given them."""
+    return (MODES, *more) if record.has_modes else more
+
+
 def warming(*more: str) -> str:
     """What compile_once is about to do, for the user who waits for it."""
     missing = _missing(more)
@@ -66,7 +82,7 @@ def warming(*more: str) -> str:
 def compile_once(*more: str, report: Report | None = None) -> None:
     """See to it that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
 
-    They serve every system and all settings. Processes of one machine, or with one cache folder, wait for the first of
+    They serve every system, see ``kernels_for``, and all settings. Processes of one machine, or with one cache folder, wait for the first of
     them. It leaves that to a child, since compiling takes twice the memory that solving does. ``report`` hears how far
     that is, every second. Nothing is done without a folder.
     """
@@ -130,6 +146,9 @@ def warm_up(*parts: str) -> None:
     """
     from workers.tile import solve_tile
 
+    if MODES in parts:
+        solve_tile(System.from_mapping(WITH_MODES), {}, Settings(max_periods=1))
+        return
     solve_tile(DEFAULT, {}, Settings(max_periods=1))
     if ATTRACTORS in parts:
         from workers.attractors.starts import Starts
@@ -179,8 +198,8 @@ def _wait_for(lock: IO[str], report: Report | None) -> None:
 
 def _missing(more: tuple[str, ...]) -> tuple[str, ...]:
     """The parts that are not in the cache; without one, all."""
-    folder = _cache()
-    return tuple(part for part in (CELLS, *more) if folder is None or not _marker(folder, part).exists())
+    folder, parts = _cache(), more if MODES in more else (CELLS, *more)
+    return tuple(part for part in parts if folder is None or not _marker(folder, part).exists())
 
 
 def _marker(folder: Path, part: str) -> Path:

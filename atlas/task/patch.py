@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.task.compile import ATTRACTORS, compile_once
+from atlas.task.compile import ATTRACTORS, compile_once, kernels_for
 from atlas.task.task import check_solver
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
@@ -50,7 +50,7 @@ def packed(mask: NDArray[np.bool_]) -> bytes:
 def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
     """Results of the wanted cells, row by row in arrays (N, ...); RefusedError where this worker has another solver."""
     check_solver(patch.solver_version)
-    compile_once(*(() if patch.starts is None else (ATTRACTORS,)))
+    compile_once(*kernels_for(patch.system, *(() if patch.starts is None else (ATTRACTORS,))))
     rows, columns = np.nonzero(patch.mask)
     (x, across), (y, up) = patch.x, patch.y
     cells: dict[str, Any] = {**patch.parameters, x: np.array(across)[columns], y: np.array(up)[rows]}

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.errors import RunError
 from atlas.spec.spec import Slices, Spec
-from atlas.task.compile import ATTRACTORS
+from atlas.task.compile import ATTRACTORS, kernels_for
 from workers import Settings
 
 if TYPE_CHECKING:
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
-    """The kernels that cells of the spec take beside those of all cells."""
-    return () if spec.attractors is None else (ATTRACTORS,)
+    """The kernels that cells of the spec take, see compile.kernels_for."""
+    return kernels_for(spec.record, *(() if spec.attractors is None else (ATTRACTORS,)))
 
 
 def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Results":
