@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from workers.settings import Settings
 
 CELLS, ATTRACTORS, ORBITS, MODES = "", "attractors", "orbits", "modes"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
-as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law changes,
-in place of the first ones."""
+as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law
+changes, in place of the first ones."""
 
 SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60}
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 255}
+FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 250}
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
@@ -33,14 +33,18 @@ ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 AN_ORBIT = {"omega": 3.5, "b": 0.15}
 """A cell of the default system whose orbit has impacts."""
 
-WITH_MODES = {
+WITH_MODES: dict[str, Any] = {
     "name": "warm-up",
-    "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [1.0],
+    "coordinates": ["x"],
+    "mass": [[1.0]],
+    "damping": [[0.1]],
+    "stiffness": [[1.0]],
+    "force": [1.0],
     "contacts": [{"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": 10.0}],
     "friction": [{"name": "ground", "row": [1.0], "kinetic": 0.1}],
     "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": [[2.0]]}],
     "parameters": {"omega": {"default": 1.0}},
-}  # fmt: skip
+}
 """A machine whose law changes in every way."""
 
 YOUNG_OBJECTS = 50_000
@@ -82,9 +86,9 @@ def warming(*more: str) -> str:
 def compile_once(*more: str, report: Report | None = None) -> None:
     """See to it that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
 
-    They serve every system, see ``kernels_for``, and all settings. Processes of one machine, or with one cache folder, wait for the first of
-    them. It leaves that to a child, since compiling takes twice the memory that solving does. ``report`` hears how far
-    that is, every second. Nothing is done without a folder.
+    They serve every system, see ``kernels_for``, and all settings. Processes of one machine, or with one cache folder,
+    wait for the first of them. It leaves that to a child, since compiling takes twice the memory that solving does.
+    ``report`` hears how far that is, every second. Nothing is done without a folder.
     """
     folder = _cache()
     if folder is None or not _missing(more):

@@ -159,6 +159,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
     as all those that are left of the chatter do together. See Oscillator.gap_mass.
     """
     impacts, sticks = impact_count(tally), tally[:, motion.STUCK] > 0.0
+    gap_mass = cells.oscillators.gap_mass[rows]
     slowest, fastest = tally[:, motion.MIN_SPEED], tally[:, motion.MAX_SPEED]
     put(
         cells,
@@ -169,7 +170,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
         min_impact_speed=np.where(np.isfinite(slowest), slowest, math.nan),
         mean_impact_speed=np.where(sticks | (impacts == 0.0), math.nan, tally[:, motion.SPEEDS] / impacts),
         max_impact_speed=np.where(fastest > 0.0, fastest, math.nan),
-        impact_energy=0.5 * cells.oscillators.gap_mass[rows] * tally[:, motion.LOSS] / periods,
+        impact_energy=np.where(fastest > 0.0, 0.5 * gap_mass * tally[:, motion.LOSS] / periods, 0.0),
     )
 
 

@@ -116,7 +116,7 @@ def hybrid_of(oscillators, r):
         p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r], p.trace[r],
     )  # fmt: skip
     elements = Elements(
-        e.row[r], e.kick[r], e.stops[r], e.R[r], e.soft[r], e.slide[r], e.brake[r], e.belt[r], e.even[r],
+        e.row[r], e.kick[r], e.weight[r], e.stops[r], e.R[r], e.soft[r], e.slide[r], e.brake[r], e.belt[r], e.even[r],
         e.along[r], e.starts[r],
     )  # fmt: skip
     return borrowed(HybridCell(

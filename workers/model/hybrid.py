@@ -313,13 +313,14 @@ def _null(G: Array) -> Array:
 class Elements(NamedTuple):
     """Contacts and friction of N machines as the kernels need them: fields of HybridMachines, and besides
 
-    kick (N, C, n) M^-1 g / (g M^-1 g) of each contact's row g, brake (N, F, n) likewise of each friction's row;
-    even (N, F): 1 where static = kinetic in all phases; along (N, F, C): the factor a where a friction's row is a times
-    a contact's, else 0.
+    kick (N, C, n) M^-1 g / (g M^-1 g) and weight (N, C) 1 / (g M^-1 g) of each contact's row g; brake (N, F, n) as kick,
+    of each friction's row; even (N, F): 1 where static = kinetic in all phases; along (N, F, C): the factor a where a
+    friction's row is a times a contact's, else 0.
     """
 
     row: Array
     kick: Array
+    weight: Array
     stops: Array
     R: Array
     soft: Array
@@ -339,9 +340,10 @@ def elements_of(machines: HybridMachines) -> Elements:
         pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
+    weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
     even = np.all(machines.rub[..., 0] == machines.rub[..., 1], axis=1).astype(np.float64)
     return Elements(
-        machines.row, along(machines.row), machines.stops, machines.R, machines.soft,
+        machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
         machines.slide, along(machines.slide), machines.belt, even, _along(machines), machines.starts,
     )  # fmt: skip
 
@@ -425,12 +427,14 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
     still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
+    # What a soft contact takes in, not counted yet, is nothing where its force depends on its depth alone.
+    keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
     none, endless = np.zeros(N), np.full(N, np.inf)
     head = Head(
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
         time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
         upper=machines.stops[:, 0, 1] if C else endless, lower=machines.stops[:, 0, 0] if C else -endless,
-        gap_mass=np.full(N, np.nan), trace=np.full(N, np.nan),
+        gap_mass=np.where(keeps, 1.0, np.nan), trace=np.full(N, np.nan),
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
     numbers[:, NUMBER.omega] = machines.omega

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.contact import REST
+from workers.kernel.contact import LEAVE, REST
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.hybrid.events import (
@@ -32,6 +32,7 @@ from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import (
     CONTRACTION,
     ENDLESS_EVENTS,
+    LOSS,
     LOST,
     LOWER,
     MARCH_GAVE_UP,
@@ -194,11 +195,16 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
             return
         else:
             tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
+            lost = elements.weight[c] * rate * rate
             following = impact(table, k, hit, c, side, rate, duration - t, h, states, slips, z, f, W, slopes, begun)
             if following == REST:
                 tally[MIN_SPEED] = 0.0
+                tally[LOSS] += lost
             else:
+                if following == LEAVE:
+                    tally[LOST] = max(tally[LOST], 1.0)
                 count_hit(tally, hits, t, side, c, abs(rate))
+                tally[LOSS] += (1.0 - elements.R[c] ** 2) * lost
                 tally[CONTRACTION] += 2.0 * math.log(elements.R[c])
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:
