@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 import workers
+from atlas.task.compile import WITH_MODES
 from workers import Settings, solve_tile
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.kernel import jit
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel
+from workers.model.system import System
 
-LENT = {"oscillator_of", "motion_of", "seen_later"}
+LENT = {"linear_of", "hybrid_of", "motion_of", "linear_later"}
 """Kernels that return what they borrow: parts of others, which nothing in workers calls from Python."""
 
 BORROWING = ("borrowed(", "lend(", "whole(")
@@ -71,7 +73,8 @@ def test_no_kernel_that_python_calls_returns_a_borrowed_array(monkeypatch: pytes
     solve_tile("two-mass", cells, brief)
     solve_tile("bouncing-ball", {}, Settings(max_periods=500, survival=100, exponents="spectrum"))
     solve_attractors("two-mass", {"omega": 4.0, "b": 0.1}, brief, Starts(4))
-    assert {"run_batch", "settle_each", "start_motions", "physical_states"} <= called
+    solve_tile(System.from_mapping(WITH_MODES), {"omega": [0.8, 1.2]}, brief)
+    assert {"run_batch", "run_alone", "settle_each", "start_motions", "physical_states"} <= called
     assert not LENT & called
 
 
