@@ -158,3 +158,40 @@ def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
     count, *more = said.split(maxsplit=1)
     assert int(count) >= 9  # those that Python calls; loaded from the cache they bring no others
     assert not more
+
+
+WARM_WITH_MODES = """
+import sys
+import numpy as np
+from atlas.task.compile import MODES, WITH_MODES, warm_up
+from workers import Settings, System, solve_tile
+
+def compiled():
+    modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("workers.")]
+    return {
+        (name, str(signature))
+        for module in modules
+        for name, kernel in vars(module).items()
+        for signature in getattr(getattr(kernel, "alone", kernel), "signatures", ())
+    }
+
+warm_up(MODES)
+before = compiled()
+system = System.from_mapping(WITH_MODES)
+settings = Settings(exponents=sys.argv[1], max_periods=600)
+solve_tile(system, {"omega": np.linspace(0.4, 2.0, 40)}, settings)
+solve_tile(system, {"omega": 0.7}, settings)
+rigid = {"name": "stop", "gap": [1.0], "upper": 0.2, "lower": -0.3, "restitution": 0.4}
+solve_tile(System.from_mapping(WITH_MODES | {"contacts": [rigid]}), {"omega": np.linspace(0.4, 2.0, 40)}, settings)
+print(len(before), *sorted(compiled() - before))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exponents", ["none", "spectrum"])
+def test_after_their_warm_up_no_cell_of_a_machine_with_modes_compiles_anything(exponents: str) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", WARM_WITH_MODES, exponents]
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
+    count, *more = said.split(maxsplit=1)
+    assert int(count) >= 8 and not more

@@ -191,7 +191,7 @@ def compiled_in_turn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tupl
     folder = tmp_path_factory.mktemp("kernels")
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)}
     found = {}
-    for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS):
+    for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES):
         command = [sys.executable, "-c", COUNTED, part]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         found[part] = tuple(json.loads(done.stdout))
@@ -200,7 +200,7 @@ def compiled_in_turn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tupl
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [warm.CELLS, warm.ATTRACTORS, warm.ORBITS])
+@pytest.mark.parametrize("part", [warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES])
 def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(
     part: str, compiled_in_turn: dict[str, tuple[int, str]]
 ) -> None:
