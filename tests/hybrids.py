@@ -16,8 +16,9 @@ from tests.oracle.pieces import Machine, Mode
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.state import shown_number
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
-from workers.model.hybrid import DETACHED, ON, OPEN, SIGNALS, Code, Hybrid, build_hybrid, build_missing
+from workers.model.hybrid import Hybrid, build_hybrid, build_missing
 from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS, Code
 from workers.model.oscillator import each
 from workers.results import NO_REASON
 

@@ -13,7 +13,8 @@ import pytest
 from tests.hybrids import Array, Event, Followed, built, code_in, follow
 from tests.oracle.pieces import Machine, Mode
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING
-from workers.model.hybrid import Hybrid, code_of
+from workers.model.hybrid import Hybrid
+from workers.model.hybrid_modes import code_of
 
 LATER = 1.0
 """An unforced cycle begins where it starts to slip: it is followed from this much later on, off its events."""

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from workers.kernel.apart import FLOATS
 from workers.kernel.borrow import borrowed
 from workers.kernel.jit import by_record, inline_always, inlined, kernel
-from workers.model.hybrid import Elements, Hybrid, HybridCell, Pieces, Table
+from workers.model.hybrid import Elements, Hybrid, HybridCell, Table
+from workers.model.hybrid_modes import Pieces
 from workers.model.oscillator import Held, Mode, Oscillator, each
 
 FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3

@@ -22,7 +22,7 @@ from workers.kernel.hybrid.state import (
 )
 from workers.kernel.jit import kernel
 from workers.kernel.signal import derivative_bounds
-from workers.model.hybrid import DETACHED, ON, OPEN, SIGNALS
+from workers.model.hybrid_modes import DETACHED, ON, OPEN, SIGNALS
 
 MISSING, WRONG, ENDLESS = -1, -2, -3
 """In place of a mode: it is not built yet; it is none; the changes that lead to it have no end."""
@@ -177,7 +177,9 @@ def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slo
 
 @kernel
 def strikes_while_held(elements, c, states):
-    """Whether an impact at rigid contact c would reach another one that is held: two at once."""
+    """Whether rigid contact c is struck and moves another one that is held: two impacts at once."""
+    if elements.soft[c] > 0.0 or states[c] != OPEN:
+        return False
     for other in range(len(states)):
         held = states[other] != OPEN and elements.soft[other] == 0.0
         if held and other != c and abs(product(elements.row[other], elements.kick[c], 0)) > JUMPED:

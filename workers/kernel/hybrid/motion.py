@@ -50,7 +50,8 @@ from workers.kernel.motion import (
     spend,
 )
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spread_rate
-from workers.model.hybrid import FIRST_NUMBER, ON, OPEN, SIGNALS
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Mode
 
 
@@ -94,6 +95,31 @@ def fly(pieces, k, s, h, V, growth, triangle, tally):
         flow_with_tangent(blocks, s, h, V)
     if framed:
         orthonormalise(pieces.metric[k], V, growth, triangle, rank)
+
+
+@kernel
+def pass_contact(table, k, g, c, side, rate, t, remaining, h, states, slips, z, f, W, slopes, begun, tally, hits):
+    """Signal g of contact c is at the end of its range: what happens, and what is counted of it."""
+    elements = table.elements
+    if elements.soft[c] > 0.0:
+        if states[c] == OPEN:
+            count_hit(tally, hits, t, side, c, abs(rate))
+        soft_event(g, c, side, states, begun)
+        return
+    if states[c] != OPEN:
+        release(elements, g, c, states, slips, begun)
+        return
+    R, energy = elements.R[c], elements.weight[c] * rate * rate
+    following = impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slopes, begun)
+    if following == REST:
+        tally[MIN_SPEED], tally[MAX_SPEED] = 0.0, max(tally[MAX_SPEED], abs(rate))
+        tally[LOSS] += energy
+        return
+    count_hit(tally, hits, t, side, c, abs(rate))
+    tally[LOSS] += (1.0 - R * R) * energy
+    tally[CONTRACTION] += 2.0 * math.log(R)
+    if following == LEAVE:
+        tally[LOST] = max(tally[LOST], 1.0)
 
 
 @inline_always
@@ -184,28 +210,13 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
             k, number = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
             if k < 0:
                 continue
-        elif elements.soft[c] > 0.0:
-            if states[c] == OPEN:
-                count_hit(tally, hits, t, side, c, abs(rate))
-            soft_event(hit, c, side, states, begun)
-        elif states[c] != OPEN:
-            release(elements, hit, c, states, slips, begun)
         elif strikes_while_held(elements, c, states):
             tally[STATUS] = SIMULTANEOUS
             return
         else:
-            tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
-            lost = elements.weight[c] * rate * rate
-            following = impact(table, k, hit, c, side, rate, duration - t, h, states, slips, z, f, W, slopes, begun)
-            if following == REST:
-                tally[MIN_SPEED] = 0.0
-                tally[LOSS] += lost
-            else:
-                if following == LEAVE:
-                    tally[LOST] = max(tally[LOST], 1.0)
-                count_hit(tally, hits, t, side, c, abs(rate))
-                tally[LOSS] += (1.0 - elements.R[c] ** 2) * lost
-                tally[CONTRACTION] += 2.0 * math.log(elements.R[c])
+            pass_contact(
+                table, k, hit, c, side, rate, t, duration - t, h, states, slips, z, f, W, slopes, begun, tally, hits
+            )
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:
             continue

@@ -5,7 +5,7 @@ import numpy as np
 from workers.kernel.contact import forced_state
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
-from workers.model.hybrid import CONTACT_DIGIT, SLIP_DIGIT
+from workers.model.hybrid_modes import CONTACT_DIGIT, SLIP_DIGIT
 
 
 @kernel

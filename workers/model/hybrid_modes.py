@@ -1,0 +1,296 @@
+"""The modes of machines whose law changes, by soft and rigid contacts, dry friction and phases.
+
+    M x'' + C x' + K x = load + force(omega t + tau) + contacts + friction
+
+A contact is a stop, or two, on y = row . x. Beyond a soft one, at depth delta > 0, acts preload + stiffness delta +
+damping delta'; a rigid one turns y' into -R y'. Friction on v = row . x' - belt resists with kinetic + slope |v|, and
+holds v = 0 up to ``static``. Phases change matrices, force, load and the constants of elements from ``start`` on, a
+share of the forcing period.
+
+A mode is an affine linear flow between events: which phase it is, what each contact does and each friction. What is
+held or sticks leaves the flow: x = D y + N q with y = G x, which goes at a constant rate, and N spanning what G sends
+to zero. In blocks y is a rigid mode without a load, so that all modes of a machine have the same number of blocks.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from workers.model.free import Flow, Mask, derivative_of, loading_of
+from workers.model.free import mode_of as motion_in
+from workers.model.hybrid_machines import HybridMachines
+from workers.model.modes import split, stacked
+from workers.model.oscillator import COLUMN, OF_FLOW, Array, make_blocks
+
+OPEN, ON, DETACHED = 0, 1, 2
+"""What a contact does, with the sign of its side: it is open; held by a rigid stop or engaged by a soft one; or within
+a soft one that can only push and does not."""
+
+CONTACT_DIGIT, SLIP_DIGIT = 5, 3
+"""Bases of the digits of contacts and of slips in the number of a mode."""
+
+PARALLEL = 1e-12
+"""Share of a row by which another may be no multiple of it, and count as one."""
+
+SIGNALS = 2
+"""Signals of a contact: y, or its force while it holds; and the force of a soft one that is released by it."""
+
+
+class Code(NamedTuple):
+    """Which mode it is: the phase, what each contact does and the sign of each slip, 0 while it sticks."""
+
+    phase: int
+    contacts: tuple[int, ...]
+    slips: tuple[int, ...]
+
+    @property
+    def number(self) -> int:
+        """The code as one number, the phase first."""
+        found = self.phase
+        for state in self.contacts:
+            found = CONTACT_DIGIT * found + state + CONTACT_DIGIT // 2
+        for sign in self.slips:
+            found = SLIP_DIGIT * found + sign + SLIP_DIGIT // 2
+        return found
+
+
+def code_of(number: int, contacts: int, slips: int) -> Code:
+    """The code of a number, of a machine with so many contacts and frictions."""
+    signs, states = [], []
+    for _ in range(slips):
+        number, digit = divmod(number, SLIP_DIGIT)
+        signs.append(digit - SLIP_DIGIT // 2)
+    for _ in range(contacts):
+        number, digit = divmod(number, CONTACT_DIGIT)
+        states.append(digit - CONTACT_DIGIT // 2)
+    return Code(number, tuple(reversed(states)), tuple(reversed(signs)))
+
+
+class Pieces(NamedTuple):
+    """A mode of N machines with n blocks, G signals and H harmonics.
+
+    blocks       (N, G, n, columns)    flow of the blocks, and the row of each signal, see oscillator.Block
+    metric       (N, n)                their column of that name
+    waves        (N, G, H, 2)          forced part of each signal, see oscillator.Mode
+    numbers      (N, G, NUMBER)        see oscillator.Numbers
+    forced       (N, n, 2, H, 2)       forced response of the blocks
+    rows         (N, G, 2n + 1)        each signal as a row on (x, v, 1)
+    direct       (N, G, H, 2)          and what the force adds to it
+    offset       (N, G)                what it is while the blocks are at rest
+    ends         (N, G, 2)             the values between which it stays in this mode, infinite where nothing ends it
+    to_blocks    (N, 2n, 2n)           blocks of (x, v), from ``rest`` on; to_physical the way back
+    rest         (N, 2n)               blocks at rest, the forced response taken off
+    acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) and what the force adds to it
+    lost, trace  (N,)                  dimensions that the flow does not have; trace of M^-1 C, as it contracts volume
+    """
+
+    blocks: Array
+    metric: Array
+    waves: Array
+    numbers: Array
+    forced: Array
+    rows: Array
+    direct: Array
+    offset: Array
+    ends: Array
+    to_blocks: Array
+    to_physical: Array
+    rest: Array
+    acceleration: Array
+    drive: Array
+    lost: Array
+    trace: Array
+
+
+@np.errstate(all="ignore")
+def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
+    """A mode of machines, and of which of them it is none.
+
+    That is where held rows depend on each other, motion grows or resonates undamped, planes cannot be told apart, or a
+    load drives a free motion that what is held leaves.
+    """
+    p, mass, omega = code.phase, machines.mass, machines.omega
+    N, n = machines.load.shape[0], machines.load.shape[2]
+    damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
+    force = machines.force_sin[:, p] + 1j * machines.force_cos[:, p]
+    held = []
+    for c, state in enumerate(code.contacts):
+        row = machines.row[:, c]
+        if abs(state) == ON and not machines.soft[0, c]:
+            held.append(row)
+        elif abs(state) == ON:
+            (k, d, preload), stop = machines.pad[:, p, c].T, machines.stops[:, c, 1 if state > 0 else 0]
+            square = row[:, :, None] * row[:, None, :]
+            stiffness += k[:, None, None] * square
+            damping += d[:, None, None] * square
+            load += (k * stop - state * preload)[:, None] * row
+    resting = _resting(machines, code)
+    stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
+    for f, sign in enumerate(code.slips):
+        if sign != 0:
+            row, (kinetic, _, slope) = machines.slide[:, f], machines.rub[:, p, f].T
+            damping += slope[:, None, None] * row[:, :, None] * row[:, None, :]
+            load += (slope * machines.belt[:, f] - sign * kinetic)[:, None] * row
+    G = np.stack([*held, *stuck], axis=1) if held or stuck else np.zeros((N, 0, n))
+    inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
+    D, hold = _holding(G, inverse_mass)
+    forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
+    kept = inverse_mass - D @ G @ inverse_mass
+    acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
+    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of what is held
+    rows, direct, ends = _signals(machines, code, multipliers, driven)
+    reduced, to_blocks, to_physical, rest, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega)
+    flow, forced = reduced
+    every = rows.shape[1]
+    blocks: Array = np.repeat(flow[:, None], every, axis=1)
+    metric = flow[..., COLUMN.metric].copy()
+    seen = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
+    eta, lam = flow[:, None, :, COLUMN.eta], flow[:, None, :, COLUMN.lam]
+    seen1 = derivative_of(seen, eta, lam)
+    blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen, seen1], axis=-1)
+    blocks[..., COLUMN.cAA0 :] = derivative_of(seen1, eta, lam)
+    H = force.shape[1]
+    parts = (seen.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
+    waves = parts + direct
+    w = omega[:, None, None] * np.arange(1.0, H + 1.0)
+    sizes = np.hypot(waves[..., 0], waves[..., 1])
+    numbers = np.stack([np.repeat(omega[:, None], every, axis=1),
+                        *(np.sum(sizes * w**power, axis=2) for power in (0, 2, 3, 4))], axis=-1)  # fmt: skip
+    offset = (rows[:, :, : 2 * n] @ (to_physical @ rest[..., None]))[..., 0] + rows[:, :, 2 * n]
+    found = Pieces(
+        blocks, metric, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, rest, acceleration,
+        np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
+        np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+    )  # fmt: skip
+    return Pieces(*map(np.ascontiguousarray, found)), wrong
+
+
+def _resting(machines: HybridMachines, code: Code) -> dict[int, int]:
+    """Frictions that stick on the row of a rigid contact that is held, each with that contact."""
+    held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[0, c]]
+    stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
+    along = along_contacts(machines)
+    return {f: c for f in stuck for c in held if np.all(along[:, f, c] != 0.0)}
+
+
+def along_contacts(machines: HybridMachines) -> Array:
+    """(N, F, C): the factor a where the row of a friction is a times that of a contact to rounding, else 0."""
+    slide, row = machines.slide[:, :, None], machines.row[:, None]
+    share = np.vecdot(slide, row) / np.vecdot(row, row)
+    apart = np.max(np.abs(slide - share[..., None] * row), axis=-1)
+    return np.where(apart <= PARALLEL * np.max(np.abs(slide), axis=-1), share, 0.0)
+
+
+def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:
+    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of rows G (N, r, n) that are held."""
+    turned = np.ascontiguousarray(G.swapaxes(1, 2))
+    compliance = G @ inverse_mass @ turned
+    hold = stacked(np.linalg.solve, (*G.shape,), compliance, G @ inverse_mass)
+    return np.ascontiguousarray(hold.swapaxes(1, 2)), hold
+
+
+def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: Any) -> tuple[Array, Array, Array]:
+    """Rows (N, G, 2n + 1), what the force adds (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
+
+    multipliers (N, r, 2n + 1) and driven (N, H, r): the forces of what is held, in the order of contacts and friction.
+    """
+    p, (_, C, F), (N, H) = code.phase, machines.sizes, driven.shape[:2]
+    n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of one are those of the flow
+    rows, direct, ends = np.zeros((N, count, 2 * n + 1)), np.zeros((N, count, H, 2)), np.empty((N, count, 2))
+    ends[:, :, 0], ends[:, :, 1] = -np.inf, np.inf
+    forces, resting, along = iter(range(multipliers.shape[1])), _resting(machines, code), along_contacts(machines)
+
+    def hold(k: int) -> None:
+        i = next(forces)
+        rows[:, k] = multipliers[:, i]
+        direct[:, k, :, 0], direct[:, k, :, 1] = driven[..., i].real, driven[..., i].imag
+
+    for c, state in enumerate(code.contacts):
+        k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
+        inner, outer = (0, 1) if side > 0 else (1, 0)
+        if abs(state) == ON and not machines.soft[0, c]:
+            hold(k)  # what presses, or pulls no more than friction that holds there too
+            helping = [machines.rub[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c]
+            ends[:, k, outer] = side * sum(helping, np.zeros(N))
+            continue
+        rows[:, k, :n] = row
+        if state == OPEN:
+            ends[:, k] = machines.stops[:, c]
+            continue
+        stop = machines.stops[:, c, outer]
+        ends[:, k, inner] = stop
+        if machines.by_force[0, c]:
+            stiffness, damping, preload = machines.pad[:, p, c].T
+            rows[:, k + 1, :n], rows[:, k + 1, n : 2 * n] = (side * f[:, None] * row for f in (stiffness, damping))
+            rows[:, k + 1, 2 * n] = preload - side * stiffness * stop
+            ends[:, k + 1, 0 if abs(state) == ON else 1] = 0.0
+    for f, sign in enumerate(code.slips):
+        k = SIGNALS * C + f
+        if f in resting:
+            continue
+        if sign == 0:
+            hold(k)
+            static = machines.rub[:, p, f, 1]
+            ends[:, k, 0], ends[:, k, 1] = -static, static
+            continue
+        rows[:, k, n : 2 * n], rows[:, k, 2 * n] = machines.slide[:, f], -machines.belt[:, f]
+        ends[:, k, 0 if sign > 0 else 1] = 0.0
+    return rows, direct, ends
+
+
+def _reduced(
+    mass: Array, damping: Array, stiffness: Array, load: Array, force: Any, G: Array, D: Array, omega: Array
+) -> tuple[tuple[Array, Array], Array, Array, Array, Mask]:
+    """The flow while rows G (N, r, n) are held: its blocks and their forced response, the ways between them and
+    (x, v), the blocks at rest, and of which machines there is none.
+
+    With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
+    """
+    N, n = load.shape
+    r = G.shape[1]
+    free = n - r
+    null = _null(G)
+    across = np.ascontiguousarray(null.swapaxes(1, 2))
+    m, c, k = across @ mass @ null, across @ damping @ null, across @ stiffness @ null
+    modes = split(m, c, k)
+    flow = Flow(modes, stacked(np.linalg.inv, m.shape, m), make_blocks(modes.eta, modes.lam))
+    push = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
+    mode, resonant = motion_in(flow, push, omega)
+    a, b = np.zeros((2, N, free, r))
+    if r and free:
+        rigid = modes.rigid > 0  # nothing pulls such a motion back: what is held must not pull at it either
+        safe = np.where(rigid[:, None, None], np.eye(free), k)
+        a = -stacked(np.linalg.solve, a.shape, safe, across @ stiffness @ D)
+        b = -stacked(np.linalg.solve, a.shape, safe, across @ damping @ (D + null @ a))
+        pulls = np.any(np.abs(a) > 1e-12, axis=(1, 2)) | np.any(np.abs(b) > 1e-12, axis=(1, 2))
+        resonant = resonant | (rigid & pulls)
+    gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
+    down = np.zeros((N, 2 * n, 2 * n))
+    q_rows = np.zeros((N, 2 * free, 2 * n))
+    q_rows[:, :free, :n], q_rows[:, :free, n:] = gather - a @ G, -b @ G
+    q_rows[:, free:, n:] = gather - a @ G
+    down[:, : 2 * free] = modes.to_blocks @ q_rows
+    up = np.zeros((N, 2 * n, 2 * n))
+    up[:, :n, : 2 * free] = null @ modes.to_physical[:, :free]
+    up[:, n:, : 2 * free] = null @ modes.to_physical[:, free:]
+    for i in range(r):
+        down[:, 2 * free + 2 * i, :n] = down[:, 2 * free + 2 * i + 1, n:] = G[:, i]
+        carried = D[:, :, i] + (null @ a[:, :, i, None])[..., 0]
+        up[:, :n, 2 * free + 2 * i] = up[:, n:, 2 * free + 2 * i + 1] = carried
+        up[:, :n, 2 * free + 2 * i + 1] = (null @ b[:, :, i, None])[..., 0]
+    still = make_blocks(np.zeros((N, r)), np.zeros((N, r)))
+    still[..., COLUMN.metric] = omega[:, None] ** 2
+    blocks = np.concatenate([mode.blocks, still], axis=1)
+    forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
+    rest = np.concatenate([push.rest.reshape(N, 2 * free), np.zeros((N, 2 * r))], axis=1)
+    wrong = resonant | modes.unstable | modes.inseparable | ~np.isfinite(down).all(axis=(1, 2))
+    return (blocks, forced), down, up, rest, wrong | ~np.isfinite(up).all(axis=(1, 2))
+
+
+def _null(G: Array) -> Array:
+    """Orthonormal bases (N, n, n - r) of what rows (N, r, n) send to zero."""
+    if not G.shape[1]:
+        return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)
+    return np.ascontiguousarray(
+        np.linalg.qr(np.ascontiguousarray(G.swapaxes(1, 2)), mode="complete")[0][:, :, G.shape[1] :]
+    )
