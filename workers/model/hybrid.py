@@ -21,7 +21,7 @@ class Elements(NamedTuple):
     """Contacts and friction of N machines as the kernels need them: fields of HybridMachines, and more.
 
     kick (N, C, n) M^-1 g / (g M^-1 g) and weight (N, C) 1 / (g M^-1 g) of each contact's row g; brake (N, F, n) as
-    kick, of each friction's row; even (N, F): 1 where static = kinetic in all phases; along (N, F, C): the factor a
+    kick, of each friction's row; even (N, P, F): 1 where static = kinetic; along (N, F, C): the factor a
     where a friction's row is a times a contact's, else 0.
     """
 
@@ -48,7 +48,7 @@ def elements_of(machines: HybridMachines) -> Elements:
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
     weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
-    even = np.all(machines.rub[..., 0] == machines.rub[..., 1], axis=1).astype(np.float64)
+    even = np.ascontiguousarray((machines.rub[..., 0] == machines.rub[..., 1]).astype(np.float64))
     return Elements(
         machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
         machines.slide, along(machines.slide), machines.belt, even, along_contacts(machines), machines.starts,
@@ -113,7 +113,7 @@ class HybridCell(NamedTuple):
 FIRST_NUMBER = 4
 """Added to numbers of modes in contacts of motions, above all contacts of motions without modes."""
 
-ROOM = 24
+ROOM = 64
 """Modes that there is room for in the table of a machine, at most."""
 
 

@@ -29,6 +29,9 @@ a soft one that can only push and does not."""
 CONTACT_DIGIT, SLIP_DIGIT = 5, 3
 """Bases of the digits of contacts and of slips in the number of a mode."""
 
+ROUNDING = 1e-12
+"""Share of the terms of a sum, or of the largest eigenvalue, that may be what rounding leaves of zero."""
+
 PARALLEL = 1e-12
 """Share of a row by which another may be no multiple of it, and count as one."""
 
@@ -131,6 +134,10 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
             row, (kinetic, _, slope) = machines.slide[:, f], machines.rub[:, p, f].T
             damping += slope[:, None, None] * row[:, :, None] * row[:, None, :]
             load += (slope * machines.belt[:, f] - sign * kinetic)[:, None] * row
+    belts = [machines.belt[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
+    moves = (
+        np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0 if held or stuck else np.zeros((N, 0), np.bool_)
+    )
     G = np.stack([*held, *stuck], axis=1) if held or stuck else np.zeros((N, 0, n))
     inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
     D, hold = _holding(G, inverse_mass)
@@ -139,7 +146,7 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
     multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of what is held
     rows, direct, ends = _signals(machines, code, multipliers, driven)
-    reduced, to_blocks, to_physical, rest, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega)
+    reduced, to_blocks, to_physical, rest, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega, moves)
     flow, forced = reduced
     every = rows.shape[1]
     blocks: Array = np.repeat(flow[:, None], every, axis=1)
@@ -239,7 +246,15 @@ def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: A
 
 
 def _reduced(
-    mass: Array, damping: Array, stiffness: Array, load: Array, force: Any, G: Array, D: Array, omega: Array
+    mass: Array,
+    damping: Array,
+    stiffness: Array,
+    load: Array,
+    force: Any,
+    G: Array,
+    D: Array,
+    omega: Array,
+    moves: Mask,
 ) -> tuple[tuple[Array, Array], Array, Array, Array, Mask]:
     """The flow while rows G (N, r, n) are held: its blocks and their forced response, the ways between them and
     (x, v), the blocks at rest, and of which machines there is none.
@@ -258,12 +273,14 @@ def _reduced(
     mode, resonant = motion_in(flow, push, omega)
     a, b = np.zeros((2, N, free, r))
     if r and free:
-        rigid = modes.rigid > 0  # nothing pulls such a motion back: what is held must not pull at it either
-        safe = np.where(rigid[:, None, None], np.eye(free), k)
-        a = -stacked(np.linalg.solve, a.shape, safe, across @ stiffness @ D)
-        b = -stacked(np.linalg.solve, a.shape, safe, across @ damping @ (D + null @ a))
-        pulls = np.any(np.abs(a) > 1e-12, axis=(1, 2)) | np.any(np.abs(b) > 1e-12, axis=(1, 2))
-        resonant = resonant | (rigid & pulls)
+        rigid = modes.rigid > 0
+        a = -_solved(
+            k, rigid, across @ stiffness @ D
+        )  # no spring pulls at a rigid motion, K x = 0: there it is the least one
+        drags = np.where(moves[:, None], across @ damping @ (D + null @ a), 0.0)
+        b = -_solved(k, rigid, drags)
+        undone = np.abs(k @ b + drags) > ROUNDING * (np.abs(k) @ np.abs(b) + np.abs(drags))
+        resonant = resonant | (rigid & np.any(undone, axis=(1, 2)))  # a belt drags at what nothing pulls back
     gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
     down = np.zeros((N, 2 * n, 2 * n))
     q_rows = np.zeros((N, 2 * free, 2 * n))
@@ -285,6 +302,16 @@ def _reduced(
     rest = np.concatenate([push.rest.reshape(N, 2 * free), np.zeros((N, 2 * r))], axis=1)
     wrong = resonant | modes.unstable | modes.inseparable | ~np.isfinite(down).all(axis=(1, 2))
     return (blocks, forced), down, up, rest, wrong | ~np.isfinite(up).all(axis=(1, 2))
+
+
+def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
+    """X (N, m, r) of matrix X = right; of singular ones the least X, by least squares."""
+    safe = np.where(singular[:, None, None], np.eye(matrix.shape[1]), matrix)
+    found = np.asarray(stacked(np.linalg.solve, right.shape, safe, right))
+    if np.any(singular):
+        inverse = np.linalg.pinv(matrix[singular], rcond=ROUNDING, hermitian=True)
+        found[singular] = inverse @ right[singular]
+    return found
 
 
 def _null(G: Array) -> Array:

@@ -10,13 +10,12 @@ starts on in the next mode, and the order of its first derivative that is not ze
 
 import numpy as np
 
-from workers.kernel.contact import REBOUND, REST, impact_outcome, load_at_rest
+from workers.kernel.contact import REST, impact_outcome, load_at_rest
 from workers.kernel.hybrid.state import (
     damping_along,
     guard_value,
     number_of,
     product,
-    project_to_rest,
     reset,
     slot_of,
 )
@@ -48,13 +47,13 @@ def follow_jumps(table, states, slips, where, z, phase, begun):
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
         k, number = mode_of(table, states, slips, where)
-        if k < 0 or not follow_one(table.pieces, table.elements, k, states, slips, z, phase, begun):
+        if k < 0 or not follow_one(table.pieces, table.elements, k, where, states, slips, z, phase, begun):
             return k, number
     return ENDLESS, number
 
 
 @kernel
-def follow_one(pieces, elements, k, states, slips, z, phase, begun):
+def follow_one(pieces, elements, k, where, states, slips, z, phase, begun):
     """Change what the first signal of mode k that is beyond its range asks for; whether there is one."""
     C = len(states)
     for g in range(SIGNALS * C + len(slips)):
@@ -76,20 +75,24 @@ def follow_one(pieces, elements, k, states, slips, z, phase, begun):
             states[c] = (DETACHED if abs(states[c]) == ON else ON) * np.sign(states[c])
             return True
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            release(elements, g, c, states, slips, begun)
+            release(elements, g, c, where, states, slips, begun, 2)  # a jump: what pulls is not zero
             return True
     return False
 
 
 @kernel
-def release(elements, g, c, states, slips, begun):
-    """A rigid stop lets go. Friction that held the mass there too slides: what pulls jumps then, unless it is even."""
-    side, order = states[c], 3
+def release(elements, g, c, where, states, slips, begun, order):
+    """A rigid stop lets go; ``order`` is that of the first derivative of y that is not zero then.
+
+    Friction that held the mass there too slides, and what pulls jumps where its static level is above the kinetic one.
+    """
+    side = states[c]
     for e in range(len(slips)):
         if slips[e] == 0 and elements.along[e, c] != 0.0:
+            if elements.even[where, e] == 0.0:
+                order = 2
             slips[e] = -np.int64(np.sign(side * elements.along[e, c]))
-            begun[SIGNALS * len(states) + e] = -slips[e] * (2 if elements.even[e] > 0.0 else 1)
-            order = 3 if elements.even[e] > 0.0 else 2
+            begun[SIGNALS * len(states) + e] = -slips[e] * (order - 1)
     states[c] = OPEN
     begun[g] = side * order
 
@@ -103,7 +106,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, phase, begu
     elements = table.elements
     if slips[e] == 0:
         slips[e] = -side
-        begun[g] = side * (2 if elements.even[e] > 0.0 else 1)  # with static = kinetic the force is continuous
+        begun[g] = side * (2 if elements.even[where, e] > 0.0 else 1)  # with static = kinetic the force is continuous
         return np.int64(0), np.int64(0)
     slips[e] = 0
     k, number = mode_of(table, states, slips, where)
@@ -138,8 +141,11 @@ def soft_event(g, c, side, states, begun):
 
 
 @kernel
-def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slopes, begun):
-    """A rigid contact is reached at this rate of y: see contact.outcome. Friction that it jerks slides from then on."""
+def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, begun):
+    """A rigid contact is reached at this rate of y, see contact.outcome; whether it comes to rest.
+
+    Friction that it jerks slides from then on. Complete chatter is to leading order one impact with R = 0.
+    """
     elements, n = table.elements, len(z) // 2
     row, kick, R, stop = elements.row[c], elements.kick[c], elements.R[c], elements.stops[c, 1 if side > 0 else 0]
     scale = abs(stop)
@@ -153,26 +159,24 @@ def impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slo
     load = load_at_rest(side, rate, product(row, f, n), cA2k)
     following = impact_outcome(load, rate, R, cA2k, scale, remaining, M3)
     reset(z, 0, row, kick, stop, 1.0)  # or rounding would add up over many impacts
-    if following == REST:
-        reset(z, n, row, kick, 0.0, 1.0)
+    rests = R == 0.0 or following == REST  # a load that pulls away lets go at once, see follow_one
+    share = 1.0 if rests else 1.0 + R
+    reset(z, n, row, kick, 0.0, share)
+    reset(f, n, row, kick, 0.0, share)
+    for i in range(W.shape[0]):
+        reset(W[i], n, row, kick, 0.0, share)
+    if rests:
         states[c] = side
-        for i in range(W.shape[0]):
-            project_to_rest(table.pieces.acceleration[k], row, kick, W[i])
-            slopes[i] = 0.0
     else:
-        reset(z, n, row, kick, 0.0, 1.0 + R)
-        reset(f, n, row, kick, 0.0, 1.0 + R)
-        for i in range(W.shape[0]):
-            reset(W[i], n, row, kick, 0.0, 1.0 + R)
-        begun[g] = side if following == REBOUND else 2 * side
+        begun[g] = side
     for e in range(len(slips)):
         sliding = product(elements.slide[e], z, n) - elements.belt[e]
         if product(elements.slide[e], kick, 0) != 0.0 and sliding != 0.0:
             slips[e] = np.sign(sliding)
             begun[SIGNALS * len(states) + e] = 0
-        if following == REST and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
+        if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
             slips[e] = 0
-    return following
+    return rests
 
 
 @kernel

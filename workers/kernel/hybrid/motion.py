@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from workers.kernel.contact import LEAVE, REST
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.hybrid.events import (
@@ -98,7 +97,7 @@ def fly(pieces, k, s, h, V, growth, triangle, tally):
 
 
 @kernel
-def pass_contact(table, k, g, c, side, rate, t, remaining, h, states, slips, z, f, W, slopes, begun, tally, hits):
+def pass_contact(table, k, g, c, side, rate, t, remaining, h, where, states, slips, z, f, W, begun, tally, hits):
     """Signal g of contact c is at the end of its range: what happens, and what is counted of it."""
     elements = table.elements
     if elements.soft[c] > 0.0:
@@ -107,19 +106,19 @@ def pass_contact(table, k, g, c, side, rate, t, remaining, h, states, slips, z, 
         soft_event(g, c, side, states, begun)
         return
     if states[c] != OPEN:
-        release(elements, g, c, states, slips, begun)
+        release(elements, g, c, where, states, slips, begun, 3)
         return
     R, energy = elements.R[c], elements.weight[c] * rate * rate
-    following = impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, slopes, begun)
-    if following == REST:
+    rests = impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, begun)
+    if rests:
+        tally[LOST] = max(tally[LOST], 1.0)
+    if rests and R > 0.0:  # the end of a chatter, whose impacts cannot be counted
         tally[MIN_SPEED], tally[MAX_SPEED] = 0.0, max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
         return
     count_hit(tally, hits, t, side, c, abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
     tally[CONTRACTION] += 2.0 * math.log(R)
-    if following == LEAVE:
-        tally[LOST] = max(tally[LOST], 1.0)
 
 
 @inline_always
@@ -215,7 +214,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
             return
         else:
             pass_contact(
-                table, k, hit, c, side, rate, t, duration - t, h, states, slips, z, f, W, slopes, begun, tally, hits
+                table, k, hit, c, side, rate, t, duration - t, h, where, states, slips, z, f, W, begun, tally, hits
             )
         k, number = follow_jumps(table, states, slips, where, z, phase, begun)
         if k < 0:

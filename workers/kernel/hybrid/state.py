@@ -163,19 +163,6 @@ def damping_along(acceleration, row, kick):
 
 
 @kernel
-def project_to_rest(acceleration, row, kick, w):
-    """Carry a tangent vector w (2n,) through complete chatter: w - (A k)(c w) - k (cA w - cA^2k c w)."""
-    n, y, v = len(row), product(row, w, 0), product(row, w, len(row))
-    along = v - damping_along(acceleration, row, kick) * y
-    for i in range(n):
-        damped = 0.0
-        for j in range(n):
-            damped += acceleration[i, n + j] * kick[j]
-        w[i] -= kick[i] * y
-        w[n + i] -= damped * y + kick[i] * along
-
-
-@kernel
 def shown_number(elements, z):
     """The number of the mode that a physical section state z (2n,) shows, in the first phase; -1 beyond a rigid stop.
 
