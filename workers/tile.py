@@ -1,6 +1,7 @@
 """``solve_tile``: every cell of a tile, from arrays of parameters to arrays of results."""
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -16,6 +17,9 @@ Array = NDArray[np.float64]
 
 MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
 """Bytes of section states that cells under way may take together; cells that are under way together all the same."""
+
+MODES_AT_ONCE = 512
+"""Cells of machines with modes that are under way together: each has a table of its modes."""
 
 
 def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Results:
@@ -42,7 +46,8 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
         solve(Cells(*record.build_many(params), initial_state(record, params), settings, found))
 
     kept = settings.max_period + settings.section_samples
-    at_once = max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * len(record.states) * kept))
+    most = MODES_AT_ONCE if record.has_modes else sys.maxsize
+    at_once = min(most, max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * len(record.states) * kept)))
     return solve_parts(record, params, settings, result_variables(settings), at_once, solve_part)
 
 

@@ -160,7 +160,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
         tau=table.tau, machines=machines, table=table,
     )  # fmt: skip
     reasons = hybrid_faults(machines)
-    known = finite((to_blocks, to_physical, blocks, swing * 0.0, *table.elements._replace(stops=none)))
+    known = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
     return found, np.where((reasons == NO_REASON) & ~known, np.int8(OUT_OF_DOUBLES), reasons)
 
 

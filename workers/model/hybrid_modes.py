@@ -135,10 +135,9 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
             damping += slope[:, None, None] * row[:, :, None] * row[:, None, :]
             load += (slope * machines.belt[:, f] - sign * kinetic)[:, None] * row
     belts = [machines.belt[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
-    moves = (
-        np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0 if held or stuck else np.zeros((N, 0), np.bool_)
-    )
-    G = np.stack([*held, *stuck], axis=1) if held or stuck else np.zeros((N, 0, n))
+    G, moves = np.zeros((N, 0, n)), np.zeros((N, 0), np.bool_)
+    if held or stuck:
+        G, moves = np.stack([*held, *stuck], axis=1), np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0
     inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
     D, hold = _holding(G, inverse_mass)
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)

@@ -1,0 +1,139 @@
+"""Claims about what machines whose law changes do in rare moments: each has its smallest machine."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.hybrids import built, follow, machines_of
+from tests.oracle.pieces import Contact, Force, Friction, Machine, Phase, monodromy, simulate
+from tests.oracle.pieces.draw import random_machine, random_state
+from workers import Settings
+from workers.cell.cells import Cells, Results
+from workers.cell.solve import solve
+from workers.kernel.motion import RUNNING
+from workers.model.hybrid import build_hybrid
+from workers.results import result_variables
+from workers.tile import result_arrays
+
+
+def one(omega: float = 1.0, damping: float = 0.1, load: float = 0.0, force: float = 0.0, **elements) -> Machine:
+    return Machine([[1.0]], [[damping]], [[1.0]], [load], omega, (Force(1, [force], [0.0]),), **elements)
+
+
+def agree(machine: Machine, start: list[float], duration: float | None = None, periods: int = 1) -> None:
+    found = follow(built(machine), start, periods=periods, duration=duration)
+    assert found.status == RUNNING
+    expected = simulate(machine, start, periods, span=duration, digits=30, rest=1e-8).sections[-1]
+    np.testing.assert_allclose(found.state, np.array(expected, float), rtol=0.0, atol=1e-9)
+
+
+def cell(machine: Machine, start: list[float]) -> Results:
+    settings = Settings(exponents="spectrum")
+    oscillators, reasons = build_hybrid(machines_of([machine]))
+    found = result_arrays(result_variables(settings), settings, 1, len(start))
+    solve(Cells(oscillators, reasons, np.array([start]), settings, found))
+    return found
+
+
+# R = 0 and friction that the impact turns or stops: the load is taken with the friction of before
+
+
+@pytest.mark.parametrize("seed", [143, 260])
+def test_dead_impacts_with_friction(seed: int) -> None:
+    machine = random_machine(seed, switched_elements=seed % 2 == 1)
+    agree(machine, random_state(machine, seed))
+
+
+def test_friction_that_slows_the_approach_does_not_pull_the_mass_off_the_stop() -> None:
+    """Load .35 presses at x = .5 with friction off; on the way there the spring and friction take more than that."""
+    machine = one(
+        load=0.85, contacts=(Contact([1.0], 0.5, None, restitution=0.0),), friction=(Friction([1.0], 0.4, 0.4),)
+    )
+    found = follow(built(machine), [0.0, 1.5], duration=2.0)
+    assert [e.element for e in found.events] == ["contact"]
+
+
+# A rest that a jump of the load ends has a first derivative: order 2, not 3
+
+
+def test_a_mass_that_starts_on_a_stop_comes_back_to_it() -> None:
+    machine = one(force=1.0, load=0.49, contacts=(Contact([1.0], 0.5, None, restitution=0.5),))
+    agree(machine, [0.5, 0.0], duration=0.05)
+
+
+def test_a_rest_that_a_switch_ends_may_begin_again_at_once() -> None:
+    machine = one(
+        force=1.0,
+        load=0.8,
+        contacts=(Contact([1.0], 0.5, None, restitution=0.5),),
+        phases=(Phase(0.0), Phase(0.01, load=[0.42])),
+    )
+    agree(machine, [0.5, 0.0], duration=0.15)
+
+
+# R = 0 with a load that pulls away: a direction is lost
+
+
+def test_a_dead_impact_loses_a_direction() -> None:
+    machine = one(omega=1.6, load=-0.4, force=1.0, contacts=(Contact([1.0], 0.1, None, restitution=0.0),))
+    found = cell(machine, [0.0, 0.0])
+    assert found["impacts_upper"][0] == 1 and found["stuck_fraction"][0] == 0.0
+    assert found["spectrum"][0, 1] == -math.inf
+    assert math.isfinite(found["error"][0]) and math.isnan(found["sum_law_defect"][0])
+
+
+# R = 0, rest, and another friction that turns in the same event: its jump is missing in the derivative
+
+
+def test_the_derivative_through_a_rest_that_turns_another_friction() -> None:
+    machine = Machine(
+        [[1.0, 0.0], [0.0, 1.0]], [[0.1, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, 1.0]], [2.0, 0.0], 1.0,
+        (Force(1, [0.0, 1.0], [0.0, 0.0]),), (Contact([1.0, 0.0], 0.5, None, restitution=0.0),),
+        (Friction([-1.0, 1.0], 0.5, 0.5),),
+    )  # fmt: skip
+    start = [0.0, 0.0, 2.0, 1.5]
+    found = follow(built(machine), start, duration=1.5).jacobian
+    expected = np.array(monodromy(machine, start, span=1.5).tolist(), dtype=float)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9)
+
+
+# static = kinetic in the phase of now, not in another: endless stick and slip at one time, NaN in the derivative
+
+
+@pytest.mark.parametrize(("seed", "periods"), [(701, 4), (715, 4)])
+def test_friction_that_a_phase_changes(seed: int, periods: int) -> None:
+    machine = random_machine(seed, switched_elements=True)
+    start = random_state(machine, seed)
+    agree(machine, start, periods=periods)
+    assert np.isfinite(follow(built(machine), start, periods=periods).jacobian).all()
+
+
+def test_friction_even_in_one_phase_breaks_away_once() -> None:
+    machine = one(
+        force=1.0,
+        friction=(Friction([1.0], 0.4, 0.4),),
+        phases=(Phase(0.0), Phase(0.9, friction={0: {"kinetic": 0.2}})),
+    )
+    found = follow(built(machine), [0.0, 0.0], duration=1.0)
+    assert len(found.events) == 1 and np.isfinite(found.jacobian).all()
+
+
+# A free mass beside one that sticks on the ground, coupled by a damper: b multiplies u = 0
+
+
+def test_a_free_mass_moves_on_while_another_one_sticks() -> None:
+    machine = Machine(
+        [[1.0, 0.0], [0.0, 1.0]], [[0.5, -0.2], [-0.2, 0.3]], [[0.0, 0.0], [0.0, 4.0]], [0.0, 0.0], 1.0,
+        (Force(1, [1.0, 0.1], [0.0, 0.0]),), (), (Friction([0.0, 1.0], 0.8, 0.9),),
+    )  # fmt: skip
+    agree(machine, [0.0, 0.0, 0.1, 0.2], periods=2)
+
+
+# ROOM: 24 modes are too few for machines of three phases
+
+
+@pytest.mark.parametrize("seed", [35, 75, 104, 138, 184])
+def test_machines_of_many_modes(seed: int) -> None:
+    machine = random_machine(seed, switched_elements=seed % 2 == 1)
+    assert follow(built(machine), random_state(machine, seed), periods=4).status == RUNNING
