@@ -55,7 +55,7 @@ def own(*gap: float, stop: float = 0.3) -> Oscillator:
 
 
 MACHINES = {
-    **{name: lambda name=name: packaged(name) for name in system_names()},
+    **{name: lambda name=name: packaged(name) for name in system_names() if not find_system(name).has_modes},
     "weight .3": lambda: own(0.3),
     "weight .3, stop at 0": lambda: own(0.3, stop=0.0),
     "weights .3, -.7": lambda: own(0.3, -0.7),

@@ -126,7 +126,8 @@ def test_the_two_mass_system_has_the_parameters_that_it_always_had() -> None:
 def test_the_package_has_the_whole_family() -> None:
     chains = {f"chain-{n}" for n in range(3, 9)}
     assert {*system_names()} == {
-        "two-mass", "single-mass", "bouncing-ball", "impact-pair", "impact-damper", *chains,
+        "two-mass", "single-mass", "bouncing-ball", "impact-pair", "impact-damper", "energy-sink", "energy-harvester",
+        "soft-impact", "soft-suspension", "two-stops", "friction-oscillator", "stick-slip", "gear-mesh", *chains,
     }  # fmt: skip
     assert system_names()[0] == "two-mass"
 
@@ -154,10 +155,11 @@ def test_all_machines_of_a_system_are_made_alike_to_the_bit(name: str) -> None:
     """A machine is the same whether it is made alone or among many."""
     system, rng = find_system(name), np.random.default_rng(5)
     values = {p.name: np.exp(rng.normal(size=50)) * (0.2 if p.high == 1.0 else 1.0) for p in system.parameters}
+    made = system.definition.hybrid if system.has_modes else system.definition.machines
     with np.errstate(all="ignore"):
-        many = system.definition.machines(values)
+        many = made(values)
         for k in (0, 7, 49):
-            alone = system.definition.machines({key: column[k : k + 1] for key, column in values.items()})
+            alone = made({key: column[k : k + 1] for key, column in values.items()})
             assert all(a[0].tobytes() == b[k].tobytes() for a, b in zip(alone, many, strict=True))
 
 
