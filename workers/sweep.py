@@ -64,6 +64,8 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     """
     states = initial_state(record, here)
     known = np.isfinite(last).all(axis=-1)
+    if not known.any():
+        return {name: states[..., k] for k, name in enumerate(record.states)}
     oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
     moved = last[known].copy()
     for row, upper, lower in rigid_stops(oscillators):

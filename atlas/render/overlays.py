@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 from atlas.errors import InputError
 from atlas.render import axes, curves, grazing, machine, maps
 from atlas.render.kinds import OverlayError
+from atlas.spec.system import refuse_modes
 from workers.model.system import System
 from workers.results import LARGEST, PENDING
 
@@ -83,6 +84,7 @@ def outlined(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArr
 
 def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     system = machine.known_system(ds, "overlay 'grazing'")
+    refuse_modes(system, "grazing lines")
     same = machine.fixed(ds, system)
     across, up = np.meshgrid(plane.x.values[[0, -1]], plane.y.values[[0, -1]])
     corners = {plane.x.name: across.ravel(), plane.y.name: up.ravel()}

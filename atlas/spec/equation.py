@@ -39,7 +39,8 @@ def equation_of(system: System) -> str:
     for phase in machine.phases:
         changed = [key for key in ("stiffness", "damping", "force", "load") if getattr(phase, key) is not None]
         changed += [name for name, _ in (*phase.contacts, *phase.friction)]
-        lines.append(f"from {_number(phase.start)} of the period on: other {' and '.join(changed) or 'nothing'}")
+        if changed:
+            lines.append(f"from {_number(phase.start)} of the period on: other {' and '.join(changed)}")
     return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
 
 
@@ -56,7 +57,8 @@ def _contact(contact: Contact, coordinates: tuple[str, ...]) -> list[str]:
         return [*lines, f"at a stop {name}' -> -{_factor(contact.restitution)} * {name}'"]
     force = [(contact.preload, ""), (contact.stiffness, "d"), (contact.damping, "d'")]
     known = [(each, of) for each, of in force if each is not None]
-    return [*lines, f"beyond a stop by d: the force {_sum(known)} back"]
+    until = ", as long as that pushes" if contact.release == "force" else ""
+    return [*lines, f"beyond a stop by d: the force {_sum(known)} back{until}"]
 
 
 def _sine(harmonic: Harmonic, i: int) -> str:

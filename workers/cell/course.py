@@ -18,6 +18,7 @@ from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import LONG_PERIOD, NEAR, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
 from workers.cell.stretch import Mask, Rows
+from workers.model.hybrid import Hybrid
 from workers.model.oscillator import COLUMN, Array, Oscillator
 from workers.orbit.newton import far_from_closing
 from workers.results import NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED, UNDETERMINED
@@ -59,8 +60,11 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Arra
     """Forcing periods in which the energy of these motions falls by a factor e, without the force.
 
     1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, take
-    their part of one of the 2n squares that the energy is a sum of. May be infinite.
+    their part of one of the 2n squares that the energy is a sum of. Of machines with modes it is the mean time of all
+    modes with contacts open, friction left out. May be infinite.
     """
+    if isinstance(oscillators, Hybrid):
+        return np.asarray(1.0 / (2.0 * oscillators.gap.eta[rows].mean(axis=-1) * oscillators.period[rows]))
     slowest = oscillators.gap.blocks[rows][..., COLUMN.slow].min(axis=-1)
     freedoms = 2.0 * oscillators.gap_row.shape[1]
     rate = 2.0 * slowest * oscillators.period[rows] + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms

@@ -165,7 +165,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
         cells,
         rows,
         sticks=sticks,
-        stuck_fraction=tally[:, motion.STUCK] / (periods * cells.oscillators.period[rows]),
+        stuck_fraction=np.minimum(tally[:, motion.STUCK] / (periods * cells.oscillators.period[rows]), 1.0),
         impacts_per_period=np.where(sticks, math.nan, hits),
         min_impact_speed=np.where(np.isfinite(slowest), slowest, math.nan),
         mean_impact_speed=np.where(sticks | (impacts == 0.0), math.nan, tally[:, motion.SPEEDS] / impacts),

@@ -176,7 +176,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
         if tally[STATUS] != RUNNING:
             return
         tally[LOST] = max(tally[LOST], pieces.lost[k])
-        until = min(duration, elements.starts[where + 1] * period)
+        until = min(duration, period, elements.starts[where + 1] * period)
         enter(pieces, k, z, W, phase, h, V)
         s, hit, side = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
         if tally[STATUS] != RUNNING:
@@ -189,7 +189,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
         t = until if hit < 0 else t + s
         phase = table.tau + table.omega * t
         leave(pieces, k, h, V, phase, z, W)
-        if hit < 0 and until >= duration:
+        if hit < 0 and until >= min(duration, period):
             code[0] = number
             return
         if hit < 0:
