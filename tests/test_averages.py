@@ -132,6 +132,7 @@ def test_a_stretch_ends_with_its_last_sections() -> None:
     assert kept[-1] == pytest.approx(one.h, abs=0)
 
 
+@pytest.mark.slow
 def test_the_error_bar_sees_weak_but_slow_changes_behind_the_noise_of_single_periods() -> None:
     """(mean - true mean) / error over 300 series: blocks that are just long enough for the noise give 1.8."""
     rng = np.random.default_rng(5)

@@ -118,6 +118,7 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
     assert first.identical(second)
 
 
+@pytest.mark.slow
 def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
     finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:

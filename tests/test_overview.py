@@ -219,6 +219,7 @@ def test_a_chunk_above_an_unfinished_tile_is_not_made(header: store.Header) -> N
         assert (missing < 8).all()
 
 
+@pytest.mark.slow
 def test_views_and_shares_of_a_half_done_atlas_are_true(header: store.Header) -> None:
     pending = ((0, 0), (2, 3), (4, 5))
     fill(header, skip=pending)
@@ -281,6 +282,7 @@ def test_overviews_from_before_there_was_a_regime_are_read_as_they_are(whole: st
     assert (report.faults, report.chunks > 0) == ((), True)
 
 
+@pytest.mark.slow
 def test_overviews_from_before_there_was_a_regime_are_made_anew_by_a_run(whole: store.Header) -> None:
     forget_aperiodic(whole.path)
     assert keep(whole) == 14

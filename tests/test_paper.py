@@ -24,6 +24,7 @@ def test_the_cells_are_those_of_the_paper() -> None:
         assert naive.FIGURES[number].items() <= paper.CELLS[f"fig{number}"].items() | {("R", 0.8)}
 
 
+@pytest.mark.slow
 def test_fig_5_is_solved_to_the_digits_of_the_paper() -> None:
     """Truth: 1.123, -1.577, -1.582, -4.38 within .002, and 2.637 impacts a period."""
     orbit = cell_orbit(paper.CELLS["fig5"], settings=paper.SETTINGS)

@@ -313,6 +313,7 @@ def test_undetermined_and_chaotic_cells_are_solved_again_together(tmp_path: Path
     assert verify(store, sample=12).fine
 
 
+@pytest.mark.slow
 def test_aperiodic_cells_can_be_watched_for_longer(tmp_path: Path, client: Client) -> None:
     spec, store = chaotic_plane(survival=400, exponents="none"), tmp_path / "out.zarr"
     atlas.run(spec, store, client=client)
@@ -335,6 +336,7 @@ def test_cells_watched_for_longer_are_not_taken_over_by_a_grown_atlas(
     assert all(same(grown[name][::2], values).all() for name, values in fresh.items())
 
 
+@pytest.mark.slow
 def test_a_tile_of_chaotic_cells_is_solved_again_by_a_process_of_its_own_too(watched: Path) -> None:
     spec, header = chaotic_plane(), read_header(watched)
     retry = checked_retry(spec, "chaotic", survival=LONG)

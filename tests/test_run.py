@@ -130,6 +130,7 @@ def test_progress_ends_with_every_cell_done(tmp_path: Path, plane: atlas.Spec, c
     assert [p.cells_done for p in told] == sorted(p.cells_done for p in told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cells", "probed"), [(CELLS, False), (CELLS + 1, True)])
 def test_a_run_is_probed_only_where_a_probe_would_not_solve_all_of_it(
     tmp_path: Path, client: Client, cells: int, probed: bool

@@ -56,6 +56,7 @@ def on_attractor(osc: Oscillator, state: np.ndarray, periods: int = 300) -> np.n
     return after(osc, state, periods)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", [3, 4, 5])
 def test_the_jacobian_is_that_of_the_map_at_the_papers_figures(figure: int) -> None:
     osc, start = naive.two_mass(**naive.FIGURES[figure])

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from workers.kernel.crossing import TINY, next_crossing
+from workers.kernel.elementary import log
 from workers.kernel.flow import flow, flow_with_tangent
 from workers.kernel.hybrid.events import (
     ENDLESS,
@@ -118,7 +119,7 @@ def pass_contact(table, k, g, c, side, rate, t, remaining, h, where, states, sli
         return
     count_hit(tally, hits, t, side, c, abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
-    tally[CONTRACTION] += 2.0 * math.log(R)
+    tally[CONTRACTION] += 2.0 * log(max(R, TINY))
 
 
 @inline_always
@@ -225,7 +226,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
             for e in range(m):
                 W[e, i] += after[i] * slopes[e]
         if c >= C or elements.soft[c] > 0.0:  # det S = 1 + r.(f+ - f-) / r'
-            tally[CONTRACTION] += math.log(abs(1.0 + product(row, after, 0) / rate))
+            tally[CONTRACTION] += log(max(abs(1.0 + product(row, after, 0) / rate), TINY))
 
 
 @kernel
