@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.oracle.pieces import Machine, Mode
+from tests.oracle.pieces import Contact, Machine, Mode
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.state import shown_number
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
@@ -170,3 +170,9 @@ def _event(hybrid: Hybrid, row: Array, since: float) -> Event:
         return Event(since + t, "friction", int(signal) - first_friction, int(side), rate, False)
     index, force = divmod(int(signal), SIGNALS)
     return Event(since + t, "contact", index, int(side), rate, bool(force))
+
+
+def warm_up() -> None:
+    """Compile the loop through modes by itself, as tests call it: once for all processes of a test run."""
+    mass = Machine([[1.0]], [[0.1]], [[1.0]], [0.0], 1.0, (), (Contact([1.0], 1.0, None, stiffness=1.0),))
+    follow(built(mass), [0.0, 0.0])

@@ -77,6 +77,7 @@ def random_params(rng: np.random.Generator) -> dict[str, float]:
     }
 
 
+@pytest.mark.slow
 def test_the_jacobian_is_that_of_the_map_at_random_parameters() -> None:
     rng = np.random.default_rng(1)
     impacts = 0

@@ -245,6 +245,7 @@ def test_an_exponent_is_positive_only_where_rounding_has_become_visible(growth: 
     assert clearly_positive(np.array(growth / 100), np.array(1e-9), np.array(100.0)) == clear
 
 
+@pytest.mark.slow
 def test_weak_chaos_is_no_torus() -> None:
     """From a state on it. Truth: .01425 +- .00024 over a million periods by the fixed schedule."""
     params = {"omega": np.linspace(1.0, 4.5, 64)[14], "b": np.linspace(0.05, 0.6, 64)[15]}
@@ -284,6 +285,7 @@ def test_a_torus_is_one_whatever_the_longest_orbit_looked_for() -> None:
         assert found["regime"] == QUASIPERIODIC
 
 
+@pytest.mark.slow
 def test_long_orbits_are_found_where_the_exponent_is_clearly_negative() -> None:
     """Orbits of more than the 4 periods looked for first; from their states they are found as what they are."""
     omega, R = np.meshgrid(np.linspace(1.5, 4.5, 40), np.linspace(0.9, 1.0, 40))
