@@ -205,8 +205,9 @@ def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
         assert across > share * width and left + across <= width
         assert top >= 0 and top + down <= 720 and 0.3 < down / across < 1.6
         assert tab.page.evaluate("() => document.documentElement.scrollWidth") <= width
-        tall = tab.page.evaluate("() => document.documentElement.scrollHeight")
-        assert tall > 800 if width < 1280 else tall <= 720  # what lies below the plane can be scrolled to
+        tall = "() => document.documentElement.scrollHeight"
+        # What lies below the plane can be scrolled to, once it is laid out.
+        tab.until(lambda: tab.page.evaluate(tall) > 800 if width < 1280 else tab.page.evaluate(tall) <= 720)
         assert tab.complaints == []
 
 
