@@ -114,14 +114,8 @@ def test_a_plan_over_initial_states_alone_names_the_command_for_basins() -> None
         assert plan.make_plan(spec).note == "" and "note" not in str(plan.make_plan(spec))
 
 
-WARM = """
+COMPILED = """
 import sys
-import numpy as np
-import atlas
-from atlas import Spec
-from atlas.cli.main import main
-from atlas.task.compile import warm_up
-from workers.tile import solve_tile
 
 def compiled():
     modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("workers.")]
@@ -131,6 +125,16 @@ def compiled():
         for name, kernel in vars(module).items()
         for signature in getattr(getattr(kernel, "alone", kernel), "signatures", ())
     }
+"""
+"""What each kernel of workers has been compiled for, as a part of the scripts below."""
+
+WARM = """
+import numpy as np
+import atlas
+from atlas import Spec
+from atlas.cli.main import main
+from atlas.task.compile import warm_up
+from workers.tile import solve_tile
 
 spec = Spec("two-mass", axes={"omega": [2.0, 3.0]}, solve={"exponents": sys.argv[1], "max_periods": 600})
 warm_up()
@@ -153,7 +157,7 @@ print(len(before), *sorted(compiled() - before))
 def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
     """Cells of every kind, alone and side by side, sticking and overdamped ones among them."""
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", WARM, exponents]
+    command = [sys.executable, "-c", COMPILED + WARM, exponents]
     said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
     count, *more = said.split(maxsplit=1)
     assert int(count) >= 9  # those that Python calls; loaded from the cache they bring no others
@@ -161,19 +165,9 @@ def test_after_the_warm_up_no_cell_compiles_anything(exponents: str) -> None:
 
 
 WARM_WITH_MODES = """
-import sys
 import numpy as np
 from atlas.task.compile import MODES, WITH_MODES, warm_up
 from workers import Settings, System, solve_tile
-
-def compiled():
-    modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("workers.")]
-    return {
-        (name, str(signature))
-        for module in modules
-        for name, kernel in vars(module).items()
-        for signature in getattr(getattr(kernel, "alone", kernel), "signatures", ())
-    }
 
 warm_up(MODES)
 before = compiled()
@@ -191,7 +185,7 @@ print(len(before), *sorted(compiled() - before))
 @pytest.mark.parametrize("exponents", ["none", "spectrum"])
 def test_after_their_warm_up_no_cell_of_a_machine_with_modes_compiles_anything(exponents: str) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", WARM_WITH_MODES, exponents]
+    command = [sys.executable, "-c", COMPILED + WARM_WITH_MODES, exponents]
     said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
     count, *more = said.split(maxsplit=1)
     assert int(count) >= 8 and not more
