@@ -5,7 +5,6 @@ from typing import Any
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.axis import number
-from atlas.spec.system import refuse_modes
 from workers.attractors.starts import Starts
 from workers.model.system import System
 from workers.settings import Settings
@@ -22,7 +21,6 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
     table: object = resolved_attractors(given) if isinstance(given, Starts) else given
     if not isinstance(table, Mapping):
         raise InputError(f"attractors: found {shown(table)}, must be a table")
-    refuse_modes(record, "attractors and basins")
     check_names("key in attractors", table, KEYS)
     if settings.method == "fixed":
         raise InputError('attractors: need method = "adaptive", found "fixed"')

@@ -18,14 +18,14 @@ from atlas.task.child import watched
 from workers.model.system import DEFAULT, System
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS, MODES = "", "attractors", "orbits", "modes"
+CELLS, ATTRACTORS, ORBITS, MODES, MODES_ATTRACTORS = "", "attractors", "orbits", "modes", "modes-attractors"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
 as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law
-changes, in place of the first ones."""
+changes, in place of the first ones, and find their attractors."""
 
-SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60}
+SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60, MODES_ATTRACTORS: 10}
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 250}
+FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 250, MODES_ATTRACTORS: 40}
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
@@ -46,6 +46,9 @@ WITH_MODES: dict[str, Any] = {
     "parameters": {"omega": {"default": 1.0}},
 }
 """A machine whose law changes in every way."""
+
+_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS}
+"""The parts of machines whose law changes, in place of others."""
 
 YOUNG_OBJECTS = 50_000
 """So many new objects before Python looks for unreachable ones: a compiler's live until it ends, and looking through
@@ -71,7 +74,7 @@ Report = Callable[[Compilation], None]
 
 def kernels_for(record: System, *more: str) -> tuple[str, ...]:
     """The parts that cells of a system take, and ``more``, as the functions below are given them."""
-    return (MODES, *more) if record.has_modes else more
+    return (MODES, *(_OF_MODES[part] for part in more)) if record.has_modes else more
 
 
 def warming(*more: str) -> str:
@@ -151,7 +154,7 @@ def warm_up(*parts: str) -> None:
     from workers.tile import solve_tile
 
     if MODES in parts:
-        solve_tile(System.from_mapping(WITH_MODES), {}, Settings(max_periods=1))
+        _warm_up_modes(parts)
         return
     solve_tile(DEFAULT, {}, Settings(max_periods=1))
     if ATTRACTORS in parts:
@@ -163,6 +166,18 @@ def warm_up(*parts: str) -> None:
         scale_at(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))
     if ORBITS in parts:
         _follow_an_orbit()
+
+
+def _warm_up_modes(parts: tuple[str, ...]) -> None:
+    """warm_up of machines whose law changes."""
+    from workers.attractors.starts import Starts
+    from workers.attractors.waves import solve_attractors
+    from workers.tile import solve_tile
+
+    system = System.from_mapping(WITH_MODES)
+    solve_tile(system, {}, Settings(max_periods=1))
+    if MODES_ATTRACTORS in parts:
+        solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
 
 
 def _follow_an_orbit() -> None:

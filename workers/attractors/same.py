@@ -19,7 +19,8 @@ from workers.attractors.record import Attractor
 from workers.cell.stretch import Rows, batch_of, begin, run
 from workers.kernel.cells import physical_states, scale_at
 from workers.kernel.jit import kernel
-from workers.kernel.motion import RUNNING, STATUS, Motion
+from workers.kernel.motion import RUNNING, STATUS, Motion, motion_at
+from workers.model.hybrid import Hybrid, HybridCell, cell_of
 from workers.model.oscillator import Array, Oscillator, each, many_of, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import separation
@@ -38,6 +39,10 @@ DIFFERENT = 5.0
 """Standard errors from which on two motions are not on one attractor."""
 LEAST_SPREAD = 1e-9
 """Spread of a mean that is rounding, relative to the root mean square of what is averaged."""
+
+
+Machines = Oscillator | Hybrid
+"""A record of many machines."""
 
 
 class KnownOrbits(NamedTuple):
@@ -110,32 +115,35 @@ def periods_to_settle(metric: Array, swing: Array, sections: Array, flown: int, 
     return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
 
-def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
+def seen_from(oscillator: Machines, orbit: Attractor, shift: float) -> tuple[Oscillator | HybridCell, Motion]:
     """An orbit on the section t = (k + shift) T: its oscillator as seen from there, and its motion."""
-    osc = one_of(oscillator, 0)
+    osc = cell_of(oscillator, 0)
+    if isinstance(osc, HybridCell):  # proved at t = k T
+        return osc, motion_at(orbit.h, orbit.contact)
     return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), moved(osc, orbit.h, orbit.contact, shift)
 
 
-def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
+def states_of_turn(oscillator: Machines, orbit: Attractor) -> Array:
     """Block states (period, n, 2) of an orbit on the section where it was proved."""
     osc, motion = seen_from(oscillator, orbit, orbit.shift)
-    batch = batch_of(many_of(osc), each(motion, lambda field: field[None]), orbit.period)
+    many = many_of(osc) if isinstance(osc, Oscillator) else oscillator
+    batch = batch_of(many, each(motion, lambda field: field[None]), orbit.period)
     batch.periods[0] = orbit.period
     run(batch, np.zeros(1, dtype=np.int64))
     return batch.sections[0]
 
 
-def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
+def image_of(osc: Oscillator | HybridCell, h: Array, contact: int) -> tuple[Array, int]:
     """Where the mirror image of a motion at block state h (n, 2) is, with its contact; NaN where that is not known."""
     later = moved(osc, h, contact, 0.5)
     return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
 
 
-def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
+def same_orbit(oscillator: Machines, old: Attractor, new: Attractor, half: bool = False) -> bool:
     """Whether an orbit, or with ``half`` its mirror image, is a known one: on the section where that was proved."""
     if (old.regime, old.period) != (new.regime, new.period):
         return False
-    if old.regime == NO_IMPACT and not half:
+    if old.regime == NO_IMPACT and not half and isinstance(oscillator, Oscillator):  # there is one alone
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h

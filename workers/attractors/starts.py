@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.model.hybrid import Hybrid, rigid_stops
 from workers.model.oscillator import Array, Oscillator
 from workers.settings import check_whole
 
@@ -59,7 +60,7 @@ class Starts:
         return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
-def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ...], own: Array) -> Array:
+def initial_states(starts: Starts, oscillators: Oscillator | Hybrid, names: tuple[str, ...], own: Array) -> Array:
     """The initial states (N, starts, 2n) of N cells, in order; NaN where too few points of the box lie between stops.
 
     own     (N, 2n) the cells' own, the first of each
@@ -71,16 +72,19 @@ def initial_states(starts: Starts, oscillators: Oscillator, names: tuple[str, ..
     if starts.count == 1:
         return found
     low, high = boxes(starts, oscillators, names)
-    points = _points(size, TRIES * (starts.count - 1), starts.seed)
+    points, stops = _points(size, TRIES * (starts.count - 1), starts.seed), rigid_stops(oscillators)
     for k in range(N):
         states = low[k] + points * (high[k] - low[k])
-        y = states[:, : size // 2] @ oscillators.gap_row[k]
-        inside = np.flatnonzero((y > oscillators.lower[k]) & (y < oscillators.upper[k]))[: starts.count - 1]
+        free = np.ones(len(states), dtype=np.bool_)
+        for row, upper, lower in stops:
+            y = states[:, : size // 2] @ row[k]
+            free &= (y > lower[k]) & (y < upper[k])
+        inside = np.flatnonzero(free)[: starts.count - 1]
         found[k, 1 : 1 + len(inside)] = states[inside]
     return found
 
 
-def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tuple[Array, Array]:
+def boxes(starts: Starts, oscillators: Oscillator | Hybrid, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Lowest and highest initial states (N, 2n) of N cells.
 
     By default each displacement lies within REACH a of its rest position and each velocity within REACH v of 0. a and v
@@ -91,6 +95,8 @@ def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tu
     moves = oscillators.to_physical
     forced = oscillators.gap.forced.reshape(N, 2 * n, -1, 2)
     amplitude = np.sum(np.hypot(*np.moveaxis(np.einsum("nij,njhp->nihp", moves, forced), -1, 0)), axis=-1)
+    if isinstance(oscillators, Hybrid):  # that of the mode with all contacts open, or a little more
+        amplitude = np.einsum("nij,nj->ni", np.abs(moves), oscillators.swing.reshape(N, 2 * n))
     middle = np.einsum("nij,nj->ni", moves, oscillators.rest.reshape(N, 2 * n))
     row = np.abs(oscillators.gap_row)
     half = 0.5 * (oscillators.upper - oscillators.lower)
@@ -101,11 +107,12 @@ def boxes(starts: Starts, oscillators: Oscillator, names: tuple[str, ...]) -> tu
     for name, first, last in starts.box:
         k = names.index(name)
         low[:, k], high[:, k] = first, last
-    (alone,) = np.nonzero((oscillators.gap_row != 0.0).sum(axis=1) == 1)
-    k = np.argmax(oscillators.gap_row[alone] != 0.0, axis=1)
-    ends = np.stack([oscillators.lower[alone], oscillators.upper[alone]]) / oscillators.gap_row[alone, k]
-    low[alone, k] = np.maximum(low[alone, k], ends.min(axis=0))
-    high[alone, k] = np.minimum(high[alone, k], ends.max(axis=0))
+    for row, upper, lower in rigid_stops(oscillators):
+        (alone,) = np.nonzero((row != 0.0).sum(axis=1) == 1)
+        k = np.argmax(row[alone] != 0.0, axis=1)
+        ends = np.stack([lower[alone], upper[alone]]) / row[alone, k]
+        low[alone, k] = np.maximum(low[alone, k], ends.min(axis=0))
+        high[alone, k] = np.minimum(high[alone, k], ends.max(axis=0))
     return low, high
 
 

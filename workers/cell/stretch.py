@@ -1,5 +1,7 @@
 """Motions along stretches of periods, any number of them side by side: how they begin, go on, and why they cannot."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,7 +60,7 @@ def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
     return found
 
 
-def batch_of(oscillators: Oscillator, motions: Motion, kept: int = 0) -> Batch:
+def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> Batch:
     """A batch of many motions that have nowhere to go yet, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
     return Batch(

@@ -3,6 +3,7 @@
 A mode, see hybrid_modes.py, is built when a motion comes to it for the first time.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,18 @@ from workers.model.hybrid_machines import HybridMachines, hybrid_faults
 from workers.model.hybrid_modes import OPEN, Code, Pieces, along_contacts, code_of, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, undamped_modes
-from workers.model.oscillator import COLUMN, NUMBER, Array, Head, Mode, Oscillator, make_blocks, named_in_head, taken
+from workers.model.oscillator import (
+    COLUMN,
+    NUMBER,
+    Array,
+    Head,
+    Mode,
+    Oscillator,
+    make_blocks,
+    named_in_head,
+    one_of,
+    taken,
+)
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
 
@@ -109,6 +121,10 @@ class HybridCell(NamedTuple):
     tau: Any
     table: Table
 
+    def __getattr__(self, name: str) -> Any:
+        """One of the numbers of ``head``, see oscillator.Head, by its name."""
+        return named_in_head(self.head, name)
+
 
 FIRST_NUMBER = 4
 """Added to numbers of modes in contacts of motions, above all contacts of motions without modes."""
@@ -179,6 +195,25 @@ def build_missing(oscillators: Any, rows: NDArray[np.int64]) -> NDArray[np.int64
         for field, new in zip(table.pieces, made, strict=True):
             field[some, place] = new
     return rows
+
+
+def cell_of(oscillators: Oscillator | Hybrid, k: int) -> Oscillator | HybridCell:
+    """One of many machines, as kernels take it."""
+    one: Any = one_of(oscillators, k)
+    many = isinstance(oscillators, Hybrid)
+    return HybridCell(*(getattr(one, name) for name in HybridCell._fields)) if many else one
+
+
+def with_modes(oscillator: Oscillator | Hybrid, act: Callable[[Any], Any]) -> Any:
+    """What ``act`` makes of the one machine of a record of many; anew whenever a mode had to be built for it."""
+    while True:
+        cell = cell_of(oscillator, 0)
+        found = act(cell)
+        if isinstance(oscillator, Hybrid) and isinstance(cell, HybridCell):
+            oscillator.table.missing[0] = cell.table.missing
+            if len(build_missing(oscillator, np.zeros(1, dtype=np.int64))):
+                continue
+        return found
 
 
 def rigid_stops(oscillators: Oscillator | Hybrid) -> list[tuple[Array, Array, Array]]:

@@ -277,9 +277,9 @@ def taken(record: Any, rows: NDArray[np.int64]) -> Any:
     return each(record, lambda field: np.take(field, rows, axis=0))
 
 
-def one_of(oscillators: Oscillator, k: int) -> Oscillator:
+def one_of(oscillators: Any, k: int) -> Any:
     """Oscillator k of many."""
-    found: Oscillator = each(oscillators, lambda field: field[k].copy() if field.ndim > 1 else float(field[k]))
+    found: Any = each(oscillators, lambda field: field[k].copy() if field.ndim > 1 else float(field[k]))
     return found
 
 

@@ -1,0 +1,73 @@
+"""Claims about the attractors of machines whose law changes: each is what its own state leads to."""
+
+import numpy as np
+import pytest
+
+from workers import Settings, solve_tile
+from workers.attractors.basins import solve_basins
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
+from workers.results import CHAOTIC, PERIODIC
+
+SETTINGS = Settings(max_periods=3000, survival=300, tolerance=0.05)
+
+CELLS = {
+    "soft-impact": {"omega": [0.78, 0.86, 0.9], "a": [0.5, 0.63, 0.7]},
+    "stick-slip": {"omega": [0.9, 1.6], "u": [0.3, 0.4]},
+    "two-stops": {"omega": [2.0, 3.0]},
+    "gear-mesh": {"omega": [0.9, 1.1], "eps": [0.3, 0.4]},
+}
+"""Cells of packaged systems, some of them with several attractors."""
+
+
+@pytest.fixture(scope="module", params=list(CELLS))
+def found(request: pytest.FixtureRequest) -> tuple[str, dict[str, list[float]], dict[str, np.ndarray]]:
+    name = request.param
+    return name, CELLS[name], solve_attractors(name, CELLS[name], SETTINGS, Starts(12))
+
+
+def test_every_start_is_put_to_an_attractor_or_counted_as_undecided(
+    found: tuple[str, dict[str, list[float]], dict[str, np.ndarray]],
+) -> None:
+    _, _, result = found
+    kept = np.nansum(result["share"], axis=-1) * result["starts"]
+    assert np.allclose(kept + result["left"] + result["undecided"], result["starts"])
+    assert (result["attractors"] >= 1).all()
+
+
+def test_the_state_of_an_orbit_leads_to_that_orbit(
+    found: tuple[str, dict[str, list[float]], dict[str, np.ndarray]],
+) -> None:
+    name, params, result = found
+    for c, k in np.argwhere(result["regime"] == PERIODIC).tolist():
+        state = {f"{each}": float(value) for each, value in zip(states_of(name), result["state"][c, k], strict=True)}
+        here = {key: values[c] for key, values in params.items()} | state
+        alone = solve_tile(name, here, SETTINGS)
+        assert alone["regime"] == PERIODIC and alone["period"] == result["period"][c, k]
+        assert alone["largest"] == pytest.approx(result["largest"][c, k], abs=1e-9)
+
+
+def test_no_two_orbits_of_a_cell_are_one(found: tuple[str, dict[str, list[float]], dict[str, np.ndarray]]) -> None:
+    _, _, result = found
+    for c in range(len(result["regime"])):
+        orbits = np.flatnonzero(result["regime"][c] == PERIODIC)
+        same = {(int(result["period"][c, k]), round(float(result["largest"][c, k]), 7)) for k in orbits}
+        assert len(same) == len(orbits) or result["symmetric"][c].any()
+
+
+def test_labels_of_basins_are_those_of_attractors() -> None:
+    values = {"omega": 0.86, "a": 0.63}
+    table = solve_attractors("soft-impact", values, SETTINGS, Starts(12))
+    x = np.linspace(-0.5, 0.5, 5)
+    basins = solve_basins("soft-impact", values | {"x": x}, SETTINGS, Starts(12))
+    assert set(basins["label"].tolist()) <= set(range(-2, int(table["attractors"])))
+    known = basins["label"] >= 0
+    assert known.any() and (basins["regime"][known] != CHAOTIC).any()
+
+
+def states_of(name: str) -> tuple[str, ...]:
+    from workers import System
+    from workers.model.system import find_system
+
+    record: System = find_system(name)
+    return record.states
