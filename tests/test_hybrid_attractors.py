@@ -7,6 +7,7 @@ from workers import Settings, solve_tile
 from workers.attractors.basins import solve_basins
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
+from workers.model.system import find_system
 from workers.results import CHAOTIC, PERIODIC
 
 SETTINGS = Settings(max_periods=3000, survival=300, tolerance=0.05)
@@ -66,8 +67,4 @@ def test_labels_of_basins_are_those_of_attractors() -> None:
 
 
 def states_of(name: str) -> tuple[str, ...]:
-    from workers import System
-    from workers.model.system import find_system
-
-    record: System = find_system(name)
-    return record.states
+    return find_system(name).states
