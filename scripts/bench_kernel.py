@@ -1,6 +1,7 @@
 """Microseconds per forcing period of the solver, as a ratio to a general integrator measured in the same run.
 
-The cells are those of Figs 3, 4 and 5 of Li & Tan (2011); no, one or all four Lyapunov exponents. The references are
+The cells are those of Figs 3, 4 and 5 of Li & Tan (2011); no, one or all four Lyapunov exponents; and one of the system
+soft-impact, which touches its soft stop once a period, beside heyoka alone. The references are
 heyoka (heyoka_reference.py, tolerance 1e-10) and scipy's DOP853 (rtol 1e-10, atol 1e-12), with event location at the
 stops, the variational equations beside the state, the saltation matrix at every impact and one QR per period. DOP853 is
 measured twice: plain, with the right-hand side in numpy and scipy's own first step after each impact; and tuned, with a
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scripts.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
-from scripts.heyoka_reference import INSTALLED, Taylor
+from scripts.heyoka_reference import INSTALLED, SoftTaylor, Taylor
 from workers import Settings, solve_tile
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
@@ -36,7 +37,7 @@ from workers.model.system import find_system
 
 Array = NDArray[np.float64]
 
-SETTINGS_NAME = {0: "none", 1: "largest", 4: "spectrum"}
+SETTINGS_NAME = {0: "none", 1: "largest", 2: "spectrum", 4: "spectrum"}
 
 
 def processor_seconds(work: Callable[[], object]) -> float:
@@ -71,12 +72,14 @@ def in_turn(repeats: int, *works: Callable[[], float]) -> list[float]:
     return [min(given) for given in zip(*([work() for work in works] for _ in range(repeats)), strict=True)]
 
 
-def solver(params: dict[str, Any], exponents: int, periods: int) -> Callable[[], dict[str, NDArray[Any]]]:
+def solver(
+    params: dict[str, Any], exponents: int, periods: int, system: str = "two-mass"
+) -> Callable[[], dict[str, NDArray[Any]]]:
     """The solver on these cells, side by side if there are several, for so many periods."""
     settings = Settings(
         method="fixed", exponents=SETTINGS_NAME[exponents], transient_periods=TRANSIENT, periods=periods
     )
-    return lambda: solve_tile("two-mass", params, settings)
+    return lambda: solve_tile(system, params, settings)
 
 
 def reference_cost(integrator: GeneralIntegrator, schedule: Schedule) -> tuple[float, list[float]]:
@@ -151,6 +154,45 @@ def measure(schedule: Schedule) -> list[dict[str, Any]]:
     return rows
 
 
+SOFT = {"omega": 0.95, "a": 0.8, "beta": 29.0, "e": 1.26, "zeta": 0.01}
+"""A cell of soft-impact whose motion of period 1 touches the stop once a period."""
+
+
+SOFT_COLUMNS = ("solver_us_per_period", "heyoka_us_per_period", "heyoka_ratio")
+
+
+def measure_soft(schedule: Schedule) -> list[dict[str, Any]]:
+    """One row per number of exponents of the soft stop: microseconds per period of the solver and of heyoka."""
+    rows = []
+    beside = SOFT | {"a": SOFT["a"] * (1.0 + 1e-5 * np.arange(CELLS))}
+    for exponents in (0, 1, 2):
+        works = [solver(beside, exponents, length, "soft-impact") for length in (schedule.long, schedule.short)]
+        found = works[0]()
+        timed = [partial(processor_seconds, work) for work in works]
+        theirs: list[Array] = []
+
+        def taylor_seconds(exponents: int = exponents, theirs: list[Array] = theirs) -> float:
+            if not INSTALLED:
+                return math.nan
+            seconds, growth = SoftTaylor(exponents).run(SOFT, schedule.taylor)
+            theirs.append(growth)
+            return seconds
+
+        slow, fast, reference = in_turn(schedule.repeats, *timed, taylor_seconds)
+        ours = 1e6 * (slow - fast) / (schedule.long - schedule.short) / CELLS
+        heyoka = 1e6 * reference / (schedule.taylor // 2)
+        averages = np.ravel(found["average"])[:exponents].tolist() if exponents else []
+        row = {
+            "figure": "soft stop",
+            "exponents": exponents,
+            "solver_us_per_period": ours,
+            "heyoka_us_per_period": heyoka,
+        }
+        row |= {"heyoka_ratio": heyoka / ours, "solver_exponents": averages}
+        rows.append(row | {"heyoka_exponents": theirs[-1].tolist() if theirs else []})
+    return rows
+
+
 def one_core() -> None:
     """Stay on one core, so that all sides run on the same one."""
     if hasattr(os, "sched_setaffinity"):
@@ -164,9 +206,10 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one JSON list on standard output, nothing else")
     options = parser.parse_args()
     one_core()
-    rows = measure(LIGHT if options.light else FULL)
+    schedule = LIGHT if options.light else FULL
+    rows, soft = measure(schedule), measure_soft(schedule)
     if options.json:
-        print(json.dumps(rows))
+        print(json.dumps(rows + soft))
         return
     names = ["figure", "exponents", "side by side, us", "alone, us", "heyoka, us", "ratio"]
     print(f"| {' | '.join([*names, 'DOP853, us', 'ratio', 'tuned, us', 'ratio'])} |")
@@ -185,6 +228,9 @@ def main() -> None:
         if row["exponents"] == 4:
             ours, check = ("  ".join(f"{x:.3f}" for x in row[f"{side}_exponents"]) for side in ("solver", "dop853"))
             print(f"Fig. {row['figure']}, exponents per period: {ours} (DOP853, fewer periods: {check})")
+    print("\n| soft stop, exponents | solver, us | heyoka, us | ratio |\n|---|---|---|---|")
+    for row in soft:
+        print(f"| {row['exponents']} | {' | '.join(f'{row[name]:.2f}' for name in SOFT_COLUMNS)} |")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""The two-mass oscillator in heyoka, for the benchmarks: adaptive Taylor series with terminal events at the stops.
+"""Two machines in heyoka, for the benchmarks: adaptive Taylor series with terminal events at the stops.
+
+``Taylor``      the two-mass oscillator
+``SoftTaylor``  one mass with a soft stop, the packaged system soft-impact
 
 The impact law, the saltation of the tangent vectors and their orthonormalisation are compiled by Numba, so that
 what is measured is the integrator. heyoka is optional: pip install heyoka.
@@ -38,15 +41,15 @@ def rebound(state: Array, p: Array, R: float, t: float) -> None:
 
 
 @njit()
-def orthonormalise(flat: Array, growth: Array) -> None:
-    """Modified Gram-Schmidt of tangent vectors of 4 numbers each, in place; adds the logs of their lengths."""
+def orthonormalise(flat: Array, growth: Array, size: int = 4) -> None:
+    """Modified Gram-Schmidt of tangent vectors of so many numbers each, in place; adds the logs of their lengths."""
     for i in range(growth.size):
-        a = flat[4 * i : 4 * i + 4]
+        a = flat[size * i : size * i + size]
         norm = math.sqrt(np.sum(a**2))
         a /= norm
         growth[i] += math.log(norm)
         for k in range(i + 1, growth.size):
-            b = flat[4 * k : 4 * k + 4]
+            b = flat[size * k : size * k + size]
             b -= np.sum(a * b) * a
 
 
@@ -105,3 +108,46 @@ class Taylor:
                 mean = (sums[k + 1] - sums[dropped]) / (k + 1 - dropped)
                 found.append((k + 1, time.process_time() - start, mean))
         return found
+
+
+class SoftTaylor:
+    """The mass of soft-impact with 0 to 2 tangent vectors: x'' = -x - 2 zeta x' + a omega^2 sin(omega t) - F.
+
+    F = beta (x - e) where x > e; the stop has no damping, so that vectors pass its ends unchanged.
+    """
+
+    def __init__(self, vectors: int) -> None:
+        parts = ["x", "v"] + [f"w{k}{i}" for k in range(vectors) for i in range(2)]
+        symbols, par = heyoka.make_vars(*parts), heyoka.par
+        omega, a, beta, e, zeta, touches = (par[k] for k in range(6))
+        rates: list[Any] = []
+        for k in range(0, len(parts), 2):
+            pull = -(1.0 + touches * beta) * symbols[k] - 2.0 * zeta * symbols[k + 1]
+            push = touches * beta * e + a * omega * omega * heyoka.sin(omega * heyoka.time)
+            rates += [symbols[k + 1], pull + push if k == 0 else pull]
+
+        def on_stop(integrator: Any, direction: int) -> bool:
+            self.pars[5] = float(direction > 0)
+            return True
+
+        self.vectors = vectors
+        self.integrator = heyoka.taylor_adaptive(
+            list(zip(symbols, rates, strict=True)), [0.0] * len(parts), pars=[0.0] * 6, tol=1e-10,
+            t_events=[heyoka.t_event(symbols[0] - e, callback=on_stop)],
+        )  # fmt: skip
+        self.state, self.pars = self.integrator.state, self.integrator.pars
+
+    def run(self, params: dict[str, float], periods: int) -> tuple[float, Array]:
+        """Processor seconds of the second half of so many periods from rest, and its exponents."""
+        self.pars[:] = [*(params[name] for name in ("omega", "a", "beta", "e", "zeta")), 0.0]
+        self.state[:] = 0.0
+        self.state[2:] = np.eye(2)[: self.vectors].ravel()
+        end, half, start = 2.0 * math.pi / params["omega"], periods // 2, 0.0
+        growth = np.zeros(self.vectors)
+        for k in range(2 * half):
+            if k == half:
+                growth[:], start = 0.0, time.process_time()
+            self.integrator.time = 0.0
+            self.integrator.propagate_until(end)
+            orthonormalise(self.state[2:], growth, 2)
+        return time.process_time() - start, growth / half
