@@ -182,7 +182,7 @@ def measure_soft(schedule: Schedule) -> list[dict[str, Any]]:
         ours = 1e6 * (slow - fast) / (schedule.long - schedule.short) / CELLS
         heyoka = 1e6 * reference / (schedule.taylor // 2)
         averages = np.ravel(found["average"])[:exponents].tolist() if exponents else []
-        row = {
+        row: dict[str, Any] = {
             "figure": "soft stop",
             "exponents": exponents,
             "solver_us_per_period": ours,
