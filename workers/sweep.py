@@ -64,12 +64,11 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     """
     states = initial_state(record, here)
     known = np.isfinite(last).all(axis=-1)
-    if not known.any():
-        return {name: states[..., k] for k, name in enumerate(record.states)}
-    oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
-    moved = last[known].copy()
-    for row, upper, lower in rigid_stops(oscillators):
-        put_inside(row, upper, lower, moved)
-    built = reasons == NO_REASON  # solve_tile calls the others invalid
-    states[known] = np.where(built[:, None], moved, last[known])
+    if known.any():
+        oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
+        moved = last[known].copy()
+        for row, upper, lower in rigid_stops(oscillators):
+            put_inside(row, upper, lower, moved)
+        built = reasons == NO_REASON  # solve_tile calls the others invalid
+        states[known] = np.where(built[:, None], moved, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

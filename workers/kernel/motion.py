@@ -90,6 +90,19 @@ def spend(tally, evaluations):
         tally[STATUS] = OUT_OF_WORK
 
 
+@inline_always
+def count_contact(tally, contacts, t, which, speed):
+    """Count that a stop is reached, which > 0 for an upper one; write it down while there is room in contacts (K, 3)."""
+    tally[UPPER if which > 0 else LOWER] += 1.0
+    tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
+    tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
+    tally[SPEEDS] += speed
+    row = int(tally[RECORDED])
+    if row < contacts.shape[0]:
+        contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, which, speed
+        tally[RECORDED] += 1.0
+
+
 @inlined
 def mode_of(modes, r):
     """Mode r of many."""

@@ -32,20 +32,17 @@ from workers.kernel.motion import (
     FREE,
     LOSS,
     LOST,
-    LOWER,
     MARCH_GAVE_UP,
     MAX_SPEED,
     MIN_SPEED,
     MOTION,
     OSCILLATOR,
-    RECORDED,
     RUNNING,
-    SPEEDS,
     SPREAD,
     STARTED_BEYOND,
     STATUS,
     STUCK,
-    UPPER,
+    count_contact,
     spend,
 )
 from workers.kernel.signal import evaluate
@@ -68,22 +65,6 @@ cube of it, which the mass would move by, is far below rounding."""
 
 NOWHERE = (0.0, 0.0, 0.0, 0.0)
 """In place of an arrival where a flight ends at no stop."""
-
-
-@inline_always
-def record_impact(tally, impacts, t, side, speed, R):
-    """Count an impact and, while there is room in impacts (K, 3), write it down."""
-    tally[UPPER if side > 0 else LOWER] += 1.0
-    tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
-    tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
-    tally[SPEEDS] += speed
-    tally[LOSS] += (1.0 - R * R) * (speed * speed)
-    row = int(tally[RECORDED])
-    if row < impacts.shape[0]:
-        impacts[row, 0] = t
-        impacts[row, 1] = side
-        impacts[row, 2] = speed
-        tally[RECORDED] += 1.0
 
 
 @inline_always
@@ -211,7 +192,8 @@ def through_impacts(osc, motion, duration):
             come_to_rest(blocks, cA2k, motion, v)
             contact, chatter = side, chatter_time(load_at_rest(side, v, a, cA2k), R * abs(v), R)
             continue
-        record_impact(tally, impacts, t, side, abs(v), R)
+        count_contact(tally, impacts, t, side, abs(v))
+        tally[LOSS] += (1.0 - R * R) * (v * v)
         kick(blocks, h, -(1.0 + R) * v)
         shift(blocks, h, stop - y)  # or rounding would add up over many impacts
         saltation(blocks, R, V, a / v)

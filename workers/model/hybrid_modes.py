@@ -127,7 +127,8 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
             stiffness += k[:, None, None] * square
             damping += d[:, None, None] * square
             load += (k * stop - state * preload)[:, None] * row
-    resting = _resting(machines, code)
+    along = along_contacts(machines)
+    resting = _resting(machines, code, along)
     stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     for f, sign in enumerate(code.slips):
         if sign != 0:
@@ -144,7 +145,7 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     kept = inverse_mass - D @ G @ inverse_mass
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
     multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of what is held
-    rows, direct, ends = _signals(machines, code, multipliers, driven)
+    rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     reduced, to_blocks, to_physical, rest, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega, moves)
     flow, forced = reduced
     every = rows.shape[1]
@@ -171,11 +172,10 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     return Pieces(*map(np.ascontiguousarray, found)), wrong
 
 
-def _resting(machines: HybridMachines, code: Code) -> dict[int, int]:
-    """Frictions that stick on the row of a rigid contact that is held, each with that contact."""
+def _resting(machines: HybridMachines, code: Code, along: Array) -> dict[int, int]:
+    """Frictions that stick on the row of a rigid contact that is held, each with that contact; see along_contacts."""
     held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[0, c]]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
-    along = along_contacts(machines)
     return {f: c for f in stuck for c in held if np.all(along[:, f, c] != 0.0)}
 
 
@@ -195,7 +195,9 @@ def _holding(G: Array, inverse_mass: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(hold.swapaxes(1, 2)), hold
 
 
-def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: Any) -> tuple[Array, Array, Array]:
+def _signals(
+    machines: HybridMachines, code: Code, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
+) -> tuple[Array, Array, Array]:
     """Rows (N, G, 2n + 1), what the force adds (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
 
     multipliers (N, r, 2n + 1) and driven (N, H, r): the forces of what is held, in the order of contacts and friction.
@@ -204,7 +206,7 @@ def _signals(machines: HybridMachines, code: Code, multipliers: Array, driven: A
     n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of one are those of the flow
     rows, direct, ends = np.zeros((N, count, 2 * n + 1)), np.zeros((N, count, H, 2)), np.empty((N, count, 2))
     ends[:, :, 0], ends[:, :, 1] = -np.inf, np.inf
-    forces, resting, along = iter(range(multipliers.shape[1])), _resting(machines, code), along_contacts(machines)
+    forces = iter(range(multipliers.shape[1]))
 
     def hold(k: int) -> None:
         i = next(forces)

@@ -34,19 +34,16 @@ from workers.kernel.motion import (
     ENDLESS_EVENTS,
     LOSS,
     LOST,
-    LOWER,
     MARCH_GAVE_UP,
     MAX_SPEED,
     MIN_SPEED,
     MODE_MISSING,
     NO_MODE,
-    RECORDED,
     RUNNING,
     SIMULTANEOUS,
-    SPEEDS,
     STATUS,
     STUCK,
-    UPPER,
+    count_contact,
     spend,
 )
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spread_rate
@@ -103,7 +100,7 @@ def pass_contact(table, k, g, c, side, rate, t, remaining, h, where, states, sli
     elements = table.elements
     if elements.soft[c] > 0.0:
         if states[c] == OPEN:
-            count_hit(tally, hits, t, side, c, abs(rate))
+            count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
         soft_event(g, c, side, states, begun)
         return
     if states[c] != OPEN:
@@ -117,22 +114,9 @@ def pass_contact(table, k, g, c, side, rate, t, remaining, h, where, states, sli
         tally[MIN_SPEED], tally[MAX_SPEED] = 0.0, max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
         return
-    count_hit(tally, hits, t, side, c, abs(rate))
+    count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
     tally[CONTRACTION] += 2.0 * log(max(R, TINY))
-
-
-@inline_always
-def count_hit(tally, hits, t, side, c, speed):
-    """Count that contact c is reached and, while there is room in hits (K, 3), write it down."""
-    tally[UPPER if side > 0 else LOWER] += 1.0
-    tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
-    tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
-    tally[SPEEDS] += speed
-    place = int(tally[RECORDED])
-    if place < hits.shape[0]:
-        hits[place, 0], hits[place, 1], hits[place, 2] = t, side * (1.0 + c), speed
-        tally[RECORDED] += 1.0
 
 
 @inline_always
