@@ -275,9 +275,8 @@ def _reduced(
     a, b = np.zeros((2, N, free, r))
     if r and free:
         rigid = modes.rigid > 0
-        a = -_solved(
-            k, rigid, across @ stiffness @ D
-        )  # no spring pulls at a rigid motion, K x = 0: there it is the least one
+        # No spring pulls at a rigid motion, K x = 0: of all solutions there it is the least one.
+        a = -_solved(k, rigid, across @ stiffness @ D)
         drags = np.where(moves[:, None], across @ damping @ (D + null @ a), 0.0)
         b = -_solved(k, rigid, drags)
         undone = np.abs(k @ b + drags) > ROUNDING * (np.abs(k) @ np.abs(b) + np.abs(drags))
