@@ -25,11 +25,13 @@ def test_there_is_a_reference_of_every_kind() -> None:
     assert {path.stem for path in FOLDER.glob("*.png")} == set(PICTURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_looks_as_it_did(name: str, tmp_path: Path) -> None:
     assert against(name, write(PICTURES[name](), tmp_path / "found.png"), tmp_path) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["exponent", "period", "impacts", "combined", "error"])
 def test_the_tolerance_is_finer_than_two_cells_of_another_regime(name: str, tmp_path: Path) -> None:
     """A comparison that could not fail would prove nothing."""

@@ -48,6 +48,7 @@ def test_a_pdf_carries_the_digest(tmp_path: Path) -> None:
     assert b"d1ge57" in render.render(every_regime(), tmp_path / "map.pdf").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_the_same_atlas_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     first, second = (render.render(every_regime(), tmp_path / f"{i}.{suffix}").read_bytes() for i in (1, 2))

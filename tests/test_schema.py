@@ -74,6 +74,7 @@ def is_completed(store: Path, client: Client) -> bool:
     return atlas.run(plane_of(), store, client=client).tiles_solved == 1 and verify(store).fine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["min_impact_speed", "state", "largest", "period", "stuck_fraction", "survived"])
 def test_a_store_from_before_there_was_a_result_is_sound_and_can_be_completed(
     store: Path, client: Client, name: str
@@ -99,6 +100,7 @@ def test_a_result_whose_metadata_are_gone_is_missing_where_there_are_chunks_of_i
     assert [str(fault) for fault in verify(store).faults] == ["state/zarr.json is missing"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["max_period", "survival"])
 def test_a_store_from_before_there_was_a_setting_is_sound_and_can_be_completed(
     store: Path, client: Client, name: str
