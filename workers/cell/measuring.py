@@ -1,0 +1,165 @@
+"""What machines report of their own: measures, contacts one by one, and losses, by a pass over the motion of each cell.
+
+A cell whose class is known is followed once more, over one turn of its orbit or WINDOW periods. Cells without a class
+keep their fill values.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.cell.cells import LEAST_WORK, Cells
+from workers.cell.outcome import put
+from workers.cell.stretch import Mask, Rows
+from workers.kernel.cells import physical_states
+from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
+from workers.kernel.motion import MODE_MISSING, RUNNING, motions_at
+from workers.model.definition import Definition
+from workers.model.hybrid import FIRST_NUMBER, Hybrid, build_hybrid, build_missing
+from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_modes import Code
+from workers.model.oscillator import Array, taken
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+
+WINDOW = 512
+"""Periods, from ``state`` on, over which a motion is measured that is no orbit."""
+
+WORK_PER_PERIOD = 2000
+"""Evaluations that each of them may cost besides LEAST_WORK; what costs more is not measured."""
+
+AT_ONCE = 512
+"""Machines that are measured together: each has a table of its modes."""
+
+MIRRORED = 1e-6
+"""Distance between a state and the mirror image of that half an orbit later, as a share of both, up to which the orbit
+counts as symmetric."""
+
+
+@np.errstate(all="ignore")
+def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Write what cells of known classes show of their machine's own results, from parameters (N,) each."""
+    hybrid = isinstance(cells.oscillators, Hybrid)
+    if not (hybrid or definition.measures):
+        return
+    rows = np.flatnonzero(np.isin(cells.found["regime"], (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)))
+    for first in range(0, max(len(rows), hybrid), AT_ONCE):
+        some = rows[first : first + AT_ONCE]
+        values = {name: value[some] for name, value in params.items()}
+        machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
+        periods, closes = _turns(cells, some)
+        readings, told = followed(machines, _meters(machines, definition, values), *_starts(cells, some, closes),
+                                  periods, closes & hybrid)  # fmt: skip
+        span = periods * machines.period
+        found = _of_measures(definition, definition.outputs(values)[2], readings, span)
+        if hybrid:
+            found |= _of_machine(machines, readings, closes, periods, span)
+            found |= _of_elements(definition, readings, closes, periods, span)
+        put(cells, some[told], **{name: value[told] for name, value in found.items()})
+
+
+def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
+    """Periods (N,) over which these cells are measured, and for which of them that is a turn of an orbit."""
+    period = cells.found["period"][rows].astype(np.int64)
+    gap = cells.oscillators.gap
+    goes_on = (cells.found["regime"][rows] == NO_IMPACT) & np.any((gap.eta == 0.0) & (gap.lam > 0.0), axis=-1)[rows]
+    closes = (period > 0) & ~goes_on
+    return np.where(closes, period, WINDOW), closes
+
+
+def _starts(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
+    states, contact = cells.found["state"][rows], cells.contact[rows]
+    proved = closes & (isinstance(cells.oscillators, Hybrid) | (cells.found["regime"][rows] == PERIODIC))
+    orbits = motions_at(cells.orbits.h, cells.orbits.contact)
+    states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
+    contact[proved] = cells.orbits.contact[rows[proved], 0]
+    if isinstance(cells.oscillators, Hybrid):
+        return states, contact[:, None] - FIRST_NUMBER
+    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])
+    return states, held[np.sign(contact) + 1][:, None]
+
+
+def _meters(machines: Hybrid, definition: Definition, values: Mapping[str, Array]) -> Meters:
+    """What is measured of machines: their measures, and the range of the coordinate that pictures show."""
+    rows, orders, _ = definition.outputs(values)
+    peaks = np.tile([*("peak" in measure.report for _, measure in definition.measures), True], (len(rows), 1))
+    own: HybridMachines = machines.machines
+    return Meters(
+        rows=np.concatenate([rows, machines.gap_row[:, None]], axis=1),
+        orders=np.concatenate([orders, np.zeros((len(rows), 1))], axis=1),
+        peaks=peaks.astype(np.float64),
+        damping=own.damping,
+        pad=own.pad,
+        rub=own.rub,
+    )
+
+
+def followed(
+    machines: Hybrid, meters: Meters, states: Array, codes: Rows, periods: Rows, closes: Mask
+) -> tuple[Readings, Mask]:
+    """What motions show from physical states (N, 2n), with numbers of modes (N, 1), over ``periods`` (N,).
+
+    closes (N,): these are one turn of an orbit. And which of them could be followed.
+    """
+    (N, M), (_, C, F) = meters.orders.shape, machines.machines.sizes
+    outputs, contacts, frictions = np.zeros((2, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
+    readings = Readings(
+        *outputs, np.full((N, M), np.inf), np.full((N, M), -np.inf), np.zeros((N, C, 2)), *contacts, *frictions,
+        np.zeros((N, 1)), np.full_like(states, np.nan),
+    )  # fmt: skip
+    states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    allowance, going = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64), np.arange(N)
+    while True:
+        status[going] = read_motions(
+            machines, meters, readings, states, codes, done, periods, closes.astype(np.int64), allowance, going
+        )[going]
+        going = build_missing(machines, going[status[going] == MODE_MISSING])
+        if not len(going):
+            return readings, status == RUNNING
+
+
+def _of_measures(definition: Definition, weights: Array, readings: Readings, span: Array) -> dict[str, Array]:
+    """The variables of measures."""
+    found = {}
+    for m, (name, measure) in enumerate(definition.measures):
+        square = readings.square[:, m] / span
+        values = {
+            "mean": readings.first[:, m] / span,
+            "rms": np.sqrt(square),
+            "peak": np.maximum(-readings.low[:, m], readings.high[:, m]),
+            "power": weights[:, m] * square,
+        }
+        found |= {f"{name}_{report}": values[report] for report in measure.report}
+    return found
+
+
+def _of_machine(
+    machines: Hybrid, readings: Readings, closes: Mask, periods: Rows, span: Array
+) -> dict[str, NDArray[Any]]:
+    """The variables of a whole machine with modes."""
+    return {
+        "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
+        "impact_energy": np.sum(readings.stop, axis=1) / periods,
+        "damper_loss": readings.damped[:, 0] / periods,
+    }
+
+
+def _of_elements(
+    definition: Definition, readings: Readings, closes: Mask, periods: Rows, span: Array
+) -> dict[str, NDArray[Any]]:
+    """The variables of contacts and friction."""
+    found: dict[str, NDArray[Any]] = {}
+    for c, contact in enumerate(definition.contacts):
+        name, endless = contact.name, readings.endless[:, c] > 0.0
+        for side, key in enumerate(("lower", "upper")):
+            if getattr(contact, key) is not None:
+                found[f"{name}_{key}"] = np.where(closes, np.where(endless, -1, readings.hits[:, c, side]), 0)
+        found[f"{name}_fraction"] = np.minimum(readings.touching[:, c] / span, 1.0)
+        found[f"{name}_loss"] = readings.stop[:, c] / periods
+        found[f"{name}_penetration"], found[f"{name}_force"] = readings.depth[:, c], readings.force[:, c]
+    for f, friction in enumerate(definition.friction):
+        found[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)
+        found[f"{friction.name}_loss"] = readings.rubbed[:, f] / periods
+    return found
