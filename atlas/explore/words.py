@@ -22,7 +22,7 @@ from atlas.service.patches import State
 from atlas.text import plural
 from workers import Settings
 from workers.model.system import System
-from workers.results import ERROR, LARGEST, REASON, REGIME, result_variables
+from workers.results import ERROR, LARGEST, REASON, REGIME
 
 GREEK = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
@@ -106,7 +106,7 @@ def cell_line(cell: Cell, subject: Subject) -> str:
 
 def cell_table(cell: Cell, subject: Subject) -> str:
     """All that is known of a cell, as an HTML table."""
-    units = {variable.name: variable.units for variable in result_variables(subject.spec.settings)}
+    units = {variable.name: variable.units for variable in subject.system.variables(subject.spec.settings)}
     names = [axis.name for axis in subject.spec.axes]
     rows = [(symbol_of(subject.system, name), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " ")))

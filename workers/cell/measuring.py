@@ -18,7 +18,7 @@ from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
 from workers.kernel.motion import MODE_MISSING, RUNNING, motions_at
 from workers.model.definition import Definition
 from workers.model.hybrid import FIRST_NUMBER, Hybrid, build_hybrid, build_missing
-from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_machines import HybridMachines, mirrors
 from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Array, taken
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
@@ -49,12 +49,13 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         values = {name: value[some] for name, value in params.items()}
         machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
         periods, closes = _turns(cells, some)
-        readings, told = followed(machines, _meters(machines, definition, values), *_starts(cells, some, closes),
-                                  periods, closes & hybrid)  # fmt: skip
+        states, codes = _starts(cells, some, closes)
+        meters = _meters(machines, definition, values)
+        readings, told = followed(machines, meters, states, codes, periods, closes & hybrid)
         span = periods * machines.period
         found = _of_measures(definition, definition.outputs(values)[2], readings, span)
         if hybrid:
-            found |= _of_machine(machines, readings, closes, periods, span)
+            found |= _of_machine(machines, readings, states, closes, periods)
             found |= _of_elements(definition, readings, closes, periods, span)
         put(cells, some[told], **{name: value[told] for name, value in found.items()})
 
@@ -103,12 +104,7 @@ def followed(
 
     closes (N,): these are one turn of an orbit. And which of them could be followed.
     """
-    (N, M), (_, C, F) = meters.orders.shape, machines.machines.sizes
-    outputs, contacts, frictions = np.zeros((2, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
-    readings = Readings(
-        *outputs, np.full((N, M), np.inf), np.full((N, M), -np.inf), np.zeros((N, C, 2)), *contacts, *frictions,
-        np.zeros((N, 1)), np.full_like(states, np.nan),
-    )  # fmt: skip
+    N, readings = len(states), _nothing_read(machines, meters)
     states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
     allowance, going = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64), np.arange(N)
     while True:
@@ -120,9 +116,21 @@ def followed(
             return readings, status == RUNNING
 
 
+def _nothing_read(machines: Hybrid, meters: Meters) -> Readings:
+    (N, M), (_, C, F) = meters.orders.shape, machines.machines.sizes
+    outputs, contacts, frictions = np.zeros((4, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
+    outputs[2], outputs[3] = np.inf, -np.inf
+    return Readings(
+        first=outputs[0], square=outputs[1], low=outputs[2], high=outputs[3],
+        hits=np.zeros((N, C, 2)), endless=contacts[0], touching=contacts[1], stop=contacts[2], depth=contacts[3],
+        force=contacts[4], stuck=frictions[0], rubbed=frictions[1], damped=np.zeros((N, 1)),
+        middle=np.full((N, 2 * meters.rows.shape[2]), np.nan),
+    )  # fmt: skip
+
+
 def _of_measures(definition: Definition, weights: Array, readings: Readings, span: Array) -> dict[str, Array]:
     """The variables of measures."""
-    found = {}
+    found: dict[str, Array] = {}
     for m, (name, measure) in enumerate(definition.measures):
         square = readings.square[:, m] / span
         values = {
@@ -136,10 +144,13 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
 
 
 def _of_machine(
-    machines: Hybrid, readings: Readings, closes: Mask, periods: Rows, span: Array
+    machines: Hybrid, readings: Readings, states: Array, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """The variables of a whole machine with modes."""
+    """The variables of a whole machine with modes, of motions from physical states (N, 2n) on."""
+    away = np.linalg.norm(states + readings.middle, axis=1)
+    size = np.linalg.norm(states, axis=1) + np.linalg.norm(readings.middle, axis=1)
     return {
+        "symmetric": mirrors(machines.machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
         "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
         "impact_energy": np.sum(readings.stop, axis=1) / periods,
         "damper_loss": readings.damped[:, 0] / periods,

@@ -101,10 +101,8 @@ class System:
         return [*measure_variables(self.definition.measures), *elements]
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
-        """The results of a cell, see ``results.result_variables``; those of one attractor alone have what the system
-        reports of its own."""
-        own = () if attractors or basins else tuple(variable for _, variable in self._own)
-        return result_variables(settings, attractors, basins, own)
+        """The results of a cell, see ``results.result_variables``, with those that this system alone has."""
+        return result_variables(settings, attractors, basins, tuple(variable for _, variable in self._own))
 
     def refuse_modes(self, what: str) -> None:
         """DefinitionError, in one line, that ``what`` is not there for machines like this one, if it has modes."""
