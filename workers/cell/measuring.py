@@ -56,7 +56,9 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         found = _of_measures(definition, definition.outputs(values)[2], readings, span)
         if hybrid:
             found |= _of_machine(machines, readings, states, closes, periods)
-            found |= _of_elements(definition, readings, closes, periods, span)
+            found |= _of_elements(definition, machines.machines, readings, closes, periods)
+            counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
+            found["impact_energy"] = np.where(np.isnan(counted), lost, counted)
         put(cells, some[told], **{name: value[told] for name, value in found.items()})
 
 
@@ -152,23 +154,25 @@ def _of_machine(
     return {
         "symmetric": mirrors(machines.machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
         "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
-        "impact_energy": np.sum(readings.stop, axis=1) / periods,
         "damper_loss": readings.damped[:, 0] / periods,
     }
 
 
 def _of_elements(
-    definition: Definition, readings: Readings, closes: Mask, periods: Rows, span: Array
+    definition: Definition, machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """The variables of contacts and friction."""
+    """The variables of contacts and friction. What a spring takes in it gives back, but for rounding."""
     found: dict[str, NDArray[Any]] = {}
+    span, pad = periods * 2.0 * np.pi / machines.omega, machines.pad
+    springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
+    springs &= np.all(pad == pad[:, :1], axis=(1, 3))
     for c, contact in enumerate(definition.contacts):
         name, endless = contact.name, readings.endless[:, c] > 0.0
         for side, key in enumerate(("lower", "upper")):
             if getattr(contact, key) is not None:
                 found[f"{name}_{key}"] = np.where(closes, np.where(endless, -1, readings.hits[:, c, side]), 0)
         found[f"{name}_fraction"] = np.minimum(readings.touching[:, c] / span, 1.0)
-        found[f"{name}_loss"] = readings.stop[:, c] / periods
+        found[f"{name}_loss"] = np.where(springs[:, c], 0.0, readings.stop[:, c] / periods)
         found[f"{name}_penetration"], found[f"{name}_force"] = readings.depth[:, c], readings.force[:, c]
     for f, friction in enumerate(definition.friction):
         found[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)

@@ -7,7 +7,6 @@ import numpy as np
 from workers.kernel.elementary import exp_minus
 from workers.kernel.excursion import turning_points, velocity_of
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend
 from workers.kernel.motion import MARCH_GAVE_UP, STATUS, spend
 from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Mode
@@ -106,7 +105,7 @@ def extremes(pieces, k, row, direct, h, phase, s, tally):
     velocity, drift = velocity_of(mode)
     rate = abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h)[0]
     if not rate * s <= LEVEL * (size + abs(offset)):
-        low, high, evaluations = turning_points(lend(mode), h, phase, s, 0, low, high)
+        low, high, evaluations = turning_points(mode, h, phase, s, 0, low, high)
         spend(tally, evaluations)
         if math.isnan(high):
             tally[STATUS] = MARCH_GAVE_UP

@@ -1,0 +1,86 @@
+"""Stores of machines that report something of their own: written, mapped, verified, asked, and with all attractors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+
+import atlas
+from atlas import render
+from atlas.check.verify import verify
+from atlas.cli.main import main
+from atlas.spec.spec import Spec
+from tests.test_measures import ONE_MASS, SOFT
+from workers import System, solve_tile
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
+from workers.results import CHAOTIC
+from workers.settings import Settings
+
+SOLVE = {"exponents": "none", "max_periods": 2000, "survival": 0}
+PLANE = {
+    "system": ONE_MASS,
+    "axes": {"omega": {"start": 1.0, "stop": 2.0, "num": 4}, "stop": {"start": 0.3, "stop": 3.0, "num": 3}},
+    "solve": SOLVE,
+    "store": {"tile": [3, 4]},
+}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Path:
+    """A plane of a rigid machine with measures."""
+    path = tmp_path_factory.mktemp("measured") / "plane.zarr"
+    atlas.run(Spec.from_mapping(PLANE), path, client=client)
+    return path
+
+
+def test_a_store_holds_measures_with_their_words(store: Path) -> None:
+    ds = atlas.open(store)
+    assert ds["damper_power"].attrs["long_name"] == "mean power of velocity damper"
+    assert ds["place_rms"].shape == (3, 4)
+    known = ds["regime"].values <= CHAOTIC
+    assert known.any() and np.isfinite(ds["place_rms"].values[known]).all()
+
+
+def test_a_store_keeps_what_defines_its_measures(store: Path) -> None:
+    spec = Spec.from_resolved(json.loads(atlas.open(store).attrs["spec"]))
+    assert spec.record == System.from_mapping(ONE_MASS)
+    assert spec.digest == Spec.from_mapping(PLANE).digest
+
+
+def test_measures_enter_a_digest_and_none_leave_it_as_it_was() -> None:
+    bare = {key: value for key, value in ONE_MASS.items() if key != "measures"}
+    digests = [Spec.from_mapping(PLANE | {"system": system}).digest for system in (ONE_MASS, bare)]
+    assert digests[0] != digests[1]
+    assert digests[1] == Spec.from_mapping(PLANE | {"system": bare | {"measures": {}}}).digest
+
+
+def test_a_measure_is_mapped_by_its_name(store: Path) -> None:
+    figure = render.figure(atlas.open(store), variable="place_rms")
+    assert figure.axes[1].get_ylabel() == "root mean square of displacement place [–]"
+
+
+def test_a_store_with_measures_is_sound_and_its_cells_are_solved_again_to_the_bit(store: Path) -> None:
+    assert verify(store, sample=4).ok
+
+
+def test_a_point_tells_its_measures() -> None:
+    told = CliRunner().invoke(main, ["systems", "energy-harvester"])
+    assert told.exit_code == 0
+    found = atlas.point({"stop": 0.5, "omega": 1.9}, system=ONE_MASS, settings=Settings(**SOLVE))
+    assert found["damper_mean"] == pytest.approx(0.0, abs=1e-12) and found["place_peak"] >= 0.5
+
+
+@pytest.mark.parametrize("definition", [SOFT, ONE_MASS], ids=["soft", "rigid"])
+def test_each_attractor_has_the_measures_of_a_cell_that_reaches_it(definition: dict[str, object]) -> None:
+    system, settings = System.from_mapping(definition), Settings(**SOLVE)
+    many = solve_attractors(system, {"omega": 1.4}, settings, Starts(4))
+    one = solve_tile(system, {"omega": 1.4}, settings)
+    own = {v.name for v in system.variables(settings)} - {v.name for v in System.from_mapping(
+        {key: value for key, value in ONE_MASS.items() if key != "measures"}).variables(settings)}  # fmt: skip
+    assert own
+    for name in own:
+        assert many[name][many["own"]] == pytest.approx(one[name], rel=1e-9, abs=1e-9), name
