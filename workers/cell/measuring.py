@@ -23,7 +23,7 @@ from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Array, taken
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
-WINDOW = 512
+WINDOW = 256
 """Periods, from ``state`` on, over which a motion is measured that is no orbit."""
 
 WORK_PER_PERIOD = 2000
@@ -65,9 +65,10 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
 def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
     """Periods (N,) over which these cells are measured, and for which of them that is a turn of an orbit."""
     period = cells.found["period"][rows].astype(np.int64)
-    gap = cells.oscillators.gap
-    goes_on = (cells.found["regime"][rows] == NO_IMPACT) & np.any((gap.eta == 0.0) & (gap.lam > 0.0), axis=-1)[rows]
-    closes = (period > 0) & ~goes_on
+    closes = period > 0
+    if not isinstance(cells.oscillators, Hybrid):  # without damping, motion without impact need not repeat
+        gap = cells.oscillators.gap
+        closes &= (cells.found["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[rows]
     return np.where(closes, period, WINDOW), closes
 
 

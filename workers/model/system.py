@@ -96,13 +96,18 @@ class System:
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:
-        """The results that this system has besides those of all, each with the entry that it comes from."""
+        """``own_variables``, each with the entry that it comes from."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         return [*measure_variables(self.definition.measures), *elements]
 
+    @property
+    def own_variables(self) -> tuple[Variable, ...]:
+        """The results that this system has besides those of all."""
+        return tuple(variable for _, variable in self._own)
+
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
         """The results of a cell, see ``results.result_variables``, with those that this system alone has."""
-        return result_variables(settings, attractors, basins, tuple(variable for _, variable in self._own))
+        return result_variables(settings, attractors, basins, self.own_variables)
 
     def refuse_modes(self, what: str) -> None:
         """DefinitionError, in one line, that ``what`` is not there for machines like this one, if it has modes."""
