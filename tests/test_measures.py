@@ -10,9 +10,9 @@ from mpmath import mp
 
 from tests.hybrids import built
 from tests.test_hybrid_orbits import RECORDS, TOUCHES, machine_in, number_in
-from workers import Settings, System, solve_tile
+from workers import Settings, System, solve_tile, trace
 from workers.cell.measuring import followed
-from workers.kernel.hybrid.measuring import Meters, Readings
+from workers.kernel.hybrid.measuring import LEGS, Meters, Readings
 from workers.model.entries import DefinitionError
 from workers.model.hybrid import Hybrid
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED
@@ -186,6 +186,21 @@ def test_a_ball_in_flight_has_the_acceleration_of_its_weight_and_of_the_table(A:
     assert cell["g_peak"] == pytest.approx(1.0 + A, rel=1e-12)
 
 
+def test_a_chatter_of_more_legs_than_there_is_room_for_at_first_is_measured_whole() -> None:
+    """Over a turn of an orbit, rests included, a velocity has the mean zero."""
+    ball = {
+        "name": "ball", "coordinates": ["y"], "mass": [[1.0]], "force": [1.1], "load": [-1.0], "gap": [1.0],
+        "lower": 0.0, "restitution": 0.9, "parameters": {},
+        "measures": {"v": {"velocity": [1.0], "report": ["mean", "rms"]}},
+    }  # fmt: skip
+    cell = cell_of(ball, Settings(max_periods=4000, survival=1000))
+    assert cell["regime"] == PERIODIC and cell["sticks"] and cell["v_rms"] > 0.01
+    y, v = cell["state"]  # type: ignore[misc]
+    impacts = trace(System.from_mapping(ball), {"y": y, "v": v}, 1).impacts
+    assert len(impacts) > LEGS
+    assert abs(cell["v_mean"]) < 1e-12
+
+
 def square_wave(c: float, k: float, T: float) -> tuple[Any, Any, Any]:
     """x(t) over half a period, of x'' + c x' + k x = 1, then -1: antiperiodic; x, x' and the mean squares of both."""
     root = mp.sqrt(mp.mpf(c) ** 2 / 4 - mp.mpf(k) + mp.mpf(10) ** -40)
@@ -274,7 +289,7 @@ def test_what_the_force_puts_in_is_what_contact_friction_and_dampers_take(wall: 
         "name": "balance", "coordinates": ["x", "u"], "velocities": ["v", "w"], "mass": [[1.0, 0.0], [0.0, 1.0]],
         "damping": [[0.1, 0.0], [0.0, 0.3]], "stiffness": [[1.0, 0.0], [0.0, "omega**2"]], "force": [1.2, 0.3],
         "contacts": [{"name": "wall", "gap": [1.0, 0.0], "upper": 0.6, **wall}],
-        "friction": [{"name": "ground", "row": [1.0, 0.0], "kinetic": 0.2, "static": 0.3}],
+        "friction": [{"name": "ground", "row": [1.0, 0.0], "kinetic": 0.2, "static": 0.3, "slope": -0.06}],
         "measures": {
             name: {"velocity": row, "weight": 1.0, "report": ["power"]}
             for name, row in (("plus", [1.0, 1.0]), ("minus", [1.0, -1.0]), ("u", [0.0, 1.0]))
@@ -363,6 +378,17 @@ def test_two_elements_of_one_name_are_refused_where_their_results_would_be_one()
     rubs = [{"name": "wall", "row": [1.0], "kinetic": 0.1}]
     with pytest.raises(DefinitionError, match=r"^system\.friction\[0\]\.name: 'wall_loss' has another meaning already"):
         System.from_mapping(SOFT | {"friction": rubs})
+
+
+@pytest.mark.parametrize("definition", [ONE_MASS, SOFT], ids=["rigid", "soft"])
+def test_a_cell_among_others_is_measured_as_it_is_alone_to_the_bit(definition: dict[str, Any]) -> None:
+    system, settings = System.from_mapping(definition), Settings(exponents="none", max_periods=2000, survival=0)
+    omegas = np.array([0.7, 1.03, 1.9])
+    many = solve_tile(system, {"omega": omegas}, settings)
+    for k, omega in enumerate(omegas):
+        alone = solve_tile(system, {"omega": omega}, settings)
+        for variable in system.own_variables:
+            assert many[variable.name][k].tobytes() == alone[variable.name].tobytes(), variable.name
 
 
 def test_measures_are_written_back_as_they_were_read() -> None:
