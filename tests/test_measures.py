@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from tests.hybrids import built
+from tests.hybrids import built, follow, shown
+from tests.oracle.pieces import measures
+from tests.oracle.pieces.draw import random_state
 from tests.test_hybrid_orbits import RECORDS, TOUCHES, machine_in, number_in
+from tests.test_hybrid_random import SENSITIVE, drawn
 from workers import Settings, System, solve_tile, trace
 from workers.cell.measuring import followed
 from workers.kernel.hybrid.measuring import LEGS, Meters, Readings
+from workers.kernel.motion import RUNNING
 from workers.model.entries import DefinitionError
 from workers.model.hybrid import Hybrid
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED
@@ -57,8 +61,8 @@ def readings_of(name: str) -> tuple[Hybrid, Readings, float]:
 
 
 def expected(name: str) -> dict[str, Any]:
-    measures: dict[str, Any] = RECORDS[name]["measures"]
-    return measures
+    found: dict[str, Any] = RECORDS[name]["measures"]
+    return found
 
 
 def near(value: Any, size: float = 1.0) -> Any:
@@ -140,6 +144,38 @@ def test_extremes_of_displacements_and_velocities_are_never_below_what_sections_
     peak = np.maximum(-readings.low[0], readings.high[0])
     assert np.all(peak >= rms * (1.0 - 1e-12))
     assert np.all(peak[: len(RECORDS[name]["state"])] >= np.abs(RECORDS[name]["state"]) * (1.0 - 1e-12))
+
+
+QUICK = (0, 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 26, 34, 38, 39)
+"""Random machines of which the oracle is done soon."""
+
+
+@pytest.mark.parametrize("seed", [*QUICK, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(40, 120))])
+def test_random_motions_show_what_the_oracle_integrates_of_them(seed: int) -> None:
+    """Over two periods from a state on no orbit. When a chatter with friction ends is known to 1e-7 alone."""
+    machine = drawn(seed)
+    start, hybrid, n = random_state(machine, seed), built(machine), machine.n
+    motion = follow(hybrid, start, periods=2)
+    growth = max(1.0, float(np.abs(motion.jacobian).max()))
+    if motion.status != RUNNING or growth > SENSITIVE:
+        pytest.skip("more modes than there is room for, or errors grow too far")
+    code, turns = np.array([[shown(hybrid, start)]]), np.array([2])
+    readings, told = followed(hybrid, meters_of(hybrid), np.array([start]), code, turns, np.array([False]))
+    assert told[0]
+    span, soft = 2.0 * hybrid.period[0], hybrid.machines.soft[0] > 0.0
+    wanted_of = measures(machine, start, 2, digits=30)
+    for found, wanted in (
+        (np.sqrt(readings.square[0, :n] / span), wanted_of["rms"]),
+        (readings.stop.sum() / 2.0, wanted_of["stop_loss"]),
+        (readings.rubbed.sum() / 2.0, wanted_of["friction_loss"]),
+        (readings.damped.sum() / 2.0, wanted_of["damper_loss"]),
+        (np.max(readings.depth, initial=0.0), wanted_of["max_penetration"]),
+        (np.max(readings.force, initial=0.0), wanted_of["max_force"]),
+        (readings.touching[0][soft] / span, np.array(wanted_of["contact_fraction"])[soft]),
+    ):
+        scale = max(1.0, float(np.max(np.abs(wanted), initial=0.0)))
+        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-10 * growth * scale)
+    np.testing.assert_allclose(readings.stuck[0] / span, wanted_of["stick_fraction"], rtol=0.0, atol=1e-7 * growth)
 
 
 def test_row_5_has_the_losses_of_stop_and_damper_of_the_table() -> None:
@@ -259,14 +295,14 @@ SOFT: dict[str, Any] = {
 def test_a_cell_of_a_machine_with_modes_tells_contacts_losses_range_and_symmetry() -> None:
     cell = cell_of(SOFT)
     assert cell["regime"] == PERIODIC and cell["symmetric"]
-    measures = RECORDS["row 9"]["measures"]
+    wanted = RECORDS["row 9"]["measures"]
     assert (cell["wall_upper"], cell["wall_lower"]) == (1, 1)
-    assert cell["wall_penetration"] == near(measures["max_penetration"], 100.0)
-    assert cell["wall_force"] == near(measures["max_force"], 100.0)
-    assert cell["wall_fraction"] == near(measures["contact_fraction"][0], 100.0)
+    assert cell["wall_penetration"] == near(wanted["max_penetration"], 100.0)
+    assert cell["wall_force"] == near(wanted["max_force"], 100.0)
+    assert cell["wall_fraction"] == near(wanted["contact_fraction"][0], 100.0)
     assert cell["wall_loss"] == pytest.approx(0.0, abs=1e-12)
-    assert cell["damper_loss"] == near(measures["damper_loss"], 100.0)
-    assert cell["peak_to_peak"] == near(2.0 * (1.0 + measures["max_penetration"]), 100.0)
+    assert cell["damper_loss"] == near(wanted["damper_loss"], 100.0)
+    assert cell["peak_to_peak"] == near(2.0 * (1.0 + wanted["max_penetration"]), 100.0)
 
 
 def test_beyond_its_symmetry_breaking_an_orbit_is_not_marked_symmetric() -> None:
