@@ -13,11 +13,13 @@ from atlas import render
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.spec.spec import Spec
+from atlas.spec.system import impacts_of
 from tests.test_measures import ONE_MASS, SOFT
 from workers import System, solve_tile
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
-from workers.results import CHAOTIC
+from workers.model.system import find_system
+from workers.results import CHAOTIC, PERIODIC
 from workers.settings import Settings
 
 SOLVE = {"exponents": "none", "max_periods": 2000, "survival": 0}
@@ -84,6 +86,32 @@ def test_a_point_tells_its_measures() -> None:
     assert found["main_rms"] == pytest.approx(abs(x[0]) * np.sqrt(0.5), rel=1e-12)
     assert found["main_peak"] == pytest.approx(abs(x[0]), rel=1e-12)
     assert found["sink_power"] == pytest.approx(c * w * w * abs(x[0] - x[1]) ** 2 / 2.0, rel=1e-12)
+
+
+TWO_WALLS = SOFT | {
+    "contacts": [
+        {"name": "wall", "gap": [1.0], "upper": 1.0, "stiffness": 10.0},
+        {"name": "floor", "gap": [1.0], "lower": -0.4, "restitution": 0.5},
+    ]
+}
+
+
+def test_an_orbit_of_several_contacts_is_named_by_the_counts_of_each() -> None:
+    system = System.from_mapping(TWO_WALLS)
+    cell = {name: values.tolist() for name, values in solve_tile(system, {}, Settings(**SOLVE)).items()}
+    assert (cell["regime"], cell["wall_upper"], cell["floor_lower"]) == (PERIODIC, 1, 2)
+    assert (cell["impacts_upper"], cell["impacts_lower"]) == (1, 2)
+    assert impacts_of(system, cell) == "1-0/0-2"
+    assert impacts_of(system, cell | {"floor_lower": -1}) == "sticks"
+    assert impacts_of(find_system("two-mass"), {"impacts_upper": 2, "impacts_lower": 3}) == "2-3"
+
+
+def test_friction_that_sticks_leaves_contacts_to_be_counted() -> None:
+    rubs = [{"name": "ground", "row": [1.0], "kinetic": 0.3, "static": 1.5}]
+    system = System.from_mapping(SOFT | {"friction": rubs})
+    cell = {name: values.tolist() for name, values in solve_tile(system, {"omega": 0.5}, Settings(**SOLVE)).items()}
+    assert (cell["regime"], cell["impacts_upper"]) == (PERIODIC, -1) and 0.0 < cell["ground_stuck"] < 1.0
+    assert impacts_of(system, cell) == f"{cell['wall_upper']}-{cell['wall_lower']}" and cell["wall_upper"] >= 1
 
 
 @pytest.mark.slow

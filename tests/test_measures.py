@@ -152,7 +152,7 @@ QUICK = (0, 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 26, 34, 38, 39)
 
 @pytest.mark.parametrize("seed", [*QUICK, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(40, 120))])
 def test_random_motions_show_what_the_oracle_integrates_of_them(seed: int) -> None:
-    """Over two periods from a state on no orbit. When a chatter with friction ends is known to 1e-6 alone, as long as hops of rounding take."""
+    """Over two periods from a state on no orbit. A chatter with friction ends to 1e-6, where hops are rounding."""
     machine = drawn(seed)
     start, hybrid, n = random_state(machine, seed), built(machine), machine.n
     motion = follow(hybrid, start, periods=2)
@@ -338,6 +338,31 @@ def test_what_the_force_puts_in_is_what_contact_friction_and_dampers_take(wall: 
     taken = cell["wall_loss"] + cell["ground_loss"] + cell["damper_loss"]
     assert cell["u_power"] == pytest.approx(0.5, rel=1e-12)
     assert cell["wall_loss"] > 0.01 and taken == pytest.approx(put_in, rel=1e-11)
+
+
+SQUARE = {"force": [0.0], "phases": [{"start": 0.0, "load": [2.0]}, {"start": 0.5, "load": [-2.0]}]}
+
+UNEVEN: dict[str, dict[str, Any]] = {
+    "phases that are not halves": {"phases": [{"start": 0.0, "load": [2.0]}, {"start": 0.45, "load": [-2.0]}]},
+    "a load": {"phases": [{"start": 0.0, "load": [2.0]}, {"start": 0.5, "load": [-1.9]}]},
+    "damping of one half": {
+        "phases": [{"start": 0.0, "load": [2.0]}, {"start": 0.5, "load": [-2.0], "damping": [[0.11]]}]
+    },
+    "a stop farther away": {"contacts": [SOFT["contacts"][0] | {"lower": -1.01}]},
+    "an even harmonic": {"harmonics": [{"order": 2, "force": [0.01]}]},
+    "a belt": {"friction": [{"name": "belt", "row": [1.0], "kinetic": 0.01, "belt": 9.0}]},
+}
+
+
+def test_under_a_square_wave_an_orbit_between_equal_stops_is_symmetric() -> None:
+    cell = cell_of(SOFT | SQUARE)
+    assert (cell["regime"], cell["period"], cell["symmetric"]) == (PERIODIC, 1, True)
+
+
+@pytest.mark.parametrize("change", UNEVEN.values(), ids=UNEVEN)
+def test_a_machine_that_is_not_its_own_mirror_image_has_no_symmetric_orbit(change: dict[str, Any]) -> None:
+    cell = cell_of(SOFT | SQUARE | change)
+    assert cell["regime"] == PERIODIC and not cell["symmetric"]
 
 
 def test_a_machine_with_measures_keeps_the_bits_of_the_one_without() -> None:
