@@ -152,7 +152,7 @@ def _go_on(hybrid: Hybrid, found: Followed, since: float, duration: float) -> No
         W, code = np.ascontiguousarray(W), np.array([found.number])
         hits, events = np.zeros((EVENTS, 3)), np.empty((EVENTS, 4))
         tally[WORK], tally[RECORDED] = WORK_OF_A_TRIAL, 0.0
-        through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, duration)
+        through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, np.empty((0, 4)), duration)
         going = tally[STATUS] == MODE_MISSING and len(build_missing(hybrid, np.zeros(1, dtype=np.int64))) > 0
     hits = hits[: int(tally[RECORDED])]
     hits[:, 0] += since

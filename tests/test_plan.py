@@ -189,3 +189,26 @@ def test_after_their_warm_up_no_cell_of_a_machine_with_modes_compiles_anything(e
     said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
     count, *more = said.split(maxsplit=1)
     assert int(count) >= 8 and not more
+
+
+WARM_WITH_MEASURES = """
+import numpy as np
+from atlas.task.compile import MEASURES, WITH_MEASURES, warm_up
+from workers import Settings, System, solve_tile
+
+warm_up(MEASURES)
+before = compiled()
+shaken = System.from_mapping(WITH_MEASURES | {"upper": 0.3, "lower": -0.2})
+found = solve_tile(shaken, {"omega": np.linspace(0.4, 2.0, 40)}, Settings(max_periods=600))
+assert np.isfinite(found["all_peak"]).any()
+print(len(before), *sorted(compiled() - before))
+"""
+
+
+@pytest.mark.slow
+def test_after_their_warm_up_no_measured_cell_compiles_anything() -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", COMPILED + WARM_WITH_MEASURES]
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True).stdout
+    count, *more = said.split(maxsplit=1)
+    assert int(count) >= 8 and not more

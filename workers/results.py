@@ -177,8 +177,12 @@ LABEL = _count("label", "attractor that the initial state reaches; -1 if not kno
 SETTLED = _count("settled", "forcing periods until the motion is on the attractor")
 
 
-def result_variables(settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
+def result_variables(
+    settings: Settings, attractors: bool = False, basins: bool = False, own: tuple[Variable, ...] = ()
+) -> tuple[Variable, ...]:
     """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
+
+    ``own`` are those of the machine, see ``model.measures``.
 
     With ``attractors`` each cell has all its attractors: every result but the cost has the dimension ``attractor``.
     With ``basins`` each initial state has the label of the attractor that it reaches.
@@ -193,6 +197,7 @@ def result_variables(settings: Settings, attractors: bool = False, basins: bool 
     chosen += _ALWAYS
     if settings.section_samples:
         chosen.append(SECTION)
+    chosen += own
     chosen += [REASON, REGIME]
     if basins or not attractors:
         return tuple(chosen)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from workers.cell.cells import Cells, Results
+from workers.cell.measuring import measure
 from workers.cell.solve import solve
 from workers.model.system import System, find_system
-from workers.results import ATTRACTOR, Variable, empty_results, result_variables
+from workers.results import ATTRACTOR, Variable, empty_results
 from workers.settings import Settings
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
               shape of every result; "spectrum" and "state" have one more axis (2n), "section" two (K, 2n).
     settings  see Settings
 
-    Exponents are per forcing period. The variables and their units are those of ``results.result_variables``.
+    Exponents are per forcing period. The variables and their units are those of ``System.variables``.
     A cell depends on its own parameters and the settings only, to the bit. It never raises for a cell: outside
     the valid range it is "invalid", and "failed" where its motion cannot be followed; "reason" says why.
     Raises KeyError for an unknown system or parameter name and ValueError for shapes that do not broadcast.
@@ -43,12 +44,14 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     record, settings = find_system(system), settings or Settings()
 
     def solve_part(params: dict[str, Array], found: Results) -> None:
-        solve(Cells(*record.build_many(params), initial_state(record, params), settings, found))
+        cells = Cells(*record.build_many(params), initial_state(record, params), settings, found)
+        solve(cells)
+        measure(cells, record.definition, params)
 
     kept = settings.max_period + settings.section_samples
     most = MODES_AT_ONCE if record.has_modes else sys.maxsize
     at_once = min(most, max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * len(record.states) * kept)))
-    return solve_parts(record, params, settings, result_variables(settings), at_once, solve_part)
+    return solve_parts(record, params, settings, record.variables(settings), at_once, solve_part)
 
 
 def solve_parts(

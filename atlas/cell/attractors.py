@@ -10,7 +10,7 @@ from atlas.spec.system import checked_system
 from workers import Settings
 from workers.attractors.starts import MOST_KEPT, Starts
 from workers.model.system import DEFAULT, System
-from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
+from workers.results import ATTRACTOR, NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 _NAMES = {regime.code: regime.name for regime in REGIMES}
 
@@ -40,7 +40,7 @@ def attractors(
     search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
     assert search is not None
     arrays = solve_attractors(record, parameters, settings, search)
-    many = [each.name for each in result_variables(settings, attractors=True) if ATTRACTOR in each.extra]
+    many = [each.name for each in record.variables(settings, attractors=True) if ATTRACTOR in each.extra]
     found = {name: array.tolist() for name, array in arrays.items() if name not in many}
     kept = min(found["attractors"], search.keep)
     each = [in_words({name: arrays[name][place].tolist() for name in many}) for place in range(kept)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.spec.spec import checked_parameters, digest_of
-from atlas.spec.system import checked_system
+from atlas.spec.system import checked_system, impacts_of
 from atlas.text import plural
 from workers import Settings
 from workers.model.system import DEFAULT, System, identity
@@ -227,7 +227,9 @@ def describe(orbit: CellOrbit) -> str:
     if code == PERIODIC:
         n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
         words.append(f"period {n}")
-        if p >= 0:
+        if len(orbit.system.definition.contacts) > 1:
+            words.append(f"contacts {impacts_of(orbit.system, cell)}")
+        elif p >= 0:
             one_stop = not np.all(np.isfinite(orbit.stops))
             words.append(plural(p + q, "impact") if one_stop else f"impacts {p} above and {q} below")
         words += ["symmetric"] if cell["symmetric"] else []

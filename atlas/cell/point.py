@@ -8,7 +8,7 @@ from atlas.spec.spec import checked_parameters
 from atlas.spec.system import checked_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
-from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES, result_variables
+from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 
 def point(
@@ -29,7 +29,7 @@ def point(
     parameters = checked_parameters(record, given or {})
     arrays = solve_tile(record, parameters, settings)
     names = {regime.code: regime.name for regime in REGIMES}
-    found = {variable.name: arrays[variable.name].tolist() for variable in result_variables(settings)}
+    found = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}
     found[REGIME.name] = names[found[REGIME.name]]
     reason = REASONS[found.pop(REASON.name)]
     if reason.code != NO_REASON:

@@ -28,7 +28,6 @@ from workers.results import (
     RESTED,
     UNDETERMINED,
     UNKNOWN_LABEL,
-    result_variables,
 )
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -101,7 +100,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
     known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
 
-    for variable in result_variables(spec.settings):
+    for variable in spec.record.variables(spec.settings):
         if variable.name in (REGIME.name, REASON.name, "periods_used") or variable.name not in arrays:
             continue
         values = arrays[variable.name].reshape(*regime.shape, -1)

@@ -161,7 +161,7 @@ def example(name: str | None) -> None:
 
 
 def _print_system(record: System) -> None:
-    """Title, equation, picture, parameters, source and usual axes."""
+    """Title, equation, picture, parameters, results of its own, source and usual axes."""
     click.echo(f"{record.name}: {record.title}")
     for part in (equation_of(record), record.picture):
         if part.strip():
@@ -169,6 +169,9 @@ def _print_system(record: System) -> None:
     click.echo()
     rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
     print_table("", ["parameter", "meaning", "unit", "default", "valid"], rows)
+    if record.own_variables:
+        click.echo()
+        print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in record.own_variables])
     if record.source:
         click.echo(f"\nsource: {record.source}")
     if record.axes:

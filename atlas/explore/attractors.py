@@ -12,7 +12,7 @@ from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.query.queries import at
 from atlas.task.patch import Patch
-from workers.results import ATTRACTOR, result_variables
+from workers.results import ATTRACTOR
 
 Told = Callable[["Attractors"], None]
 
@@ -86,7 +86,7 @@ class Asked:
 
     def answer(self, question: Question, arrays: Arrays) -> None:
         """Tell those who wait for it."""
-        variables = result_variables(self._subject.settings, attractors=True)
+        variables = self._subject.system.variables(self._subject.settings, attractors=True)
         cell = {variable.name: arrays[variable.name][0] for variable in variables}
         many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
         kept = min(int(cell["attractors"]), self._subject.starts.keep)

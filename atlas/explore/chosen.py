@@ -7,7 +7,7 @@ from urllib.parse import urlencode
 from atlas.errors import InputError
 from atlas.explore.subject import Plane, Subject
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, needs
-from workers.results import LARGEST, REGIME, result_variables
+from workers.results import LARGEST, REGIME
 
 Range = tuple[float, float]
 
@@ -58,21 +58,25 @@ class Chosen:
 
 def kinds(subject: Subject) -> list[str]:
     """The kinds of maps whose variables the subject has."""
-    held = {variable.name for variable in result_variables(subject.settings)}
+    held = {variable.name for variable in subject.system.variables(subject.settings)}
     known = [kind for kind in MAPS if held >= set(needs(kind))]
     return [kind for kind in known if kind != CHART or subject.stored is not None] + [SCALAR]
 
 
 def overlays(subject: Subject) -> list[str]:
     """The lines that may be drawn over its maps."""
-    held = {variable.name for variable in result_variables(subject.settings)}
+    held = {variable.name for variable in subject.system.variables(subject.settings)}
     without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in held}
     return [name for name in MAP_OVERLAYS if not without.get(name, False)]
 
 
 def variables(subject: Subject) -> list[str]:
     """The variables that can be mapped alone."""
-    return [v.name for v in result_variables(subject.settings) if not v.extra and v.name not in (REGIME.name, "reason")]
+    return [
+        v.name
+        for v in subject.system.variables(subject.settings)
+        if not v.extra and v.name not in (REGIME.name, "reason")
+    ]
 
 
 def beginning(subject: Subject) -> Chosen:

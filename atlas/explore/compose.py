@@ -13,7 +13,7 @@ from atlas.explore.view import Sight, TileKey, cells_of
 from atlas.query.resample import view as read_view
 from atlas.query.window import axis_values, cell_edges
 from atlas.store.schema import coordinates, variable_attributes
-from workers.results import PENDING, REGIME, result_variables
+from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def plane_names(subject: Subject) -> list[str]:
     """The variables with one number a cell, ``regime`` last."""
-    return [variable.name for variable in result_variables(subject.settings) if not variable.extra]
+    return [variable.name for variable in subject.system.variables(subject.settings) if not variable.extra]
 
 
 def composed(
@@ -38,7 +38,7 @@ def composed(
     over tiles that leave cells of the atlas out, and under those with more.
     """
 
-    variables = {variable.name: variable for variable in result_variables(subject.settings)}
+    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     wanted = list(dict.fromkeys([*names, REGIME.name]))
     shape = sight.index_y.size, sight.index_x.size
     canvas = {name: np.full(shape, variables[name].fill, variables[name].dtype) for name in wanted}
@@ -68,7 +68,7 @@ def dataset(
         up: (up, y, described[up].attributes),
     }
     coords |= {name: ((), value, described[name].attributes) for name, value in plane.parameters}
-    variables = {variable.name: variable for variable in result_variables(subject.settings)}
+    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     arrays = {
         name: ((up, across), values, variable_attributes(variables[name], fixed)) for name, values in canvas.items()
     }

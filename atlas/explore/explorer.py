@@ -17,7 +17,7 @@ from atlas.service.patches import Events, Patches
 from atlas.service.timing import TIMING, Timing
 from atlas.store.schema import extra_sizes
 from atlas.task.patch import Patch
-from workers.results import empty_results, result_variables
+from workers.results import empty_results
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -120,7 +120,9 @@ class Explorer:
             return
         plane, key = _tile(item)
         mask, parent = patch.mask, self._parents.pop((plane, key), None)
-        arrays = empty_results(result_variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec))
+        arrays = empty_results(
+            self.subject.system.variables(self.subject.settings), (TILE, TILE), extra_sizes(self.subject.spec)
+        )
         for name, array in arrays.items():
             array[mask] = found[name]
             if parent is not None:

@@ -28,7 +28,6 @@ from workers.results import (
     REGIME,
     REGIMES,
     empty_results,
-    result_variables,
 )
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ class Known:
 
     def __init__(self, subject: Subject, keeper: Keeper) -> None:
         self.subject, self.tiles, self.keeper = subject, Tiles(), keeper
-        self._variables = result_variables(subject.settings)
+        self._variables = subject.system.variables(subject.settings)
         self.names = [variable.name for variable in self._variables]
         self._invalid = empty_results(self._variables, (TILE, TILE), extra_sizes(subject.spec))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE

@@ -19,10 +19,11 @@ from atlas.explore.attractors import Attractors
 from atlas.explore.known import Cell
 from atlas.explore.subject import Plane, Subject
 from atlas.service.patches import State
+from atlas.spec.system import impacts_of
 from atlas.text import plural
 from workers import Settings
 from workers.model.system import System
-from workers.results import ERROR, LARGEST, REASON, REGIME, result_variables
+from workers.results import ERROR, LARGEST, REASON, REGIME
 
 GREEK = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
@@ -106,7 +107,7 @@ def cell_line(cell: Cell, subject: Subject) -> str:
 
 def cell_table(cell: Cell, subject: Subject) -> str:
     """All that is known of a cell, as an HTML table."""
-    units = {variable.name: variable.units for variable in result_variables(subject.spec.settings)}
+    units = {variable.name: variable.units for variable in subject.system.variables(subject.spec.settings)}
     names = [axis.name for axis in subject.spec.axes]
     rows = [(symbol_of(subject.system, name), repr(cell.results[name])) for name in names]
     rows.append((REGIME.name, str(cell.results[REGIME.name]).replace("_", " ")))
@@ -132,7 +133,9 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
         return f"none of {plural(found.starts, 'initial state')} is decided"
     exponents = subject.settings.exponents != "none"
     heads = ["", "regime", "n-p-q", *([LARGEST.name] if exponents else []), "share, 95 %"]
-    rows = [_cells("td", _attractor(each, k == found.own, exponents)) for k, each in enumerate(found.each)]
+    rows = [
+        _cells("td", _attractor(each, k == found.own, exponents, subject.system)) for k, each in enumerate(found.each)
+    ]
     notes = [
         f"of {plural(found.starts, 'initial state')}",
         "► reached from the cell's own" if found.own >= 0 else "",
@@ -145,10 +148,9 @@ def attractors_table(found: Attractors, subject: Subject) -> str:
     return f'{table}<span class="waiting">{html.escape("; ".join(filter(None, notes)))}</span>'
 
 
-def _attractor(each: Mapping[str, Any], own: bool, exponents: bool) -> list[str]:
+def _attractor(each: Mapping[str, Any], own: bool, exponents: bool, system: System) -> list[str]:
     """The row of an attractor: its class, its orbit, its exponent, its share and the ends of the share's interval."""
-    impacts = "sticks" if each["impacts_upper"] < 0 else f"{each['impacts_upper']}-{each['impacts_lower']}"
-    orbit = f"{each['period']}-{impacts}" if each["period"] else ""
+    orbit = f"{each['period']}-{impacts_of(system, each)}" if each["period"] else ""
     largest = [f"{each[LARGEST.name]:.3g}".replace("-", "−")] if exponents else []
     share, low, high = (100 * each[name] for name in ("share", "share_low", "share_high"))
     regime = each[REGIME.name].replace("_", " ")

@@ -20,7 +20,7 @@ from workers.attractors.starts import Starts
 from workers.model.parameter import unknown_name
 from workers.model.system import System, identity
 from workers.model.toml_text import TomlError, parse_toml, read_toml
-from workers.results import Variable, result_variables
+from workers.results import Variable
 
 SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
 MOST_AXES = 3
@@ -193,7 +193,7 @@ class Spec:
     @property
     def variables(self) -> tuple[Variable, ...]:
         """The results of each cell, ``regime`` last."""
-        return result_variables(self.settings, attractors=self.coexistence, basins=self.basins)
+        return self.record.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
     def with_attractors(self) -> "Spec":
         """The same spec, which asks for all attractors from the default initial states."""

@@ -60,6 +60,19 @@ def _of_text(text: str) -> System | None:
         return None
 
 
+def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
+    """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" where they are infinitely many.
+
+    Of several contacts those of each, in the order of the definition: p-q/r-s. A store from before these were counted
+    one by one has those of all together.
+    """
+    one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in record.definition.contacts]
+    if not record.has_modes or not any(name in cell for pair in one_by_one for name in pair):
+        one_by_one = [("impacts_upper", "impacts_lower")]
+    counts = [[int(cell.get(name, 0)) for name in pair] for pair in one_by_one]
+    return "sticks" if min(map(min, counts)) < 0 else "/".join(f"{p}-{q}" for p, q in counts)
+
+
 def refuse_modes(record: System, what: str) -> None:
     """InputError, in one line, that ``what`` is not there for machines like this one, where it has modes."""
     try:

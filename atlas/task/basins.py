@@ -12,7 +12,7 @@ from atlas.store.store import Header, done_tiles
 from atlas.store.tables import ATTRACTORS, write_table
 from atlas.store.tiles import read_tile, write_tile
 from workers.attractors.starts import wilson
-from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL, result_variables
+from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL
 
 if TYPE_CHECKING:
     from workers.attractors.basins import Table
@@ -96,7 +96,7 @@ def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: 
             _described("section states; of an orbit each once"),
         ),
     }
-    for variable in result_variables(table.settings):
+    for variable in table.record.variables(table.settings):
         values: list[Any] = [each.result[variable.name] for each in table.attractors]
         dims = (ATTRACTOR, *(DIMENSIONS.get(dim, dim) for dim in variable.extra))
         shape = np.shape(values[0]) if values else tuple(0 for _ in variable.extra)

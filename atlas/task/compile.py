@@ -18,14 +18,16 @@ from atlas.task.child import watched
 from workers.model.system import DEFAULT, System
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS, MODES, MODES_ATTRACTORS = "", "attractors", "orbits", "modes", "modes-attractors"
+CELLS, ATTRACTORS, ORBITS, MODES, MODES_ATTRACTORS, MEASURES = (
+    "", "attractors", "orbits", "modes", "modes-attractors", "measures",
+)  # fmt: skip
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
 as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law
-changes, in place of the first ones, and find their attractors."""
+changes, in place of the first ones, and find their attractors; and what measures motions of other machines."""
 
-SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60, MODES_ATTRACTORS: 10}
+SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 75, MODES_ATTRACTORS: 10, MEASURES: 20}
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 250, MODES_ATTRACTORS: 40}
+FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 267, MODES_ATTRACTORS: 40, MEASURES: 116}
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
@@ -46,6 +48,20 @@ WITH_MODES: dict[str, Any] = {
     "parameters": {"omega": {"default": 1.0}},
 }
 """A machine whose law changes in every way."""
+
+WITH_MEASURES: dict[str, Any] = {
+    "name": "warm-up",
+    "coordinates": ["x"],
+    "mass": [[1.0]],
+    "damping": [[0.1]],
+    "stiffness": [[1.0]],
+    "force": [1.0],
+    "gap": [1.0],
+    "upper": 1000.0,
+    "restitution": 0.5,
+    "measures": {"all": {"displacement": [1.0], "report": ["peak"]}},
+}
+"""A machine that is measured, with one rigid contact that it does not reach."""
 
 _OF_MODES = {ATTRACTORS: MODES_ATTRACTORS}
 """The parts of machines whose law changes, in place of others."""
@@ -74,7 +90,9 @@ Report = Callable[[Compilation], None]
 
 def kernels_for(record: System, *more: str) -> tuple[str, ...]:
     """The parts that cells of a system take, and ``more``, as the functions below are given them."""
-    return (MODES, *(_OF_MODES[part] for part in more)) if record.has_modes else more
+    if record.has_modes:
+        return (MODES, *(_OF_MODES[part] for part in more))
+    return (MEASURES, *more) if record.definition.measures else more
 
 
 def warming(*more: str) -> str:
@@ -166,6 +184,8 @@ def warm_up(*parts: str) -> None:
         scale_at(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))
     if ORBITS in parts:
         _follow_an_orbit()
+    if MEASURES in parts:
+        solve_tile(System.from_mapping(WITH_MEASURES), {}, Settings(max_periods=1))
 
 
 def _warm_up_modes(parts: tuple[str, ...]) -> None:

@@ -22,7 +22,7 @@ from workers.cell.cells import Results
 from workers.cell.stretch import begin, sections_from
 from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
-from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL, result_variables
+from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL
 from workers.settings import Settings
 from workers.tile import initial_state, solve_parts
 
@@ -36,7 +36,7 @@ class Table(Coexistence):
     def __init__(self, record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> None:
         super().__init__(record, {name: np.array([value]) for name, value in values.items()}, settings, starts)
         self.solve()
-        (self.cell,), self.record = self.cells, record
+        (self.cell,) = self.cells
         self.attractors = self.cell.attractors
         self.attractors.sort(key=lambda each: each.order)
 
@@ -74,7 +74,7 @@ def solve_basins(
             raise ValueError(f"{name}: found {np.min(value):g} to {np.max(value):g}, basins are of one machine")
     machine = tuple(fixed_values(record, params).items())
     table = reference_table(json.dumps(record.resolved()), machine, settings, starts)
-    variables, at_once = result_variables(settings, basins=True), motions_at_once(settings, len(record.states))
+    variables, at_once = record.variables(settings, basins=True), motions_at_once(settings, len(record.states))
     return solve_parts(record, params, settings, variables, at_once, partial(_solve_part, table))
 
 

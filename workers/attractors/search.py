@@ -1,5 +1,6 @@
 """Motions that are compared with known attractors, and solved in full where they reach none of them."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,12 @@ from workers.attractors.record import STATISTICAL, Attractor
 from workers.attractors.same import KnownOrbits, batch_moments, nearest, orbits_reached, periods_to_settle
 from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER, Course
+from workers.cell.measuring import measure
 from workers.cell.outcome import end_impact_free, end_stopped
 from workers.cell.stretch import Mask, Reasons, Rows
 from workers.kernel.cells import physical_states
 from workers.model.oscillator import Array, Oscillator
-from workers.results import result_variables
+from workers.model.system import System
 from workers.settings import Settings
 from workers.tile import MEMORY_AT_ONCE, result_arrays
 
@@ -59,9 +61,9 @@ class Known:
 class Search:
     """N motions, each compared with the known attractors of its cell, ``owner`` (N,), and what they come to.
 
-    They begin at physical states (N, 2n), with contacts (N,) if they go on from there; those with a reason have no
-    oscillator. Their course ends where they fall into a known orbit. Those whose transients are over leave it where
-    chaos or a torus is known of their cell, to be compared with that.
+    They are of a system with parameters (N,) each. They begin at physical states (N, 2n), with contacts (N,) if they go
+    on from there; those with a reason have no oscillator. Their course ends where they fall into a known orbit. Those
+    whose transients are over leave it where chaos or a torus is known of their cell, to be compared with that.
 
     cells        with the results of those that were solved in full
     regime       of each motion, PENDING where it was recognised
@@ -74,6 +76,8 @@ class Search:
 
     def __init__(
         self,
+        record: System,
+        params: Mapping[str, Array],
         oscillators: Oscillator,
         reasons: Reasons,
         states: Array,
@@ -83,7 +87,8 @@ class Search:
         contact: Rows | None = None,
     ) -> None:
         N = len(owner)
-        arrays = result_arrays(result_variables(settings), settings, N, states.shape[1])
+        self.record, self.params, self.variables = record, params, record.variables(settings)
+        arrays = result_arrays(self.variables, settings, N, states.shape[1])
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
         self.course = Course(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
@@ -113,6 +118,7 @@ class Search:
         self._compare()
         if references:
             self._refer()
+        self._measure()
 
     @np.errstate(all="ignore")
     def watch(self, periods: Rows) -> None:
@@ -121,6 +127,7 @@ class Search:
         while len(rows):
             rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
             rows = rows[flown[rows] < periods[rows]]
+        self._measure()
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = same.REFERENCE) -> tuple[Rows, Array]:
@@ -175,6 +182,10 @@ class Search:
         self.course.observe(rows)
         self.course.take()
 
+    def _measure(self) -> None:
+        """Write what those of a known class show of their machine's own results."""
+        measure(self.cells, self.record.definition, self.params)
+
     def _refer(self) -> None:
         """Go on with those motions that are on a chaos or torus that is not known, to tell what it is by.
 
@@ -183,7 +194,7 @@ class Search:
         arrays = self.cells.found
         before = {name: values.copy() for name, values in arrays.items()}
         new = np.flatnonzero((self.label < 0) & np.isin(self.regime, STATISTICAL))
-        for variable in result_variables(self.cells.settings):
+        for variable in self.variables:
             arrays[variable.name][new] = variable.fill
         self.cells.framed[new] = False
         going, means = self.sample(new)

@@ -25,7 +25,7 @@ from workers.cell.cells import Results
 from workers.cell.stretch import Rows
 from workers.model.oscillator import Array, taken
 from workers.model.system import System, find_system
-from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON, result_variables
+from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON
 from workers.settings import Settings
 from workers.tile import initial_state, solve_parts
 
@@ -44,7 +44,7 @@ def solve_attractors(
     Every result but the cost has one more dimension ``attractor`` after that shape, of ``starts.keep``: the attractor
     with the largest share first. Where there are fewer the rest is as without a result, regime PENDING. A cell that is
     invalid, or of which no initial state is decided, has the result of its own initial state in the first place.
-    The variables are those of ``results.result_variables(settings, attractors=True)``.
+    The variables are those of ``System.variables(settings, attractors=True)``.
     Raises ValueError also for the method "fixed".
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
@@ -60,7 +60,7 @@ def solve_attractors(
         coexistence.write(found)
 
     at_once = max(1, motions_at_once(settings, len(record.states)) // max(map(len, starts.waves())))
-    variables = result_variables(settings, attractors=True)
+    variables = record.variables(settings, attractors=True)
     return solve_parts(record, params, settings, variables, at_once, solve_part, attractors=starts.keep)
 
 
@@ -71,6 +71,7 @@ class Coexistence:
     """
 
     def __init__(self, record: System, params: Mapping[str, Array], settings: Settings, starts: Starts) -> None:
+        self.record, self.params = record, params
         self.oscillators, self.reasons = record.build_many(params)
         self.settings, self.starts = settings, starts
         with np.errstate(all="ignore"):
@@ -98,7 +99,8 @@ class Coexistence:
         """
         known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells])
         oscillators, reasons = taken(self.oscillators, owner), self.reasons[owner]
-        return Search(oscillators, reasons, states, self.settings, known, owner, contact)
+        params = {name: values[owner] for name, values in self.params.items()}
+        return Search(self.record, params, oscillators, reasons, states, self.settings, known, owner, contact)
 
     def _solve_wave(self, cells: Rows, wave: range) -> None:
         owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))

@@ -11,6 +11,7 @@ from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, pad, 
 from workers.model.expression import Expression, Matrix, Row, evaluated
 from workers.model.free import ULPS
 from workers.model.hybrid_machines import HybridMachines
+from workers.model.measures import ORDERS, Measures
 from workers.model.oscillator import Array, Machines
 from workers.model.parameter import OMEGA, TAU
 
@@ -33,8 +34,8 @@ class Definition:
         M x'' + C x' + K x = load + sum over harmonics of force sin(order (omega t + tau) + phase) + contacts + friction
 
     ``let`` are names for expressions that others may use, each after those it uses itself. ``phases`` are parts of the
-    forcing period in which entries differ, ``drift`` is a coordinate that may drift. Tables have the order of these
-    fields, which digests of curves depend on.
+    forcing period in which entries differ, ``drift`` is a coordinate that may drift, ``measures`` what is reported by
+    name. Tables have the order of these fields, which digests of curves depend on.
     """
 
     coordinates: tuple[str, ...]
@@ -49,6 +50,7 @@ class Definition:
     friction: tuple[Friction, ...] = ()
     phases: tuple[Phase, ...] = ()
     drift: str = ""
+    measures: Measures = ()
 
     @property
     def stop(self) -> Contact:
@@ -122,6 +124,17 @@ class Definition:
             rub=table([[rub(each, phase.friction) for each in friction] for phase in phases], P, F, 3),
         )
         return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in found))
+
+    @np.errstate(all="ignore")
+    def outputs(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """Rows (N, M, n) of the measures for many values (N,) of each parameter, the derivatives (N, M) that these are
+        rows on, by their place in ORDERS, and weights (N, M), NaN where there are none."""
+        named, count, n = self._named(values), values[OMEGA].size, len(self.coordinates)
+        every = [measure for _, measure in self.measures]
+        orders = np.tile([float(ORDERS.index(each.kind)) for each in every], (count, 1))
+        rows = evaluated([each.row for each in every], named).reshape(named[OMEGA].size, len(every), n)
+        weights = evaluated([each.weight or np.nan for each in every], named).reshape(named[OMEGA].size, len(every))
+        return rows[:count], orders, weights[:count]
 
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
         """These values (N,) and those of each name in ``let``; two alike in the place of a lone one.

@@ -16,6 +16,10 @@ INDEPENDENT = 1e-12
 """Least singular value of rows of length 1 from which on they do not depend on each other."""
 
 
+HALFWAY = 1e-12
+"""Share of the forcing period by which two phases may be off half of it, and count as that far apart."""
+
+
 class HybridMachines(NamedTuple):
     """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
 
@@ -84,6 +88,25 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     reasons[dependent(held_rows(machines))] = OUT_OF_RANGE
     reasons[_any(np.isnan(own.stops)) | ~finite(own._replace(stops=own.R))] = OUT_OF_DOUBLES
     return reasons
+
+
+def mirrors(machines: HybridMachines) -> Mask:
+    """Of which machines z(t) -> -z(t + T/2) takes motions to motions.
+
+    Stops lie at equal distances, no belt moves, and half a period later the law is the same, with the load and the even
+    harmonics of the force negated.
+    """
+    own, phases = machines, machines.sizes[0]
+    half, ahead = phases // 2, np.mod(np.roll(own.starts[:, :-1], -(phases // 2), axis=1) - own.starts[:, :-1], 1.0)
+    sign = np.where(np.arange(own.force_sin.shape[2]) % 2 == 0, 1.0, -1.0)[:, None]
+    same = [own.damping, own.stiffness, own.pad, own.rub]
+    later = [(each, each) for each in same] + [(own.load, -own.load)]
+    later += [(each, sign * each) for each in (own.force_sin, own.force_cos)]
+    uneven = [_any(np.roll(each, -half, axis=1) != image) for each, image in later]
+    uneven += [_any(own.stops[..., 0] != -own.stops[..., 1]), _any(own.belt != 0.0)]
+    if phases > 1:
+        uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
+    return ~np.any(uneven, axis=0)
 
 
 def held_rows(machines: HybridMachines) -> Array:

@@ -24,6 +24,7 @@ from workers.model.entries import (
     taken,
 )
 from workers.model.expression import Expression
+from workers.model.measures import read_measures
 from workers.model.names import is_taken
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading_elements import read_contacts, read_friction, read_phases
@@ -140,6 +141,7 @@ def read_definition(
         friction=friction,
         phases=read_phases(table, known, n, contacts, friction),
         drift=_read_drift(table.get("drift"), coordinates),
+        measures=read_measures(table.get("measures", {}), known, n),
     )
 
 

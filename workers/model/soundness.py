@@ -25,7 +25,8 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     the upper one; of friction 0 <= kinetic <= static; rows other than zero, independent where they can be held at once.
     Contacts see every free motion, K x = 0, but that of the coordinate that may drift, which nothing ties down.
     """
-    many = definition.hybrid({p.name: np.array([p.default]) for p in parameters})
+    defaults = {p.name: np.array([p.default]) for p in parameters}
+    many = definition.hybrid(defaults)
     machine = HybridMachines(*(field[0] for field in many))
     matrices = {"system.mass": machine.mass}
     for key in ("damping", "stiffness"):
@@ -36,6 +37,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     for where, entries in chain(matrices.items(), rows.items(), _forces(definition, machine), constants.items()):
         if not np.isfinite(entries).all():
             raise DefinitionError(f"{where}: found {_shown(entries)} at the defaults, must be finite numbers")
+    _check_measures(definition, definition.outputs(defaults))
     for where, matrix in matrices.items():
         _check_matrix(where, matrix, definite=where == "system.mass")
     for where, number in constants.items():
@@ -108,6 +110,20 @@ def _check_static(definition: Definition, machine: HybridMachines) -> None:
                 where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")
                 found = f"found {static:g}, kinetic {kinetic:g} at the defaults"
                 raise DefinitionError(f"{where}: {found}, must not be below kinetic")
+
+
+def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array]) -> None:
+    (rows,), _, (weights,) = outputs
+    for (name, measure), row, weight in zip(definition.measures, rows, weights, strict=True):
+        for key, found in ((measure.kind, row), ("weight", weight)):
+            if getattr(measure, key) is not None and not np.isfinite(found).all():
+                raise DefinitionError(
+                    f"system.measures.{name}.{key}: found {_shown(found)} at the defaults, must be finite numbers"
+                )
+        if not row.any():
+            raise DefinitionError(
+                f"system.measures.{name}.{measure.kind}: found zeros only; give the row that makes what is measured"
+            )
 
 
 def _check_stops(definition: Definition, machine: HybridMachines) -> None:

@@ -15,12 +15,15 @@ from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
 from workers.model.hybrid import build_hybrid
+from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
+from workers.model.names import NAMES
 from workers.model.oscillator import Array, Machines, one_of
 from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
-from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError
+from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError, Variable, result_variables
+from workers.settings import Settings
 
 DEFAULT = "two-mass"
 SYSTEMS = resources.files("workers.model") / "systems"
@@ -30,7 +33,7 @@ PROSE = (*TEXTS, "axes")
 KEYS = (
     "name", "version", *PROSE, "coordinates", "velocities", "mass", "damping", "stiffness", "force", "phase",
     "harmonics", "load", "gap", "upper", "lower", "restitution", "contacts", "friction", "phases", "drift",
-    "let", "parameters",
+    "measures", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
 """The highest version of a definition."""
@@ -64,6 +67,7 @@ class System:
         """The system of a table [system]; DefinitionError, a ValueError, in one line for whatever is wrong with it."""
         found = _read(given, packaged=False)
         refuse_taken(found.definition, found.parameters)
+        refuse_ambiguous(found._own, NAMES.union(parameter.name for parameter in found.parameters))
         return found
 
     @classmethod
@@ -89,6 +93,21 @@ class System:
         """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
         own = self.definition
         return bool(own.friction or own.phases) or [each.rigid for each in own.contacts] != [True]
+
+    @property
+    def _own(self) -> list[tuple[str, Variable]]:
+        """``own_variables``, each with the entry that it comes from."""
+        elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
+        return [*measure_variables(self.definition.measures), *elements]
+
+    @property
+    def own_variables(self) -> tuple[Variable, ...]:
+        """The results that this system has besides those of all."""
+        return tuple(variable for _, variable in self._own)
+
+    def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
+        """The results of a cell, see ``results.result_variables``, with those that this system alone has."""
+        return result_variables(settings, attractors, basins, self.own_variables)
 
     def refuse_modes(self, what: str) -> None:
         """DefinitionError, in one line, that ``what`` is not there for machines like this one, if it has modes."""

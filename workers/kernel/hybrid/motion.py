@@ -1,6 +1,7 @@
 """The one loop of mode, first guard and reset, of hybrid machines."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,22 @@ from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spre
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Mode
+
+
+class Leg(NamedTuple):
+    """What is written down of a motion in one mode, as columns: when it starts and how long it lasts, which mode of the
+    table it is in, and the signal that ends it, -1 for the time or a phase.
+    """
+
+    start: int
+    duration: int
+    mode: int
+    signal: int
+
+
+LEG = Leg(*range(len(Leg._fields)))
+LEG_STATE = len(LEG)
+"""Column of the first component of the state that a leg starts from."""
 
 
 @inline_always
@@ -133,13 +150,25 @@ def keep_held(elements, states, slips, z):
             reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
 
 
+@inline_always
+def note_leg(legs, place, t, s, k, hit, z):
+    """Write a leg down while there is room in legs (K, LEG_STATE + 2n); the place of the next one."""
+    if place < legs.shape[0]:
+        legs[place, LEG.start], legs[place, LEG.duration] = t, s
+        legs[place, LEG.mode], legs[place, LEG.signal] = k, hit
+        for i in range(len(z)):
+            legs[place, LEG_STATE + i] = z[i]
+    return place + 1
+
+
 @kernel
-def through_modes(table, z, W, code, growth, triangle, tally, hits, events, duration):
+def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
 
     In place, with the number of their mode in code (1,). growth (m,), triangle: see tangent.orthonormalise; of no
     length where the vectors are not to be made orthonormal. hits (K, 3): the first K contacts, (time, +-(1 + contact)
-    with the side's sign, speed); events (K, 4): the first K events, (time, signal, side, its rate), NaN from there on.
+    with the side's sign, speed); events (K, 4): the first K events, (time, signal, side, its rate), NaN from there on;
+    legs (K, LEG_STATE + 2n): the first K legs, see Leg, each with the state that it starts from, NaN from there on.
     Stops early with tally[STATUS] set where it cannot go on.
     """
     pieces, elements = table.pieces, table.elements
@@ -149,8 +178,8 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
     begun = np.zeros(pieces.ends.shape[1], dtype=np.int64)
     h, scratch, V = np.empty((n, 2)), np.empty((n, 2)), np.empty((m, n, 2))
     f, after, slopes = np.empty(2 * n), np.empty(2 * n), np.empty(m)
-    t, phase, period, seen = 0.0, table.tau, 2.0 * math.pi / table.omega, 0
-    events[:] = np.nan
+    t, phase, period, seen, gone = 0.0, table.tau, 2.0 * math.pi / table.omega, 0, 0
+    events[:], legs[:] = np.nan, np.nan
     read_number(code[0], states, slips)
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
@@ -166,6 +195,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
         s, hit, side = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
         if tally[STATUS] != RUNNING:
             return
+        gone = note_leg(legs, gone, t, s, k, hit, z)
         fly(pieces, k, s, h, V, growth, triangle, tally)
         tally[CONTRACTION] -= pieces.trace[k] * s
         tally[STUCK] += s if pieces.lost[k] > 0.0 else 0.0
@@ -222,7 +252,8 @@ def propagate_hybrid(osc, motion, duration):
     from_vectors(osc.to_physical, h, z)
     from_vectors(osc.to_physical, motion.V, W)
     code = motion.contact - FIRST_NUMBER
-    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, np.empty((0, 4)), duration)
+    none = np.empty((0, 4))
+    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, none, none, duration)
     if tally[STATUS] == RUNNING:
         into_vectors(osc.to_blocks, z, h)
         into_vectors(osc.to_blocks, W, motion.V)

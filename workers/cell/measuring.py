@@ -1,0 +1,181 @@
+"""What machines report of their own: measures, contacts one by one, and losses, by a pass over the motion of each cell.
+
+A cell whose class is known is followed once more, over one turn of its orbit or WINDOW periods. Cells without a class
+keep their fill values.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.cell.cells import LEAST_WORK, Cells
+from workers.cell.outcome import put
+from workers.cell.stretch import Mask, Rows
+from workers.kernel.cells import physical_states
+from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
+from workers.kernel.motion import MODE_MISSING, RUNNING, motions_at
+from workers.model.definition import Definition
+from workers.model.hybrid import FIRST_NUMBER, Hybrid, build_hybrid, build_missing
+from workers.model.hybrid_machines import HybridMachines, mirrors
+from workers.model.hybrid_modes import Code
+from workers.model.oscillator import Array, taken
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+
+WINDOW = 256
+"""Periods, from ``state`` on, over which a motion is measured that is no orbit."""
+
+WORK_PER_PERIOD = 2000
+"""Evaluations that each of them may cost besides LEAST_WORK; what costs more is not measured."""
+
+AT_ONCE = 512
+"""Machines that are measured together: each has a table of its modes."""
+
+MIRRORED = 1e-6
+"""Distance between a state and the mirror image of that half an orbit later, as a share of both, up to which the orbit
+counts as symmetric."""
+
+
+@np.errstate(all="ignore")
+def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Write what cells of known classes show of their machine's own results, from parameters (N,) each."""
+    hybrid = isinstance(cells.oscillators, Hybrid)
+    if not (hybrid or definition.measures):
+        return
+    rows = np.flatnonzero(np.isin(cells.found["regime"], (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC)))
+    for first in range(0, max(len(rows), hybrid), AT_ONCE):
+        some = rows[first : first + AT_ONCE]
+        values = {name: value[some] for name, value in params.items()}
+        machines = taken(cells.oscillators, some) if hybrid else build_hybrid(definition.hybrid(values))[0]
+        periods, closes = _turns(cells, some)
+        states, codes = _starts(cells, some, closes)
+        meters = _meters(machines, definition, values)
+        readings, told = followed(machines, meters, states, codes, periods, closes & hybrid)
+        span = periods * machines.period
+        found = _of_measures(definition, definition.outputs(values)[2], readings, span)
+        if hybrid:
+            found |= _of_machine(machines, readings, states, closes, periods)
+            found |= _of_elements(definition, machines.machines, readings, closes, periods)
+            counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
+            found["impact_energy"] = np.where(np.isnan(counted), lost, counted)
+        put(cells, some[told], **{name: value[told] for name, value in found.items()})
+
+
+def _turns(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
+    """Periods (N,) over which these cells are measured, and for which of them that is a turn of an orbit."""
+    period = cells.found["period"][rows].astype(np.int64)
+    closes = period > 0
+    if not isinstance(cells.oscillators, Hybrid):  # without damping, motion without impact need not repeat
+        gap = cells.oscillators.gap
+        closes &= (cells.found["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[rows]
+    return np.where(closes, period, WINDOW), closes
+
+
+def _starts(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
+    states, contact = cells.found["state"][rows], cells.contact[rows]
+    proved = closes & (isinstance(cells.oscillators, Hybrid) | (cells.found["regime"][rows] == PERIODIC))
+    orbits = motions_at(cells.orbits.h, cells.orbits.contact)
+    states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
+    contact[proved] = cells.orbits.contact[rows[proved], 0]
+    if isinstance(cells.oscillators, Hybrid):
+        return states, contact[:, None] - FIRST_NUMBER
+    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])
+    return states, held[np.sign(contact) + 1][:, None]
+
+
+def _meters(machines: Hybrid, definition: Definition, values: Mapping[str, Array]) -> Meters:
+    """What is measured of machines: their measures, and the range of the coordinate that pictures show."""
+    rows, orders, _ = definition.outputs(values)
+    peaks = np.tile([*("peak" in measure.report for _, measure in definition.measures), True], (len(rows), 1))
+    own: HybridMachines = machines.machines
+    return Meters(
+        rows=np.concatenate([rows, machines.gap_row[:, None]], axis=1),
+        orders=np.concatenate([orders, np.zeros((len(rows), 1))], axis=1),
+        peaks=peaks.astype(np.float64),
+        damping=own.damping,
+        pad=own.pad,
+        rub=own.rub,
+    )
+
+
+def followed(
+    machines: Hybrid, meters: Meters, states: Array, codes: Rows, periods: Rows, closes: Mask
+) -> tuple[Readings, Mask]:
+    """What motions show from physical states (N, 2n), with numbers of modes (N, 1), over ``periods`` (N,).
+
+    closes (N,): these are one turn of an orbit. And which of them could be followed.
+    """
+    N, readings = len(states), _nothing_read(machines, meters)
+    states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    allowance, going = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64), np.arange(N)
+    while True:
+        status[going] = read_motions(
+            machines, meters, readings, states, codes, done, periods, closes.astype(np.int64), allowance, going
+        )[going]
+        going = build_missing(machines, going[status[going] == MODE_MISSING])
+        if not len(going):
+            return readings, status == RUNNING
+
+
+def _nothing_read(machines: Hybrid, meters: Meters) -> Readings:
+    (N, M), (_, C, F) = meters.orders.shape, machines.machines.sizes
+    outputs, contacts, frictions = np.zeros((4, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
+    outputs[2], outputs[3] = np.inf, -np.inf
+    return Readings(
+        first=outputs[0], square=outputs[1], low=outputs[2], high=outputs[3],
+        hits=np.zeros((N, C, 2)), endless=contacts[0], touching=contacts[1], stop=contacts[2], depth=contacts[3],
+        force=contacts[4], stuck=frictions[0], rubbed=frictions[1], damped=np.zeros((N, 1)),
+        middle=np.full((N, 2 * meters.rows.shape[2]), np.nan),
+    )  # fmt: skip
+
+
+def _of_measures(definition: Definition, weights: Array, readings: Readings, span: Array) -> dict[str, Array]:
+    """The variables of measures."""
+    found: dict[str, Array] = {}
+    for m, (name, measure) in enumerate(definition.measures):
+        square = readings.square[:, m] / span
+        values = {
+            "mean": readings.first[:, m] / span,
+            "rms": np.sqrt(square),
+            "peak": np.maximum(-readings.low[:, m], readings.high[:, m]),
+            "power": weights[:, m] * square,
+        }
+        found |= {f"{name}_{report}": values[report] for report in measure.report}
+    return found
+
+
+def _of_machine(
+    machines: Hybrid, readings: Readings, states: Array, closes: Mask, periods: Rows
+) -> dict[str, NDArray[Any]]:
+    """The variables of a whole machine with modes, of motions from physical states (N, 2n) on."""
+    away = np.linalg.norm(states + readings.middle, axis=1)
+    size = np.linalg.norm(states, axis=1) + np.linalg.norm(readings.middle, axis=1)
+    return {
+        "symmetric": mirrors(machines.machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
+        "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
+        "damper_loss": readings.damped[:, 0] / periods,
+    }
+
+
+def _of_elements(
+    definition: Definition, machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows
+) -> dict[str, NDArray[Any]]:
+    """The variables of contacts and friction. What a spring takes in it gives back, but for rounding."""
+    found: dict[str, NDArray[Any]] = {}
+    span, pad = periods * 2.0 * np.pi / machines.omega, machines.pad
+    springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
+    springs &= np.all(pad == pad[:, :1], axis=(1, 3))
+    for c, contact in enumerate(definition.contacts):
+        name, endless = contact.name, readings.endless[:, c] > 0.0
+        for side, key in enumerate(("lower", "upper")):
+            if getattr(contact, key) is not None:
+                found[f"{name}_{key}"] = np.where(closes, np.where(endless, -1, readings.hits[:, c, side]), 0)
+        found[f"{name}_fraction"] = np.minimum(readings.touching[:, c] / span, 1.0)
+        found[f"{name}_loss"] = np.where(springs[:, c], 0.0, readings.stop[:, c] / periods)
+        found[f"{name}_penetration"], found[f"{name}_force"] = readings.depth[:, c], readings.force[:, c]
+    for f, friction in enumerate(definition.friction):
+        found[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)
+        found[f"{friction.name}_loss"] = readings.rubbed[:, f] / periods
+    return found

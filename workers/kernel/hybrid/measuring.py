@@ -1,0 +1,277 @@
+"""What a motion is measured by: means, squares and extremes of outputs, contacts, rest, and what takes energy.
+
+The one loop of motion.py writes down the legs of each period. On a leg every output is a sum of exponentials and
+harmonics: its integrals, and those of its square, are sums over Gauss points close enough to be exact to rounding, and
+it is greatest and least at an end or where it turns, which the certified search finds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.kernel.borrow import borrowed
+from workers.kernel.flow import flow
+from workers.kernel.hybrid.motion import LEG, LEG_STATE, through_modes
+from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
+from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.lend import lend
+from workers.kernel.motion import (
+    NOTHING_COUNTED,
+    OVERDRAFT,
+    RUNNING,
+    STATUS,
+    WORK,
+    hybrid_of,
+    spend,
+)
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS
+
+Array = NDArray[np.float64]
+
+LEGS = 64
+"""Legs of one period that there is room for at first; four times as many each time that there are more."""
+
+AROUND = 1e-9
+"""Share of a period after a section in which what happens counts as at the section: once in a turn of an orbit."""
+
+
+class Meters(NamedTuple):
+    """What is measured of N machines of n coordinates with P phases, C contacts and F frictions.
+
+    rows (N, M, n) of the outputs, orders (N, M) which derivative each is a row on, peaks (N, M) 1 for their extremes;
+    damping (N, P, n, n), pad (N, P, C, 3) and rub (N, P, F, 3): see HybridMachines
+    """
+
+    rows: Array
+    orders: Array
+    peaks: Array
+    damping: Array
+    pad: Array
+    rub: Array
+
+
+class Readings(NamedTuple):
+    """What N motions have shown so far.
+
+    first, square (N, M)  integrals of each output and of its square; low, high (N, M) its extremes
+    hits     (N, C, 2)    contacts at the lower and at the upper stop; endless (N, C) 1 where they cannot be counted
+    touching (N, C)       time held by a rigid contact, or pushed by a soft one
+    stop     (N, C)       energy that the contact has taken
+    depth, force (N, C)   greatest depth and force of a soft contact
+    stuck    (N, F)       time that the friction sticks, rubbed (N, F) energy that it has taken
+    damped   (N, 1)       energy that the dampers have taken
+    middle   (N, 2n)      state half a period after the section in the middle of the periods
+    """
+
+    first: Array
+    square: Array
+    low: Array
+    high: Array
+    hits: Array
+    endless: Array
+    touching: Array
+    stop: Array
+    depth: Array
+    force: Array
+    stuck: Array
+    rubbed: Array
+    damped: Array
+    middle: Array
+
+
+@inline_always
+def meters_of(meters, r):
+    """Those of machine r."""
+    m = meters
+    return borrowed(Meters(m.rows[r], m.orders[r], m.peaks[r], m.damping[r], m.pad[r], m.rub[r]))
+
+
+@inline_always
+def readings_of(readings, r):
+    """Those of motion r."""
+    o = readings
+    return borrowed(Readings(
+        o.first[r], o.square[r], o.low[r], o.high[r], o.hits[r], o.endless[r], o.touching[r], o.stop[r], o.depth[r],
+        o.force[r], o.stuck[r], o.rubbed[r], o.damped[r], o.middle[r],
+    ))  # fmt: skip
+
+
+@kernel
+def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally):
+    """Add the integrals over a flight of s in mode k from block state h (n, 2)."""
+    pieces, elements = table.pieces, table.elements
+    blocks, n = pieces.blocks[k, 0], len(h)
+    top = table.omega * pieces.waves.shape[2]
+    there, nothing, flat = h.copy(), np.empty((0, n, 2)), np.empty((0, 2 * n))
+    z, f, since = np.empty(2 * n), np.empty(2 * n), 0.0
+    accelerates = np.any(meter.orders == ACCELERATION)
+    while since < s and tally[STATUS] == RUNNING:
+        step = min(s - since, longest_panel(blocks, top, since))
+        spend(tally, len(NODES))
+        for g in range(len(NODES)):
+            at, weight = since + 0.5 * step * (1.0 + NODES[g]), 0.5 * step * WEIGHTS[g]
+            there[:] = h
+            flow(blocks, at, there)
+            leave(pieces, k, there, nothing, phase + table.omega * at, z, flat)
+            if accelerates:
+                right_hand_side(pieces, k, z, phase + table.omega * at, f)
+            for m in range(len(meter.rows)):
+                order = int(meter.orders[m])
+                y = product(meter.rows[m], f, n) if order == ACCELERATION else product(meter.rows[m], z, order * n)
+                reading.first[m] += weight * y
+                reading.square[m] += weight * y * y
+            for i in range(n):
+                for j in range(n):
+                    reading.damped[0] += weight * z[n + i] * meter.damping[where, i, j] * z[n + j]
+            for c in range(len(states)):
+                if abs(states[c]) == ON and elements.soft[c] > 0.0:
+                    reading.stop[c] += weight * meter.pad[where, c, 1] * product(elements.row[c], z, n) ** 2
+            for e in range(len(slips)):
+                if slips[e] != 0:
+                    sliding = product(elements.slide[e], z, n) - elements.belt[e]
+                    reading.rubbed[e] += weight * meter.rub[where, e, 2] * sliding * sliding
+        since += step
+
+
+@kernel
+def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, phase, s, tally):
+    """What a contact that is on, or detached, shows on a leg from state z to state ``end``, but for its damper."""
+    row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
+    n, pushes = len(row), state == ON
+    if pushes:
+        reading.touching[c] += s
+    if table.elements.soft[c] == 0.0:
+        return
+    stiffness, damping, preload = meter.pad[where, c, 0], meter.pad[where, c, 1], meter.pad[where, c, 2]
+    full, direct = np.zeros(2 * n + 1), np.zeros(table.pieces.direct.shape[2:])
+    full[:n] = row
+    low, high = extremes(table.pieces, k, full, direct, h, phase, s, tally)
+    reading.depth[c] = max(reading.depth[c], side * ((high if side > 0 else low) - stop))
+    if not pushes:
+        return
+    for i in range(n):
+        full[i], full[n + i] = side * stiffness * row[i], side * damping * row[i]
+    full[2 * n] = preload - side * stiffness * stop
+    reading.force[c] = max(reading.force[c], extremes(table.pieces, k, full, direct, h, phase, s, tally)[1])
+    before, after = side * (product(row, z, 0) - stop), side * (product(row, end, 0) - stop)
+    reading.stop[c] += (preload + 0.5 * stiffness * (after + before)) * (after - before)
+
+
+@kernel
+def read_impact(elements, reading, c, end, following, counts):
+    """Contact c is reached in state ``end`` (2n,), and goes on from ``following``: what is counted, what it takes."""
+    n = len(end) // 2
+    before, after = product(elements.row[c], end, n), product(elements.row[c], following, n)
+    reaches_upper = before > 0.0
+    if not counts:
+        return
+    if elements.soft[c] > 0.0:
+        reading.hits[c, 1 if reaches_upper else 0] += 1.0
+        return
+    reading.stop[c] += 0.5 * elements.weight[c] * (before * before - after * after)
+    if elements.R[c] > 0.0 and abs(after) < 0.5 * elements.R[c] * abs(before):
+        reading.endless[c] = 1.0  # the end of a chatter
+    else:
+        reading.hits[c, 1 if reaches_upper else 0] += 1.0
+
+
+@kernel
+def read_leg(table, meter, reading, leg, following, begins, middle, flies, tally):
+    """Add what a leg shows, the next of which starts from state ``following`` (2n,).
+
+    What happens before the time ``begins`` does not count. middle: write the state half a period after the section
+    down, if it is on this leg. Where it does not fly, contacts alone are counted.
+    """
+    pieces, elements = table.pieces, table.elements
+    n, z = len(following) // 2, leg[LEG_STATE:]
+    t, s, k, signal = leg[LEG.start], leg[LEG.duration], int(leg[LEG.mode]), int(leg[LEG.signal])
+    states = np.zeros(len(elements.row), dtype=np.int64)
+    slips = np.zeros(len(elements.slide), dtype=np.int64)
+    where = read_number(table.codes[k], states, slips)
+    phase, half = table.tau + table.omega * t, math.pi / table.omega
+    h, nothing, flat, end = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), np.empty(2 * n)
+    enter(pieces, k, z, flat, phase, h, nothing)
+    if middle and t <= half <= t + s:
+        there = h.copy()
+        flow(pieces.blocks[k, 0], half - t, there)
+        leave(pieces, k, there, nothing, phase + table.omega * (half - t), reading.middle, flat)
+    there = h.copy()
+    flow(pieces.blocks[k, 0], s, there)
+    leave(pieces, k, there, nothing, phase + table.omega * s, end, flat)
+    c = signal // SIGNALS
+    if signal >= 0 and c < len(states) and signal % SIGNALS == 0 and states[c] == OPEN:
+        read_impact(elements, reading, c, end, following, t + s > begins)
+    if not flies or s <= 0.0:
+        return
+    integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally)
+    for m in range(len(meter.rows)):
+        if meter.peaks[m] > 0.0:
+            row, direct = output_row(pieces, k, meter.rows[m], meter.orders[m])
+            low, high = extremes(pieces, k, row, direct, h, phase, s, tally)
+            reading.low[m], reading.high[m] = min(reading.low[m], low), max(reading.high[m], high)
+    for c in range(len(states)):
+        if states[c] != OPEN:
+            side = np.sign(states[c])
+            read_contact(table, meter, reading, k, where, c, side, abs(states[c]), z, end, h, phase, s, tally)
+    for e in range(len(slips)):
+        if slips[e] == 0:
+            reading.stuck[e] += s
+            continue
+        path = product(elements.slide[e], end, 0) - product(elements.slide[e], z, 0) - elements.belt[e] * s
+        reading.rubbed[e] += meter.rub[where, e, 0] * abs(path)
+
+
+@kernel
+def read_period(table, meter, reading, z, code, tally, duration, begins, middle, flies):
+    """Take a motion from state z (2n,) and its mode in code (1,) through a period, or a part of it, and add its legs.
+
+    In place; see read_leg. Where a mode is missing it stays where it was, and nothing is added.
+    """
+    size, room = len(z), LEGS
+    none, flat, line, square = np.empty((0, 4)), np.empty((0, size)), np.empty(0), np.empty((0, 0))
+    while True:
+        there, number, spent = z.copy(), code.copy(), tally.copy()
+        legs = np.empty((room, LEG_STATE + size))
+        through_modes(table, there, flat, number, line, square, spent, np.empty((0, 3)), none, legs, duration)
+        if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
+            break
+        room *= 4
+    tally[:] = spent
+    if tally[STATUS] != RUNNING:
+        return
+    for i in range(room):
+        if math.isnan(legs[i, 0]):
+            break
+        last = i + 1 == room or math.isnan(legs[i + 1, 0])
+        following = there if last else legs[i + 1, LEG_STATE:]
+        read_leg(table, meter, reading, legs[i], following, begins, middle, flies, tally)
+    z[:], code[0] = there, number[0]
+
+
+@kernel
+def read_motions(oscillators, meters, readings, states, codes, done, periods, closes, allowance, cells):
+    """Take motions on through the periods that they have to go, and add what they show to ``readings``; how each ends.
+
+    In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
+    (N,): 1 where these are a turn of an orbit, of which an impact at the section counts once. allowance (N,): the
+    evaluations that they may take. Of these cells of a Hybrid; a motion that misses a mode goes on when called again.
+    """
+    status = np.full(len(states), RUNNING)
+    for r in cells:
+        table = lend(hybrid_of(oscillators, r)).table
+        meter, reading = lend(meters_of(meters, r)), lend(readings_of(readings, r))
+        period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
+        tally = NOTHING_COUNTED.copy()
+        while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
+            flies, begins = done[r] < periods[r], AROUND * period if turn and done[r] == 0 else -1.0
+            tally[WORK] = allowance[r] - OVERDRAFT
+            read_period(
+                table, meter, reading, states[r], codes[r], tally, period if flies else AROUND * period, begins,
+                done[r] == periods[r] // 2, flies,
+            )  # fmt: skip
+            allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
+            done[r] += 1 if status[r] == RUNNING else 0
+    return status

@@ -1,0 +1,112 @@
+"""Outputs of a mode, sums of exponentials and harmonics: their extremes, and steps for which Gauss points are exact."""
+
+import math
+
+import numpy as np
+
+from workers.kernel.elementary import exp_minus
+from workers.kernel.excursion import turning_points, velocity_of
+from workers.kernel.jit import kernel
+from workers.kernel.motion import MARCH_GAVE_UP, STATUS, spend
+from workers.kernel.signal import derivative_bounds, evaluate
+from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Mode
+
+NODES, WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(10))
+"""Gauss points and weights on [-1, 1], exact for polynomials of degree 19."""
+
+REACH = 2.0
+"""Rate times step up to which they are exact to rounding. Of a product of two exponentials, each of at most that rate,
+the rule leaves (2 REACH)^20 (10!)^4 / (21 (20!)^3) = 6e-19 of the greatest value."""
+
+DEGREE = 20
+"""Order of the derivative that the rule leaves: what has decayed by e^-x allows for steps longer by e^(x / DEGREE)."""
+
+LEVEL = 1e-15
+"""Share of an output's terms by which it may change on a leg and count as constant."""
+
+POSITION, RATE, ACCELERATION = range(3)
+"""Which derivative of the displacements an output is a row on."""
+
+
+@kernel
+def longest_panel(blocks, top, since):
+    """The longest step for which Gauss points are exact, a time ``since`` after a leg has begun; see REACH.
+
+    Each exponential of rate r that decays at rate q has decayed by e^(-q since). top: the greatest forcing frequency.
+    """
+    longest = REACH / top
+    for j in range(len(blocks)):
+        eta, lam = blocks[j, COLUMN.eta], blocks[j, COLUMN.lam]
+        if blocks[j, COLUMN.d] > 0.0:
+            longest = min(longest, REACH / math.sqrt(lam) / exp_minus(max(eta, 0.0) * since / DEGREE))
+            continue
+        for rate in (blocks[j, COLUMN.slow], blocks[j, COLUMN.fast]):
+            if rate > 0.0:
+                longest = min(longest, REACH / rate / exp_minus(rate * since / DEGREE))
+    return longest
+
+
+@kernel
+def mode_with(pieces, k, row, direct):
+    """Mode k with the output for a guard that a row (2n + 1,) on (x, v, 1) and the force by ``direct`` (H, 2) make.
+
+    And what the output is while the blocks are at rest, the forced response taken off.
+    """
+    blocks, forced, waves = pieces.blocks[k, 0].copy(), pieces.forced[k], direct.copy()
+    size = 2 * len(blocks)
+    blocks[:, OF_FLOW:] = 0.0
+    offset = row[size]
+    for i in range(size):
+        seen = 0.0
+        for j in range(size):
+            seen += row[j] * pieces.to_physical[k, j, i]
+        blocks[i // 2, COLUMN.c0 + i % 2] = seen
+        offset += seen * pieces.rest[k, i]
+        for w in range(len(waves)):
+            waves[w, 0] += seen * forced[i // 2, i % 2, w, 0]
+            waves[w, 1] += seen * forced[i // 2, i % 2, w, 1]
+    for j in range(len(blocks)):
+        eta, lam, block = blocks[j, COLUMN.eta], blocks[j, COLUMN.lam], blocks[j]
+        block[COLUMN.cA0], block[COLUMN.cA1] = -lam * block[COLUMN.c1], block[COLUMN.c0] - 2.0 * eta * block[COLUMN.c1]
+        block[COLUMN.cAA0], block[COLUMN.cAA1] = (
+            -lam * block[COLUMN.cA1], block[COLUMN.cA0] - 2.0 * eta * block[COLUMN.cA1]
+        )  # fmt: skip
+    return Mode(blocks, pieces.metric[k], waves, pieces.numbers[k, 0], forced), offset
+
+
+@kernel
+def output_row(pieces, k, row, order):
+    """The row (2n + 1,) on (x, v, 1) of an output row . x of this derivative in mode k, and what the force adds."""
+    n = len(row)
+    full, direct = np.zeros(2 * n + 1), np.zeros(pieces.direct.shape[2:])
+    for i in range(n):
+        if order < ACCELERATION:
+            full[int(order) * n + i] = row[i]
+            continue
+        for j in range(2 * n + 1):
+            full[j] += row[i] * pieces.acceleration[k, i, j]
+        for w in range(len(direct)):
+            direct[w, 0] += row[i] * pieces.drive[k, i, w, 0]
+            direct[w, 1] += row[i] * pieces.drive[k, i, w, 1]
+    return full, direct
+
+
+@kernel
+def extremes(pieces, k, row, direct, h, phase, s, tally):
+    """The least and the greatest value of an output, see mode_with, in a flight of s from block state h (n, 2).
+
+    It is taken for constant where a bound of its rate says that it changes by no more than LEVEL.
+    """
+    mode, offset = mode_with(pieces, k, row, direct)
+    omega = mode.numbers[NUMBER.omega]
+    here, _, _, _, size = evaluate(mode.blocks, mode.waves, omega, h, 0.0, phase, 0.0)
+    there = evaluate(mode.blocks, mode.waves, omega, h, s, phase, 0.0)[0]
+    low, high = min(here, there), max(here, there)
+    velocity, drift = velocity_of(mode)
+    rate = abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h)[0]
+    if not rate * s <= LEVEL * (size + abs(offset)):
+        low, high, evaluations = turning_points(mode, h, phase, s, 0, low, high)
+        spend(tally, evaluations)
+        if math.isnan(high):
+            tally[STATUS] = MARCH_GAVE_UP
+    return low + offset, high + offset
