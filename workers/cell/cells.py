@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.stretch import Mask, Reasons, Rows, batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
+from workers.model.hybrid import drifts
 from workers.model.oscillator import Array, Oscillator
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
@@ -56,7 +57,8 @@ class Cells:
                the average and the counts under way, first: before the first average that counts
     earlier    the average that was closed before the one under way; of no periods where there is none
     tallied    (N, TALLIES) what was counted between ``first`` and ``began``
-    directions of the state, 2n; vectors: those that are carried along
+    directions of the state, 2n; drifts: 1 where one of them is a coordinate that may drift, which has no exponent;
+    vectors: those that are carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
     """
@@ -74,7 +76,8 @@ class Cells:
         adaptive = settings.method == "adaptive"
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
         self.directions = 2 * n
-        self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n}[settings.exponents]
+        self.drifts = drifts(oscillators)
+        self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n - self.drifts}[settings.exponents]
         self.oscillators, self.settings, self.found = oscillators, settings, found
         motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
         self.batch = batch_of(oscillators, motions, kept)
