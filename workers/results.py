@@ -146,7 +146,7 @@ _ALWAYS = (
     _number(
         "peak_to_peak", "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit"
     ),
-    replace(_number("progress", "mean advance of what drifts per forcing period", _PER_PERIOD), sparse=True),
+    replace(_number("progress", "mean advance of what drifts", _PER_PERIOD), sparse=True),
     _count("periods_used", "forcing periods simulated"),
     _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient"),
     _number("state", "physical section state on the attractor", "1", "state"),
