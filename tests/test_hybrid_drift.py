@@ -14,7 +14,19 @@ from workers import Settings, System, solve_tile, trace
 from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve
 from workers.model.hybrid import build_hybrid
-from workers.results import CHAOTIC, INVALID, NO_IMPACT, NO_OSCILLATOR, PERIODIC, REASONS, result_variables
+from workers.model.system import find_system
+from workers.results import (
+    CHAOTIC,
+    FAILED,
+    INVALID,
+    NO_IMPACT,
+    NO_OSCILLATOR,
+    NO_REASON,
+    PERIODIC,
+    REASONS,
+    RUNS_AWAY,
+    result_variables,
+)
 from workers.tile import result_arrays
 
 SPECTRUM = Settings(exponents="spectrum", survival=0, max_periods=3000)
@@ -162,6 +174,26 @@ def test_a_block_slides_down_at_the_speed_that_its_damper_allows() -> None:
     assert found["regime"] == PERIODIC
     assert found["progress"] == pytest.approx(period * (1.0 - 0.4) / 0.3, abs=1e-12)
     np.testing.assert_allclose(found["spectrum"], [-0.3 / 2.0 * period], rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["adaptive", "fixed"])
+def test_a_block_that_its_load_pushes_ever_faster_has_no_result(method: str) -> None:
+    """Without a damper it slides down for good where the load exceeds friction; where it does not it comes to a stop."""
+    free = System.from_toml(BLOCK.replace("damping = [[0.3]]", ""))
+    settings = Settings(method=method, exponents="spectrum", survival=0, max_periods=3000, periods=200)
+    found = solve_tile(free, {"omega": 1.3, "f": [0.9, 1.1, 1.6], "v": [0.0, 60.0, 60.0], "A": 0.3}, settings)
+    assert found["reason"].tolist() == [RUNS_AWAY, NO_REASON, NO_REASON]
+    assert found["regime"].tolist() == [FAILED, PERIODIC, PERIODIC]
+    assert found["progress"][1] > 0.0
+    assert found["progress"][2] == 0.0
+
+
+def test_a_capsule_that_runs_away_is_no_torus() -> None:
+    """A load of its own adds up, whatever the mass in it does."""
+    table = find_system("capsule").table() | {"name": "pushed", "load": [0.0, "P"]}
+    table["parameters"] |= {"P": {"default": 1.2}}
+    found = solve_tile(System.from_mapping(table), {"omega": 0.9, "alpha": [0.1, 2.0]}, SPECTRUM)
+    assert found["reason"].tolist() == [RUNS_AWAY] * 2
 
 
 def test_a_block_that_sticks_on_its_way_loses_its_only_direction() -> None:

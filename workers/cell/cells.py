@@ -19,6 +19,10 @@ Results = dict[str, NDArray[Any]]
 RETURNS = 64
 """Returns of a motion that are known of each cell at least, whatever ``max_period``."""
 
+STEPS, SAME_STEP = 16, 1e-7
+"""Periods over which what runs away gets faster by one step, and how far steps may differ for that, as a share; they are
+at least such a share of what they add up to."""
+
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell for each period of its budget, and the least for all of them together.
 Ordinary cells take 5 to 40 a period; R near 1 can take 10^5, and a cell must not cost minutes."""
@@ -120,6 +124,20 @@ class Cells:
     def survived(self, rows: Rows) -> Rows:
         """Periods for which these cells have looked chaotic."""
         return self.flown[rows] - self.since[rows]
+
+    def run_away(self, rows: Rows) -> Mask:
+        """Of which of these cells the free motion of what drifts has got faster in each period by the same step.
+
+        Without damping its momentum changes by the load, the force and friction alone, whatever else moves.
+        """
+        sections, kept = self.batch.sections, self.kept()[rows]
+        if not self.drifts or sections.shape[1] <= STEPS:
+            return np.zeros(len(rows), dtype=np.bool_)
+        momentum = sections[rows, -STEPS - 1 :, -1, 0]
+        steps, last = np.diff(momentum, axis=1), momentum[:, -1]
+        low, high = np.min(np.abs(steps), axis=1), np.max(np.abs(steps), axis=1)
+        away = np.all(steps * last[:, None] > 0.0, axis=1) & (low > SAME_STEP * np.abs(last))
+        return np.asarray((kept > STEPS) & away & (high - low <= SAME_STEP * high))
 
     def budget(self) -> Rows:
         """Periods that each cell may still cost in all."""

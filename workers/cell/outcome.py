@@ -44,7 +44,7 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
 
     A cell whose work is spent is judged by its average, see ``put_by_average``.
     """
-    reasons = stop_reasons(cells.batch.motions, rows)
+    reasons = np.where(cells.run_away(rows), np.int8(results.RUNS_AWAY), stop_reasons(cells.batch.motions, rows))
     spent = reasons == results.WORK_SPENT
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)
