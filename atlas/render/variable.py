@@ -1,4 +1,4 @@
-"""Maps of any number that an atlas holds, on an even scale from pale to dark; of both signs, from pale to two colours."""
+"""Maps of any number that an atlas holds, on an even scale from pale to dark, or from pale to two colours about zero."""
 
 import numpy as np
 import xarray as xr
