@@ -178,7 +178,7 @@ def test_a_block_slides_down_at_the_speed_that_its_damper_allows() -> None:
 
 @pytest.mark.parametrize("method", ["adaptive", "fixed"])
 def test_a_block_that_its_load_pushes_ever_faster_has_no_result(method: str) -> None:
-    """Without a damper it slides down for good where the load exceeds friction; where it does not it comes to a stop."""
+    """Without a damper it slides down for good where the load exceeds friction; else it comes to a stop."""
     free = System.from_toml(BLOCK.replace("damping = [[0.3]]", ""))
     settings = Settings(method=method, exponents="spectrum", survival=0, max_periods=3000, periods=200)
     found = solve_tile(free, {"omega": 1.3, "f": [0.9, 1.1, 1.6], "v": [0.0, 60.0, 60.0], "A": 0.3}, settings)

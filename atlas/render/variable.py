@@ -1,4 +1,4 @@
-"""Maps of any number that an atlas holds, on an even scale from pale to dark, or from pale to two colours about zero."""
+"""Maps of any number that an atlas holds, on an even scale from pale to dark, or on two from a pale zero on."""
 
 import numpy as np
 import xarray as xr
@@ -50,7 +50,7 @@ def figure(ds: xr.Dataset, name: str, log: bool = False, options: maps.Options =
 
 
 def colormap_of(norm: Normalize) -> Colormap:
-    """The colours of a scale: where zero lies between its ends it is pale, and as far from it both sides are as dark."""
+    """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     if not low < 0.0 < high:
         return COLORMAP

@@ -12,6 +12,7 @@ from workers.cell.course import NEAR_LATER, Course
 from workers.cell.outcome import end_impact_free, end_stopped
 from workers.cell.stretch import Mask, Reasons, Rows
 from workers.kernel.cells import physical_states
+from workers.model.hybrid import drifts
 from workers.model.oscillator import Array, Oscillator
 from workers.results import result_variables
 from workers.settings import Settings
@@ -82,8 +83,8 @@ class Search:
         owner: Rows,
         contact: Rows | None = None,
     ) -> None:
-        N = len(owner)
-        arrays = result_arrays(result_variables(settings), settings, N, states.shape[1])
+        N, size = len(owner), states.shape[1]
+        arrays = result_arrays(result_variables(settings), settings, N, size, exponents=size - drifts(oscillators))
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
         self.course = Course(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
