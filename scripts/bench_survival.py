@@ -23,8 +23,9 @@ from workers import Settings, solve_tile
 from workers.attractors.starts import wilson
 from workers.cell.cells import Cells
 from workers.cell.course import RELAXATIONS, Course
-from workers.model.system import find_system
-from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, empty_results, result_variables
+from workers.model.system import DEFAULT, find_system
+from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, result_variables
+from workers.tile import result_arrays
 
 FURTHER = 80_000
 """Periods after a verdict in which a settled motion makes it wrong."""
@@ -37,29 +38,32 @@ PLANES: dict[str, dict[str, Any]] = {
     "zeta 1e-4, omega-R": {"omega": (1.5, 4.5), "R": (0.99, 1.0), "zeta": 1e-4, "b": 0.3, "mu_k": 5.0, "mu_m": 2.0},
     "R near 1, omega-b": {"omega": (1.0, 4.5), "b": (0.05, 0.6), "R": 0.97},
     "low damping, omega-b": {"omega": (1.0, 4.5), "b": (0.05, 0.6), "zeta": 0.01, "R": 0.7},
+    "soft-impact, omega-a": {"system": "soft-impact", "omega": (0.6, 1.2), "a": (0.2, 1.0)},
+    "capsule, omega-alpha": {"system": "capsule", "omega": (0.3, 1.6), "alpha": (0.2, 3.0)},
 }
+"""Parameters of each plane; of another system than the default one also its name."""
 
 
 def plane(name: str, side: int) -> dict[str, NDArray[Any] | float]:
     """Parameters of a plane of side x side cells, flat."""
-    given = PLANES[name]
+    given = {key: value for key, value in PLANES[name].items() if key != "system"}
     axes = [key for key, value in given.items() if isinstance(value, tuple)]
     grids = np.meshgrid(*(np.linspace(given[key][0], given[key][1], side) for key in axes))
     return {**given, **{key: grid.ravel() for key, grid in zip(axes, grids, strict=True)}}
 
 
-def _solve(work: tuple[dict[str, Any], Settings]) -> tuple[dict[str, NDArray[Any]], float]:
+def _solve(work: tuple[str, dict[str, Any], Settings]) -> tuple[dict[str, NDArray[Any]], float]:
     start = time.process_time()
-    return solve_tile("two-mass", *work), time.process_time() - start
+    return solve_tile(*work), time.process_time() - start
 
 
 def solved(
-    pool: Any, params: dict[str, Any], settings: Settings, pieces: int = 8
+    pool: Any, params: dict[str, Any], settings: Settings, pieces: int = 8, system: str = DEFAULT
 ) -> tuple[dict[str, NDArray[Any]], float]:
     """Results of flat cells, and the seconds of processor time that they took."""
     count = max(np.size(value) for value in params.values())
     parts = [np.arange(k, count, pieces) for k in range(min(pieces, count))]
-    works = [({k: v[part] if np.size(v) > 1 else v for k, v in params.items()}, settings) for part in parts]
+    works = [(system, {k: v[part] if np.size(v) > 1 else v for k, v in params.items()}, settings) for part in parts]
     found = pool.map(_solve, works, chunksize=1)
     arrays = {name: np.empty((count, *a.shape[1:]), a.dtype) for name, a in found[0][0].items()}
     for part, (piece, _) in zip(parts, found, strict=True):
@@ -68,13 +72,13 @@ def solved(
     return arrays, sum(seconds for _, seconds in found)
 
 
-def _follow(work: tuple[dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]]:
-    params, periods = work
-    record, settings = find_system("two-mass"), Settings(exponents="none", survival=periods)
+def _follow(work: tuple[str, dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]]:
+    system, params, periods = work
+    record, settings = find_system(system), Settings(exponents="none", survival=periods)
     count = max(np.size(value) for value in params.values())
     flat = {p.name: np.broadcast_to(params.get(p.name, p.default), count).copy() for p in record.parameters}
     oscillators, reasons = record.build_many(flat)
-    found = empty_results(result_variables(settings), (count,), {"exponent": 4, "state": 4, "sample": 0})
+    found = result_arrays(result_variables(settings), settings, count, len(record.states))
     starts = np.stack([flat[name] for name in record.states], axis=-1)
     cells = Cells(oscillators, reasons, starts, settings, found)
     course = Course(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
@@ -83,23 +87,26 @@ def _follow(work: tuple[dict[str, NDArray[Any]], int]) -> dict[str, NDArray[Any]
     return found | {"relaxation": course.memory / RELAXATIONS}
 
 
-def followed(pool: Any, params: dict[str, Any], periods: int, pieces: int = 32) -> dict[str, NDArray[Any]]:
+def followed(
+    pool: Any, params: dict[str, Any], periods: int, pieces: int = 32, system: str = DEFAULT
+) -> dict[str, NDArray[Any]]:
     """What becomes of flat cells that are all watched for so many periods; ``relaxation`` is the time in periods."""
     count = max(np.size(value) for value in params.values())
     full = {name: np.broadcast_to(value, count) for name, value in params.items()}
     parts = np.array_split(np.arange(count), min(pieces, count))
-    found = pool.map(_follow, [({k: v[part] for k, v in full.items()}, periods) for part in parts], chunksize=1)
+    works = [(system, {k: v[part] for k, v in full.items()}, periods) for part in parts]
+    found = pool.map(_follow, works, chunksize=1)
     return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
 
 
 def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tolerance: float) -> list[dict[str, Any]]:
     """One row for each survival."""
-    params = plane(name, side)
-    truth = followed(pool, params, far)
+    params, system = plane(name, side), PLANES[name].get("system", DEFAULT)
+    truth = followed(pool, params, far, system=system)
     settles = np.isin(truth["regime"], SETTLED)
     rows = []
     for survival in survivals:
-        found, seconds = solved(pool, params, Settings(tolerance=tolerance, survival=survival))
+        found, seconds = solved(pool, params, Settings(tolerance=tolerance, survival=survival), system=system)
         chaotic = found["regime"] == CHAOTIC
         later = truth["periods_used"] <= found["periods_used"] + FURTHER
         wrong = chaotic & settles & later

@@ -31,10 +31,13 @@ STATES = {"open": OPEN, "held": ON, "engaged": ON, "detached": DETACHED}
 SLIPS = {"slip+": 1, "slip-": -1, "stick": 0}
 
 
-def machines_of(machines: Sequence[Machine]) -> HybridMachines:
-    """Machines of the same numbers of coordinates and elements, contacts soft or rigid alike, forced with tau = 0."""
+def machines_of(machines: Sequence[Machine], drift: int | None = None) -> HybridMachines:
+    """Machines of the same numbers of coordinates and elements, contacts soft or rigid alike, forced with tau = 0.
+
+    drift: the coordinate of all of them that may drift.
+    """
     H = max([1, *(f.order for m in machines for p in m.phases for f in m.during(p).forces)])
-    rows = [_fields_of(machine, H) for machine in machines]
+    rows = [(*_fields_of(machine, H), -1.0 if drift is None else drift) for machine in machines]
     return HybridMachines(*(np.ascontiguousarray(field, dtype=np.float64) for field in zip(*rows, strict=True)))
 
 

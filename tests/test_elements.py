@@ -1,7 +1,4 @@
-"""Claims about definitions with several contacts, friction and phases: written down, read, refused, and as numbers.
-
-What drifts is not solved yet, which ``refuse_unsolved`` says; most tests leave that out.
-"""
+"""Claims about definitions with several contacts, friction and phases: written down, read, refused, and as numbers."""
 
 import copy
 import math
@@ -15,7 +12,6 @@ import tomli_w
 
 from tests.test_systems import MACHINE, values_of
 from workers import System
-from workers.model import system as systems
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
@@ -135,17 +131,6 @@ belt = 0.5
 each_text = pytest.mark.parametrize("text", [RIG, CAPSULE, SQUARE, BELT], ids=["rig", "capsule", "square", "belt"])
 
 
-@pytest.fixture
-def unsolved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Definitions with a drift are read, which no solver knows."""
-    monkeypatch.setattr(systems, "refuse_unsolved", lambda name, definition: None)
-
-
-def test_a_machine_that_drifts_is_refused_by_its_name() -> None:
-    with pytest.raises(DefinitionError, match=r"^system 'capsule': drift is not solved yet; tie x2 down by a spring$"):
-        System.from_toml(CAPSULE)
-
-
 def test_one_rigid_contact_is_the_short_form_under_a_name() -> None:
     given = tomllib.loads(MACHINE)["system"]
     entries = {key: given.pop(key) for key in ("gap", "upper", "lower", "restitution")}
@@ -159,7 +144,6 @@ def test_one_rigid_contact_is_the_short_form_under_a_name() -> None:
         assert one.tobytes() == other.tobytes()
 
 
-@pytest.mark.usefixtures("unsolved")
 @each_text
 def test_nothing_of_a_definition_is_lost_on_the_way_through_toml_and_pickle(text: str) -> None:
     system = System.from_toml(text)
@@ -169,7 +153,6 @@ def test_nothing_of_a_definition_is_lost_on_the_way_through_toml_and_pickle(text
     assert pickle.loads(pickle.dumps(system)) == system
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_every_entry_enters_the_identity_and_its_spelling_does_not() -> None:
     def of(text: str) -> dict[str, Any]:
         return identity(System.from_toml(text).resolved())
@@ -189,7 +172,6 @@ def hybrid(system: System, **given: float | np.ndarray) -> HybridMachines:
     return system.definition.hybrid(values_of(system, **given))
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_values_of_parameters_make_the_numbers_of_each_phase() -> None:
     found = hybrid(System.from_toml(RIG), s=np.array([10.0, 20.0]), mu=np.array([0.25, 0.5]))
     assert found.starts.tolist() == [[0.0, 0.25, 1.0]] * 2
@@ -208,7 +190,6 @@ def test_values_of_parameters_make_the_numbers_of_each_phase() -> None:
     assert guide[:, 0].tolist() == guide[:, 1].tolist() == [[0.1, 1.2 * 0.25, 0.0], [0.1, 1.2 * 0.5, 0.0]]
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_a_phase_changes_the_amplitude_of_the_first_order_and_leaves_angles_and_harmonics() -> None:
     found = hybrid(System.from_toml(RIG))
     assert found.force_sin[0, :, 0].tolist() == [[1.5 * math.cos(0.5), 0.0], [0.0, 1.5]]
@@ -218,7 +199,6 @@ def test_a_phase_changes_the_amplitude_of_the_first_order_and_leaves_angles_and_
     assert (alone.force_sin.tolist(), alone.load.tolist()) == ([[[[0.0]], [[0.0]]]], [[[0.5], [-0.5]]])
 
 
-@pytest.mark.usefixtures("unsolved")
 @each_text
 def test_all_machines_of_a_definition_are_made_alike_to_the_bit(text: str) -> None:
     system, rng = System.from_toml(text), np.random.default_rng(5)
@@ -254,7 +234,6 @@ FAULTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.usefixtures("unsolved")
 @pytest.mark.parametrize(("given", "reason"), FAULTS, ids=[str(given) for given, _ in FAULTS])
 def test_values_that_make_no_element_are_told_of_their_cell_alone(given: dict[str, float], reason: int) -> None:
     system = System.from_toml(RIG)
@@ -262,14 +241,12 @@ def test_values_that_make_no_element_are_told_of_their_cell_alone(given: dict[st
     assert hybrid_faults(hybrid(system, **columns)).tolist() == [NO_REASON, reason]
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_matrices_of_a_phase_that_are_not_symmetric_make_no_machine() -> None:
     found = hybrid(System.from_toml(RIG), omega=np.ones(2))
     found.stiffness[1, 1, 0, 1] = 0.0
     assert hybrid_faults(found).tolist() == [NO_REASON, NO_OSCILLATOR]
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
     """Of rigid contacts and friction: the row of a contact also holds friction on it, and soft contacts hold none."""
     found = hybrid(System.from_toml(RIG), omega=np.ones(5))
@@ -387,7 +364,6 @@ WRONG = [
 ]  # fmt: skip
 
 
-@pytest.mark.usefixtures("unsolved")
 @pytest.mark.parametrize(("changes", "message"), WRONG, ids=[message for _, message in WRONG])
 def test_a_definition_that_is_wrong_gets_one_line(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(DefinitionError) as caught:
@@ -396,7 +372,6 @@ def test_a_definition_that_is_wrong_gets_one_line(changes: dict[str, Any], messa
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 250
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_a_phase_without_elements_to_change_says_that_there_are_none() -> None:
     given = tomllib.loads(SQUARE)["system"]
     given["phases"][1]["friction"] = {"ground": {"kinetic": 1}}
@@ -406,7 +381,6 @@ def test_a_phase_without_elements_to_change_says_that_there_are_none() -> None:
         System.from_mapping(given)
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_what_drifts_has_to_be_declared_and_tied_down_by_nothing() -> None:
     with pytest.raises(DefinitionError, match=r"leaves a free motion that the gap does not see.*drift = NAME"):
         System.from_toml(CAPSULE.replace('drift = "x2"', ""))
@@ -416,7 +390,6 @@ def test_what_drifts_has_to_be_declared_and_tied_down_by_nothing() -> None:
         System.from_toml(CAPSULE.split("[[system.friction]]")[0].replace("force = [1, 1]", ""))
 
 
-@pytest.mark.usefixtures("unsolved")
 def test_friction_may_be_on_the_row_of_a_rigid_contact_and_soft_contacts_on_any() -> None:
     wall = {"name": "second", "gap": [1, 0], "upper": 0.3, "stiffness": 5.0}
     definition: Definition = System.from_mapping(rig(contacts__1=wall, phases__1__contacts={})).definition
@@ -438,7 +411,6 @@ def paths(entries: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(found for key, entry in inside for found in paths(entry, (*path, key)))]
 
 
-@pytest.mark.usefixtures("unsolved")
 @pytest.mark.parametrize("key", ["contacts", "friction", "phases", "drift"])
 def test_whatever_stands_in_an_entry_is_read_or_refused_in_one_line(key: str) -> None:
     whole = rig(drift="x2")

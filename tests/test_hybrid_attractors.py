@@ -17,6 +17,7 @@ CELLS = {
     "stick-slip": {"omega": [0.9, 1.6], "u": [0.3, 0.4]},
     "two-stops": {"omega": [2.0, 3.0]},
     "gear-mesh": {"omega": [0.9, 1.1], "eps": [0.3, 0.4]},
+    "capsule": {"omega": [0.4, 1.02], "alpha": [1.2, 1.4]},
 }
 """Cells of packaged systems, some of them with several attractors."""
 

@@ -63,9 +63,11 @@ def test_a_proved_orbit_closes_when_it_is_followed(name: str) -> None:
     (x, xs), (y, ys) = axes.items()
     orbits = np.argwhere((found["regime"] == PERIODIC) & (found["period"] <= 8) & ~found["sticks"])
     for j, i in orbits[:4]:
-        state, period = found["state"][j, i], int(found["period"][j, i])
+        state, period = found["state"][j, i].copy(), int(found["period"][j, i])
         start = dict(zip(system.states, state.tolist(), strict=True))
         turn = trace(system, {x: float(xs[0, i]), y: float(ys[j, 0])} | start, period)
+        if system.definition.drift:
+            state[system.states.index(system.definition.drift)] += found["progress"][j, i] * period
         assert turn.states[-1] == pytest.approx(state, abs=1e-9 * (1.0 + np.abs(turn.states).max()))
         upper, lower = int(np.sum(turn.impacts[:, 1] > 0)), int(np.sum(turn.impacts[:, 1] < 0))
         assert (upper, lower) == (found["impacts_upper"][j, i], found["impacts_lower"][j, i])

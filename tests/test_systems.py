@@ -127,7 +127,8 @@ def test_the_package_has_the_whole_family() -> None:
     chains = {f"chain-{n}" for n in range(3, 9)}
     assert {*system_names()} == {
         "two-mass", "single-mass", "bouncing-ball", "impact-pair", "impact-damper", "energy-sink", "energy-harvester",
-        "soft-impact", "soft-suspension", "two-stops", "friction-oscillator", "stick-slip", "gear-mesh", *chains,
+        "soft-impact", "soft-suspension", "two-stops", "friction-oscillator", "stick-slip", "gear-mesh",
+        "capsule", *chains,
     }  # fmt: skip
     assert system_names()[0] == "two-mass"
 

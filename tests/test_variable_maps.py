@@ -139,6 +139,17 @@ def test_a_scale_of_any_variable_darkens_all_the_way() -> None:
     assert np.all(np.diff(shades) < 0)
 
 
+def test_a_scale_of_both_signs_is_pale_at_zero_and_as_dark_on_either_side_of_it() -> None:
+    colormap = variable.colormap_of(colors.Normalize(-1.0, 2.0))
+    lightness = colormap(np.array([1 / 6, 1 / 3, 1 / 2]))[:, :3] @ [0.2126, 0.7152, 0.0722]
+    assert lightness[1] > 0.9
+    assert lightness[0] == pytest.approx(lightness[2], abs=0.02)
+    below, above = colormap(1 / 6), colormap(1 / 2)
+    assert below[1] > below[0] and above[0] > above[1]  # green, purple
+    for ends in ((0.0, 2.0), (-2.0, -1.0)):
+        assert variable.colormap_of(colors.Normalize(*ends)) is variable.COLORMAP
+
+
 # Exponents of -inf
 
 

@@ -10,7 +10,7 @@ from workers.cell.cells import work_allowed
 from workers.cell.stretch import batch_of, begin, run, stop_reasons
 from workers.kernel.cells import physical_states, reset_frames, states_within
 from workers.kernel.lanes.run import Batch
-from workers.kernel.motion import OVERDRAFT, RECORDED, WORK
+from workers.kernel.motion import OVERDRAFT, PROGRESS, RECORDED, WORK
 from workers.model.hybrid import Hybrid, build_missing
 from workers.model.oscillator import each
 from workers.model.system import System, find_system
@@ -33,7 +33,8 @@ class Trace(NamedTuple):
     times      (K + 1,)     section times k T
     states     (K + 1, 2n)  physical section states, the initial one first
     impacts    (N, 3)       time, side (+1 upper, -1 lower) and speed before it, of every impact
-    exponents  (K, m)       running means of the exponents per period; m = 0, 1 or 2n as settings.exponents asks
+    exponents  (K, m)       running means of the exponents per period; m = 0, 1 or all, 2n or one less where a
+                            coordinate drifts, as settings.exponents asks
     """
 
     times: Array
@@ -58,7 +59,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     values = {name: value.reshape(1) for name, value in given.items()}  # the kernels for many cells serve one too
     oscillators, reasons = record.build_many(values)
     starts, cell = initial_state(record, values), np.zeros(1, dtype=np.int64)
-    vectors = {"none": 0, "largest": 1, "spectrum": starts.size}[settings.exponents]
+    vectors = {"none": 0, "largest": 1, "spectrum": record.exponents}[settings.exponents]
     motions, (reason,) = begin(oscillators, reasons, starts, vectors=vectors, record=RECORD)
     if reason != NO_REASON:
         raise InvalidError(int(reason))
@@ -76,6 +77,9 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
         found = motions.impacts[0, : int(motions.tally[0, RECORDED])] + [k * period, 0.0, 0.0]
         motions.tally[0, RECORDED] = 0.0
         states.append(physical_states(oscillators, motions, cell)[0])
+        if record.definition.drift:  # which is counted from each section
+            drifting = record.states.index(record.definition.drift)
+            states[-1][drifting] = starts[0, drifting] + motions.tally[0, PROGRESS]
         impacts.append(found)
         exponents.append(motions.growth[0] / (k + 1))
     return Trace(

@@ -47,8 +47,8 @@ class Reason:
     NO_REASON, GAVE_UP, NOT_FINITE, ARITHMETIC, PROCESS_ENDED, COSTLY_PERIOD, WORK_SPENT,
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
-    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS,
-) = range(24)  # fmt: skip
+    MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY,
+) = range(25)  # fmt: skip
 
 REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("none", PENDING, ""),
@@ -76,6 +76,7 @@ REASONS = tuple(Reason(code, *row) for code, row in enumerate((
     ("no_mode", FAILED, "contacts and friction hold it in a way for which there is no motion in closed form"),
     ("endless_events", FAILED, "contacts and friction change without end at one time"),
     ("two_impacts", FAILED, "a rigid contact is struck while another one is held: what follows is not defined"),
+    ("runs_away", FAILED, "what drifts is pushed on ever faster: friction and damping do not hold its load"),
 )))  # fmt: skip
 """Codes are stored: a new reason goes to the end, and none is ever given another meaning."""
 
@@ -146,6 +147,7 @@ _ALWAYS = (
     _number(
         "peak_to_peak", "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit"
     ),
+    replace(_number("progress", "mean advance of what drifts", _PER_PERIOD), sparse=True),
     _count("periods_used", "forcing periods simulated"),
     _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient"),
     _number("state", "physical section state on the attractor", "1", "state"),

@@ -28,7 +28,8 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
 
     system    name of a system in the package, such as "two-mass", or a System
     params    parameter name -> float or array; what is left out has its default. The arrays broadcast to the
-              shape of every result; "spectrum" and "state" have one more axis (2n), "section" two (K, 2n).
+              shape of every result; "spectrum" and "state" have one more axis (2n; "spectrum" 2n - 1
+              where a coordinate drifts), "section" two (K, 2n).
     settings  see Settings
 
     Exponents are per forcing period. The variables and their units are those of ``System.variables``.
@@ -68,7 +69,7 @@ def solve_parts(
     shape = next(iter(grids.values())).shape
     flat = {name: grid.flatten() for name, grid in grids.items()}
     count = math.prod(shape)
-    found = result_arrays(variables, settings, count, len(record.states), attractors)
+    found = result_arrays(variables, settings, count, len(record.states), attractors, record.exponents)
     for begin in range(0, count, at_once):
         part = slice(begin, begin + at_once)
         solve_part(*({name: array[part] for name, array in arrays.items()} for arrays in (flat, found)))
@@ -92,8 +93,10 @@ def initial_state(record: System, params: Mapping[str, Array]) -> Array:
 
 
 def result_arrays(
-    variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0
+    variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0, exponents: int = 0
 ) -> Results:
-    """Arrays of cells without a result, with states of ``size`` components and room for some attractors each."""
-    sizes = {ATTRACTOR: attractors, "exponent": size, "state": size, "sample": settings.section_samples}
+    """Arrays of cells without a result, with states of ``size`` components and as many exponents unless told otherwise,
+    and room for some attractors each.
+    """
+    sizes = {ATTRACTOR: attractors, "exponent": exponents or size, "state": size, "sample": settings.section_samples}
     return empty_results(variables, (count,), sizes)

@@ -181,7 +181,9 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
         f"chaotic, but largest is not positive by {STANDARD_ERRORS:g} errors",
         (regime == CHAOTIC) & ~(clear & (largest > 0)),
     )
-    yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~(largest < 0)
+    stays = arrays.get("stuck_fraction", np.zeros(regime.shape)) > 1 - SAME  # it could rest elsewhere as well
+    neutral = (largest == 0) & stays
+    yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~((largest < 0) | neutral)
     yield "largest is above zero without impact", (regime == NO_IMPACT) & (largest > 0)
     if "average" in arrays:
         mean = arrays["average"].reshape(*regime.shape, -1)[..., 0]

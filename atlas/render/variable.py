@@ -1,9 +1,9 @@
-"""Maps of any number that an atlas holds, on an even scale from pale to dark."""
+"""Maps of any number that an atlas holds, on an even scale from pale to dark, or on two from a pale zero on."""
 
 import numpy as np
 import xarray as xr
 from matplotlib.artist import Artist
-from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -13,9 +13,11 @@ from atlas.query.extremes import numbers_of_cells, regimes_with
 from atlas.render import maps, overlays, scalar, style
 from workers.results import NO_IMPACT
 
-COLORMAP = LinearSegmentedColormap.from_list(
-    "variable", ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f"), N=512
-)
+_ABOVE = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
+COLORMAP = LinearSegmentedColormap.from_list("variable", _ABOVE, N=512)
+BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
+"""Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
+_BOTH = LinearSegmentedColormap.from_list("signed", (*BELOW, "#f6f4f4", *_ABOVE[1:]), N=1024)
 NEUTRAL = "#e4e2d6"
 """The colour of cells whose motion is known but has no such number, and of zero, which has no logarithm."""
 
@@ -34,16 +36,26 @@ def figure(ds: xr.Dataset, name: str, log: bool = False, options: maps.Options =
     if log and np.any(values < 0.0):
         raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
     norm = scalar.color_norm(values, log, options.page)
+    colormap = colormap_of(norm)
     with options.page.context():
         drawn, ax = maps.frame(ds, options.page)
-        rgba, legend = paint(plane.regime, values, norm, COLORMAP, log)
+        rgba, legend = paint(plane.regime, values, norm, colormap, log)
         maps.draw(ax, plane, rgba, options)
-        entries: list[Artist] = [*legend, *maps.mark_lost(ax, plane, np.isneginf(values), COLORMAP)]
+        entries: list[Artist] = [*legend, *maps.mark_lost(ax, plane, np.isneginf(values), colormap)]
         entries += overlays.draw(ax, ds, plane, options)
         if np.isfinite(values).any():
-            scalar.colour_bar(drawn, ax, values, norm, scalar.Scale(COLORMAP, log, label(ds, name)))
+            scalar.colour_bar(drawn, ax, values, norm, scalar.Scale(colormap, log, label(ds, name)))
         options.page.legend(drawn, entries)
     return drawn
+
+
+def colormap_of(norm: Normalize) -> Colormap:
+    """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    if not low < 0.0 < high:
+        return COLORMAP
+    shares = np.linspace(low, high, 512) / max(-low, high)
+    return ListedColormap(_BOTH(0.5 + 0.5 * shares), name="signed")
 
 
 def check_variable(ds: xr.Dataset, name: str) -> None:

@@ -13,7 +13,7 @@ def equation_of(system: System) -> str:
     """The equation as the system's definition gives it in words; where it gives none, written out of its entries.
 
     A line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, with what is zero left
-    out; then the stops, the impact law and the names that expressions use.
+    out; then the stops, the impact law, friction, phases, what may drift and the names that expressions use.
     """
     if system.equation.strip():
         return system.equation
@@ -37,10 +37,14 @@ def equation_of(system: System) -> str:
         static = "" if friction.static is None else f", {_number(friction.static)} at rest"
         lines.append(f"friction {friction.name}: {level} against v = {v}{static}")
     for phase in machine.phases:
-        changed = [key for key in ("stiffness", "damping", "force", "load") if getattr(phase, key) is not None]
-        changed += [name for name, _ in (*phase.contacts, *phase.friction)]
+        others = [key for key in ("stiffness", "damping") if getattr(phase, key) is not None]
+        changed = [f"other {name}" for name in (*others, *(name for name, _ in (*phase.contacts, *phase.friction)))]
+        rows = [(key, row) for key in ("force", "load") if (row := getattr(phase, key)) is not None]
+        changed += [f"{key} ({', '.join(map(_number, row))})" for key, row in rows]
         if changed:
-            lines.append(f"from {_number(phase.start)} of the period on: other {' and '.join(changed)}")
+            lines.append(f"from {_number(phase.start)} of the period on: {', '.join(changed)}")
+    if machine.drift:
+        lines.append(f"{machine.drift} may drift")
     return "\n".join(lines + [f"{each} = {_number(value)}" for each, value in machine.let])
 
 

@@ -58,7 +58,7 @@ def extra_sizes(spec: Spec) -> dict[str, int]:
     """Lengths of the dimensions that a variable may have after the axes."""
     states = len(spec.record.states)
     kept = {ATTRACTOR: spec.attractors.keep} if spec.attractors is not None and spec.coexistence else {}
-    return {"exponent": states, "state": states, "sample": spec.settings.section_samples} | kept
+    return {"exponent": spec.record.exponents, "state": states, "sample": spec.settings.section_samples} | kept
 
 
 class StoredArray(NamedTuple):

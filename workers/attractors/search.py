@@ -14,6 +14,7 @@ from workers.cell.measuring import measure
 from workers.cell.outcome import end_impact_free, end_stopped
 from workers.cell.stretch import Mask, Reasons, Rows
 from workers.kernel.cells import physical_states
+from workers.model.hybrid import drifts
 from workers.model.oscillator import Array, Oscillator
 from workers.model.system import System
 from workers.settings import Settings
@@ -86,9 +87,9 @@ class Search:
         owner: Rows,
         contact: Rows | None = None,
     ) -> None:
-        N = len(owner)
+        N, size = len(owner), states.shape[1]
         self.record, self.params, self.variables = record, params, record.variables(settings)
-        arrays = result_arrays(self.variables, settings, N, states.shape[1])
+        arrays = result_arrays(self.variables, settings, N, size, exponents=size - drifts(oscillators))
         self.cells = Cells(oscillators, reasons, states, settings, arrays, contact)
         self.course = Course(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]

@@ -125,7 +125,7 @@ def restart(cells: Cells, rows: Rows) -> None:
     motions, batch = cells.batch.motions, cells.batch
     cells.tallied[rows], _ = counts(cells, rows)
     cells.began[rows] = cells.flown[rows]
-    motions.V[rows[motions.tally[rows, LOST] > 0.0]] = axes(motions.h.shape[1])[: cells.vectors]
+    motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = axes(motions.h.shape[1])[: cells.vectors]
     motions.tally[rows] = np.where(NEVER_RESTARTED, motions.tally[rows], NOTHING_COUNTED)
     reset_frames(cells.oscillators.gap.metric, motions, rows)
     motions.growth[rows], batch.levels[rows], batch.weighted[rows] = 0.0, 0.0, 0.0

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.stretch import Mask, Reasons, Rows, batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
+from workers.model.hybrid import drifts
 from workers.model.oscillator import Array, Oscillator
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
@@ -17,6 +18,10 @@ Results = dict[str, NDArray[Any]]
 
 RETURNS = 64
 """Returns of a motion that are known of each cell at least, whatever ``max_period``."""
+
+STEPS, SAME_STEP = 16, 1e-7
+"""Periods over which what runs away gets faster by one step, and how far steps may differ for that, as a share; they are
+at least such a share of what they add up to."""
 
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell for each period of its budget, and the least for all of them together.
@@ -56,7 +61,8 @@ class Cells:
                the average and the counts under way, first: before the first average that counts
     earlier    the average that was closed before the one under way; of no periods where there is none
     tallied    (N, TALLIES) what was counted between ``first`` and ``began``
-    directions of the state, 2n; vectors: those that are carried along
+    directions of the state, 2n; drifts: 1 where one of them is a coordinate that may drift, which has no exponent;
+    vectors: those that are carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
     """
@@ -74,7 +80,8 @@ class Cells:
         adaptive = settings.method == "adaptive"
         kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
         self.directions = 2 * n
-        self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n}[settings.exponents]
+        self.drifts = drifts(oscillators)
+        self.vectors = {"none": 0, "largest": 1, "spectrum": 2 * n - self.drifts}[settings.exponents]
         self.oscillators, self.settings, self.found = oscillators, settings, found
         motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
         self.batch = batch_of(oscillators, motions, kept)
@@ -117,6 +124,20 @@ class Cells:
     def survived(self, rows: Rows) -> Rows:
         """Periods for which these cells have looked chaotic."""
         return self.flown[rows] - self.since[rows]
+
+    def run_away(self, rows: Rows) -> Mask:
+        """Of which of these cells the free motion of what drifts has got faster in each period by the same step.
+
+        Without damping its momentum changes by the load, the force and friction alone, whatever else moves.
+        """
+        sections, kept = self.batch.sections, self.kept()[rows]
+        if not self.drifts or sections.shape[1] <= STEPS:
+            return np.zeros(len(rows), dtype=np.bool_)
+        momentum = sections[rows, -STEPS - 1 :, -1, 0]
+        steps, last = np.diff(momentum, axis=1), momentum[:, -1]
+        low, high = np.min(np.abs(steps), axis=1), np.max(np.abs(steps), axis=1)
+        away = np.all(steps * last[:, None] > 0.0, axis=1) & (low > SAME_STEP * np.abs(last))
+        return np.asarray((kept > STEPS) & away & (high - low <= SAME_STEP * high))
 
     def budget(self) -> Rows:
         """Periods that each cell may still cost in all."""

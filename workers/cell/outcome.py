@@ -44,7 +44,7 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
 
     A cell whose work is spent is judged by its average, see ``put_by_average``.
     """
-    reasons = stop_reasons(cells.batch.motions, rows)
+    reasons = np.where(cells.run_away(rows), np.int8(results.RUNS_AWAY), stop_reasons(cells.batch.motions, rows))
     spent = reasons == results.WORK_SPENT
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)
@@ -82,6 +82,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     more turn is too small. Exponents of minus infinity are exact.
     """
     orbits = taken(cells.orbits, rows)
+    orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
     cells.used[rows] += orbits.period
     sticks = orbits.tally[:, motion.STUCK] > 0.0
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
@@ -96,7 +97,8 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
     total = np.sum(orbits.exponents, axis=1)
     if isinstance(oscillators, Hybrid):
-        defect = np.where(tally[:, motion.LOST] == 0.0, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
+        whole = tally[:, motion.LOST] == cells.drifts
+        defect = np.where(whole, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
     else:
         defect = _defect(oscillators, total, tally, impact_count(tally) / orbits.period)
     chatter = np.where(sticks, CHATTER_CUT * (1.0 + np.abs(largest)), 0.0)
@@ -165,6 +167,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
         cells,
         rows,
         sticks=sticks,
+        progress=tally[:, motion.PROGRESS] / periods if cells.drifts else math.nan,
         stuck_fraction=np.minimum(tally[:, motion.STUCK] / (periods * cells.oscillators.period[rows]), 1.0),
         impacts_per_period=np.where(sticks, math.nan, hits),
         min_impact_speed=np.where(np.isfinite(slowest), slowest, math.nan),

@@ -19,13 +19,15 @@ FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 
 (
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
-    EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, CONTRACTION, TALLIES,
-) = range(15)  # fmt: skip
+    EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, CONTRACTION, PROGRESS, SLID, NEUTRAL, TALLIES,
+) = range(18)  # fmt: skip
 """What is counted on the way: impacts per stop, slowest and fastest impact, the sum of their speeds, what they take off
 the square of y', time at rest; evaluations, evaluations still allowed, directions lost, spread of the frame since it
 was last orthonormal, impacts recorded, status; of machines with modes the log of how volume has changed, where no
-direction is lost. An impact that completes a chatter to rest is the fastest and takes
-speed off like any other, but is neither counted at its stop nor summed: their number is infinite."""
+direction is lost; how far a coordinate has drifted, which is reset at each section, so that this direction is lost;
+which frictions have slid, a binary digit each; of turns of an orbit neutral directions, see hybrid.motion.freeze. An
+impact that completes a chatter to rest is the fastest and takes speed off like any other, but is neither counted at its
+stop nor summed: their number is infinite."""
 
 NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
 """The tally (TALLIES,) of a motion that has gone nowhere, and may cost nothing."""
@@ -135,7 +137,7 @@ def hybrid_of(oscillators, r):
     )  # fmt: skip
     return borrowed(HybridCell(
         mode_of(o.gap, r), o.swing[r], o.rest[r], o.to_physical[r], o.to_blocks[r], o.gap_row[r], o.head[r], o.tau[r],
-        Table(t.codes[r], t.wrong[r], t.missing[r], pieces, elements, t.omega[r], t.tau[r]),
+        Table(t.codes[r], t.wrong[r], t.missing[r], pieces, elements, t.omega[r], t.tau[r], t.drifts[r]),
     ))  # fmt: skip
 
 

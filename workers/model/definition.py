@@ -122,6 +122,7 @@ class Definition:
             slide=table([each.row for each in friction], F, n),
             belt=table([each.belt for each in friction], F),
             rub=table([[rub(each, phase.friction) for each in friction] for phase in phases], P, F, 3),
+            drift=np.full_like(named[OMEGA], self.coordinates.index(self.drift) if self.drift else -1),
         )
         return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in found))
 

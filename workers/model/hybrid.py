@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite, phase_of
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
-from workers.model.hybrid_modes import OPEN, Code, Pieces, along_contacts, code_of, pieces_of
+from workers.model.hybrid_modes import OPEN, Code, Pieces, along_contacts, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, undamped_modes
 from workers.model.oscillator import (
@@ -72,7 +72,7 @@ class Table(NamedTuple):
 
     codes (N, K): the number of each, see Code, -1 where there is none yet; wrong (N, K): 1 where it is no mode; missing
     (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau is that at a
-    section, see free.phase_of.
+    section, see free.phase_of. drifts (N,): 1 where a coordinate may drift, else 0.
     """
 
     codes: NDArray[np.int64]
@@ -82,6 +82,7 @@ class Table(NamedTuple):
     elements: Elements
     omega: Array
     tau: Array
+    drifts: Array
 
 
 class Hybrid(NamedTuple):
@@ -90,6 +91,9 @@ class Hybrid(NamedTuple):
     States between periods are in blocks of the undamped modes of the first phase with all contacts open, no force and
     no load, whatever the mode: gap has these blocks, with the damping that each mode feels, and no guard. The contact
     of a motion is the number of its mode, FIRST_NUMBER added. gap_row, upper and lower are those of the first contact.
+
+    Where a coordinate drifts it is the last number of the state, times omega, and the velocity of its free motion the
+    last but one. Nothing depends on it: it is reset to 0 at each section, so that a motion closes where all else does.
     """
 
     gap: Mode
@@ -138,7 +142,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
     """Machines as the kernels run them, without a mode yet, and the reason against each, or NO_REASON."""
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
     mass, stiffness = machines.mass, machines.stiffness[:, 0]
-    lam, modes = undamped_modes(mass, stiffness)
+    lam, modes = _section_modes(mass, stiffness, machines.drifting)
     lam = np.where(np.abs(lam) <= RIGID * np.max(np.abs(lam), axis=1, initial=0.0)[:, None], 0.0, np.abs(lam))
     turned = np.ascontiguousarray(modes.swapaxes(1, 2))
     eta = 0.5 * np.maximum(np.diagonal(turned @ machines.damping[:, 0] @ modes, axis1=1, axis2=2), 0.0)
@@ -147,6 +151,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
     blocks[..., COLUMN.metric] = metric
     to_blocks = interleaved(turned @ mass)
     to_physical = np.ascontiguousarray(interleaved(turned).swapaxes(1, 2))
+    if machines.drifting >= 0:
+        _count_from_drift(to_blocks, to_physical, machines.drifting, machines.omega)
+        metric[:, -1] = blocks[:, -1, COLUMN.metric] = 1.0
     still, wrong = pieces_of(machines, Code(0, (OPEN,) * C, (1,) * F))
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
     swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
@@ -167,6 +174,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
         np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
         Pieces(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
         elements_of(machines), machines.omega, phase_of(machines.tau),
+        np.where(machines.drift >= 0.0, 1.0, 0.0),
     )  # fmt: skip
     row = machines.row[:, 0] if C else np.tile(np.eye(1, n), (N, 1))
     found = Hybrid(
@@ -178,6 +186,28 @@ def build_hybrid(machines: HybridMachines) -> tuple[Hybrid, NDArray[np.int8]]:
     reasons = hybrid_faults(machines)
     known = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none)))
     return found, np.where((reasons == NO_REASON) & ~known, np.int8(OUT_OF_DOUBLES), reasons)
+
+
+def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:
+    """undamped_modes; where a coordinate drifts its free motion is the last one, orthogonal to all others."""
+    if drifting < 0:
+        return undamped_modes(mass, stiffness)
+    moved = mass[:, drifting]
+    null = null_space(moved[:, None])
+    across = np.ascontiguousarray(null.swapaxes(1, 2))
+    lam, modes = undamped_modes(across @ mass @ null, across @ stiffness @ null)
+    free = np.zeros_like(mass[..., :1])
+    free[:, drifting, 0] = 1.0 / np.sqrt(moved[:, drifting])
+    return np.pad(lam, ((0, 0), (0, 1))), np.concatenate([null @ modes, free], axis=2)
+
+
+def _count_from_drift(to_blocks: Array, to_physical: Array, drifting: int, omega: Array) -> None:
+    """Make omega times the coordinate that drifts the last number of a state, in place; no other one depends on it."""
+    to_blocks[:, -2], to_blocks[:, -1] = to_blocks[:, -1].copy(), 0.0
+    to_blocks[:, -1, drifting] = omega
+    to_physical[:, :, -2], to_physical[:, :, -1] = to_physical[:, :, -1].copy(), 0.0
+    to_physical[:, drifting] = 0.0
+    to_physical[:, drifting, -1] = 1.0 / omega
 
 
 def build_missing(oscillators: Any, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -214,6 +244,11 @@ def with_modes(oscillator: Oscillator | Hybrid, act: Callable[[Any], Any]) -> An
             if len(build_missing(oscillator, np.zeros(1, dtype=np.int64))):
                 continue
         return found
+
+
+def drifts(oscillators: Oscillator | Hybrid) -> int:
+    """1 where a coordinate of these machines may drift, else 0."""
+    return int(isinstance(oscillators, Hybrid) and oscillators.machines.drifting >= 0)
 
 
 def rigid_stops(oscillators: Oscillator | Hybrid) -> list[tuple[Array, Array, Array]]:

@@ -33,6 +33,7 @@ class HybridMachines(NamedTuple):
     pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts, 0 of rigid ones
     slide        (N, F, n)        row of each friction, belt (N, F) the velocity of what it rubs on
     rub          (N, P, F, 3)     kinetic and static level, slope
+    drift        (N,)             the coordinate that may drift, -1 for none; alike in all
 
     All are in the units of the definition: pad in force per displacement, force per velocity and force along the row,
     rub in force, force, and force per velocity.
@@ -56,11 +57,17 @@ class HybridMachines(NamedTuple):
     slide: Array
     belt: Array
     rub: Array
+    drift: Array
 
     @property
     def sizes(self) -> tuple[int, int, int]:
         """How many phases, contacts and frictions there are."""
         return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
+
+    @property
+    def drifting(self) -> int:
+        """The coordinate that may drift, -1 for none."""
+        return int(self.drift[0]) if len(self.drift) else -1
 
 
 @np.errstate(all="ignore")
@@ -69,7 +76,7 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 
     Matrices have to be symmetric; each lower stop below the upper one, 0 <= R <= 1, and no stiffness, damping or
     preload of a contact negative; 0 <= kinetic <= static; starts rising from 0 and below 1; and rows that can be held
-    at once independent, see ``held_rows``.
+    at once independent, see ``held_rows``. Nothing ties down what drifts.
     """
     own = machines
     lower, upper = own.stops[..., 0], own.stops[..., 1]
@@ -86,6 +93,9 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     for each in fine:
         reasons[_any(~each)] = OUT_OF_RANGE
     reasons[dependent(held_rows(machines))] = OUT_OF_RANGE
+    if own.drifting >= 0:
+        ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
+        reasons[_any(ties[0] != 0.0) | _any(ties[1] != 0.0)] = NO_OSCILLATOR
     reasons[_any(np.isnan(own.stops)) | ~finite(own._replace(stops=own.R))] = OUT_OF_DOUBLES
     return reasons
 

@@ -265,7 +265,7 @@ def _reduced(
     N, n = load.shape
     r = G.shape[1]
     free = n - r
-    null = _null(G)
+    null = null_space(G)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     m, c, k = across @ mass @ null, across @ damping @ null, across @ stiffness @ null
     modes = split(m, c, k)
@@ -314,7 +314,7 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
     return found
 
 
-def _null(G: Array) -> Array:
+def null_space(G: Array) -> Array:
     """Orthonormal bases (N, n, n - r) of what rows (N, r, n) send to zero."""
     if not G.shape[1]:
         return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)

@@ -8,6 +8,7 @@ import numpy as np
 from workers.model.definition import Definition
 from workers.model.elements import ALWAYS, PAD, RUB, Changes
 from workers.model.entries import DefinitionError
+from workers.model.free import UNSEEN
 from workers.model.hybrid_machines import HybridMachines, dependent, held_rows
 from workers.model.modes import undamped_modes
 from workers.model.oscillator import Array
@@ -189,9 +190,9 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
                 )
         rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
     free = modes[:, squares <= ROUNDING * max(float(squares[-1]), 1e-300)]
-    seen, size = rows @ free, np.abs(rows) @ np.abs(free)
-    seen = np.where(np.abs(seen) > ROUNDING * size, seen, 0.0) / np.max(size, axis=1, keepdims=True, initial=1e-300)
-    if free.shape[1] and np.linalg.matrix_rank(seen, tol=ROUNDING) < free.shape[1]:
+    most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each of them
+    seen = (rows @ free) / np.where(most > 0.0, most, 1.0)[:, None]
+    if free.shape[1] and np.linalg.matrix_rank(seen, tol=UNSEEN) < free.shape[1]:
         others = "" if definition.short else ", or let one coordinate drift: drift = NAME"
         raise DefinitionError(
             f"{where}: leaves a free motion that the gap does not see; tie it down by a spring, or take the "

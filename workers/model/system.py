@@ -89,6 +89,11 @@ class System:
         return (*self.definition.coordinates, *self.definition.velocities)
 
     @property
+    def exponents(self) -> int:
+        """How many exponents a motion has: one for each component of the state but the displacement that may drift."""
+        return len(self.states) - bool(self.definition.drift)
+
+    @property
     def has_modes(self) -> bool:
         """Whether its law changes otherwise than by one contact with a restitution: see model/hybrid.py."""
         own = self.definition
@@ -259,16 +264,9 @@ def _read(given: Mapping[str, Any], packaged: bool) -> System:
     names = [parameter.name for parameter in parameters]
     definition = read_definition(table, names, coordinates, velocities)
     check_at_defaults(definition, parameters)
-    refuse_unsolved(name, definition)
     texts = {"title": name} | {key: read_text(f"system.{key}", table[key]) for key in TEXTS if key in table}
     axes = _read_axes(table.get("axes", {}), names)
     return System(name, parameters, definition, version, packaged, axes, **texts)
-
-
-def refuse_unsolved(name: str, definition: Definition) -> None:
-    """DefinitionError for a machine that can be written down but not solved: the only place that refuses it."""
-    if definition.drift:
-        raise DefinitionError(f"system {name!r}: drift is not solved yet; tie {definition.drift} down by a spring")
 
 
 def _read_axes(given: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:

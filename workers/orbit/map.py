@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.jit import inline_always, kernel
+from workers.kernel.hybrid.motion import freeze
+from workers.kernel.jit import by_record, inline_always, kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import step
+from workers.model.hybrid import HybridCell
 
 Array = NDArray[np.float64]
 
@@ -27,6 +29,16 @@ class FixedPoint(NamedTuple):
     residual: float
 
 
+@inline_always
+def nothing_frozen(osc, motion):
+    """freeze_where_stuck of an Oscillator."""
+
+
+@by_record(HybridCell, freeze, nothing_frozen)
+def freeze_where_stuck(osc, motion):
+    """See hybrid.motion.freeze."""
+
+
 @kernel
 def iterate(osc, h, contact, V, growth, triangle, steps, half):
     """The motion that ``steps`` of the map, half periods or whole ones, make of block state h; see motion_with.
@@ -37,7 +49,8 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
     for _ in range(steps):
         step(osc, borrowed(motion), half)
         if motion.tally[STATUS] != RUNNING:
-            break
+            return motion
+    freeze_where_stuck(osc, motion)
     return motion
 
 

@@ -15,7 +15,7 @@ from workers.kernel.cells import scale_at, scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.linalg import highest, solution, sort_down, spectral_radius
-from workers.kernel.motion import RUNNING, STATUS, TALLIES, motion_of, oscillator_of
+from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, TALLIES, motion_of, oscillator_of
 from workers.model.oscillator import HEAD
 from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet
@@ -323,6 +323,8 @@ def settle_each(oscillators, motions, sections, kept, near, longest, budgets, ce
         here = back_at_section(osc, shift, orbit.h, orbit.contact)
         orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
+        for _ in range(int(turn.tally[NEUTRAL])):
+            orbit.exponents[np.argmin(orbit.exponents)] = 0.0
         sort_down(orbit.exponents)
         copy_into(orbits.h[r], here.h)
         copy_into(orbits.tally[r], turn.tally)

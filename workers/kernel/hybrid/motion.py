@@ -28,6 +28,7 @@ from workers.kernel.hybrid.state import (
     read_number,
     reset,
     right_hand_side,
+    slot_of,
 )
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import (
@@ -39,9 +40,12 @@ from workers.kernel.motion import (
     MAX_SPEED,
     MIN_SPEED,
     MODE_MISSING,
+    NEUTRAL,
     NO_MODE,
+    PROGRESS,
     RUNNING,
     SIMULTANEOUS,
+    SLID,
     STATUS,
     STUCK,
     count_contact,
@@ -50,7 +54,7 @@ from workers.kernel.motion import (
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spread_rate
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
-from workers.model.oscillator import Mode
+from workers.model.oscillator import HEAD, Mode
 
 
 class Leg(NamedTuple):
@@ -126,7 +130,7 @@ def pass_contact(table, k, g, c, side, rate, t, remaining, h, where, states, sli
     R, energy = elements.R[c], elements.weight[c] * rate * rate
     rests = impact(table, k, g, c, side, rate, remaining, h, states, slips, z, f, W, begun)
     if rests:
-        tally[LOST] = max(tally[LOST], 1.0)
+        tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
     if rests and R > 0.0:  # the end of a chatter, whose impacts cannot be counted
         tally[MIN_SPEED], tally[MAX_SPEED] = 0.0, max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
@@ -161,6 +165,75 @@ def note_leg(legs, place, t, s, k, hit, z):
     return place + 1
 
 
+@inline_always
+def keep_neighbours(elements, states, lost, V):
+    """Take off tangent vectors V (m, n, 2) what would move what is held or sticks: neighbours come to do so at once.
+
+    The last blocks are those of what is held, then of what sticks, see hybrid_modes.
+    """
+    held = 0
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            held += 1
+    first = V.shape[1] - (int(lost) - held)
+    for e in range(V.shape[0]):
+        for i in range(first, V.shape[1]):
+            V[e, i, 1] = 0.0
+            if i < first + held:
+                V[e, i, 0] = 0.0
+
+
+@inline_always
+def note_slips(slips, tally):
+    """Note which frictions slide: that of number e by the binary digit 2^e."""
+    slid = int(tally[SLID])
+    for e in range(len(slips)):
+        if slips[e] != 0:
+            slid |= 1 << e
+    tally[SLID] = slid
+
+
+@kernel
+def freeze(osc, motion):
+    """Take what has never slid on a motion's way as a parameter of it: of tangent vectors, what would move its place.
+
+    It could rest anywhere near as well: that direction is neutral, its multiplier 1. It counts as lost besides.
+    """
+    table, elements = osc.table, osc.table.elements
+    n, m = motion.h.shape[0], motion.V.shape[0]
+    states, slips = np.zeros(elements.row.shape[0], dtype=np.int64), np.zeros(elements.slide.shape[0], dtype=np.int64)
+    number = motion.contact[0] - FIRST_NUMBER
+    read_number(number, states, slips)
+    k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
+    W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
+    from_vectors(osc.to_physical, motion.V, W)
+    into_vectors(table.pieces.to_blocks[k], W, V)
+    place, neutral = n, 0
+    for e in range(len(slips) - 1, -1, -1):
+        if slips[e] != 0 or rests_on_stop(elements, e, states):
+            continue
+        place -= 1
+        drifts = table.drifts > 0.0 and product(elements.slide[e], osc.to_physical[:n, 2 * n - 1], 0) != 0.0
+        if not drifts and (slid >> e) & 1 == 0 and elements.belt[e] == 0.0:
+            neutral += 1
+            for i in range(m):
+                V[i, place, 0] = 0.0
+    if neutral > 0:
+        from_vectors(table.pieces.to_physical[k], V, W)
+        into_vectors(osc.to_blocks, W, motion.V)
+        motion.tally[NEUTRAL] = neutral
+        motion.tally[LOST] += neutral
+
+
+@inline_always
+def rests_on_stop(elements, e, states):
+    """Whether friction e sticks on the row of a rigid contact that is held, which decides of it."""
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
+            return True
+    return False
+
+
 @kernel
 def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
@@ -189,9 +262,12 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
             stop_at(table, tally, k, number)
         if tally[STATUS] != RUNNING:
             return
-        tally[LOST] = max(tally[LOST], pieces.lost[k])
+        tally[LOST] = max(tally[LOST], pieces.lost[k] + table.drifts)
         until = min(duration, period, elements.starts[where + 1] * period)
         enter(pieces, k, z, W, phase, h, V)
+        if t == 0.0:
+            keep_neighbours(elements, states, pieces.lost[k], V)
+        note_slips(slips, tally)
         s, hit, side = first_event(pieces, k, h, phase, begun, until - t, scratch, tally)
         if tally[STATUS] != RUNNING:
             return
@@ -243,6 +319,16 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
             tally[CONTRACTION] += log(max(abs(1.0 + product(row, after, 0) / rate), TINY))
 
 
+@inline_always
+def count_progress(motion, h, omega):
+    """Reset the coordinate that drifts, of a motion that a period took to block state h (n, 2): see model.Hybrid."""
+    last = h.shape[0] - 1
+    motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega
+    h[last, 1] = 0.0
+    for e in range(motion.V.shape[0]):
+        motion.V[e, last, 1] = 0.0
+
+
 @kernel
 def propagate_hybrid(osc, motion, duration):
     """period.propagate of a HybridCell. Where a mode is missing the motion stays where it was."""
@@ -257,8 +343,11 @@ def propagate_hybrid(osc, motion, duration):
     if tally[STATUS] == RUNNING:
         into_vectors(osc.to_blocks, z, h)
         into_vectors(osc.to_blocks, W, motion.V)
+        motion.tally[:] = tally
+        if osc.table.drifts > 0.0 and duration >= osc.head[HEAD.period]:
+            count_progress(motion, h[0], osc.table.omega)
         motion.h[:] = h[0]
         motion.contact[0] = code[0] + FIRST_NUMBER
-        motion.growth[:], motion.triangle[:], motion.tally[:] = growth, triangle, tally
+        motion.growth[:], motion.triangle[:] = growth, triangle
     else:
         motion.tally[STATUS] = tally[STATUS]
