@@ -79,7 +79,7 @@ def exponents(motion: Motion) -> Array:
     The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
     beside another as in the product of the factors.
     """
-    factors, itinerary = pieces(motion), motion.orbits.itinerary
+    factors, itinerary = pieces(motion), motion.itinerary
     N, m, size = factors.shape[:3]
     cyclic = np.zeros((N, m * size, m * size))
     for i in range(m):

@@ -20,7 +20,7 @@ def ball_orbit(A: float, R: float) -> Orbit:
     """The orbit of period 1 with A cos t = pi (1 - R)/(1 + R)."""
     t = math.acos(math.pi * (1.0 - R) / (1.0 + R) / A)
     v = -2.0 * math.pi / (1.0 + R)
-    return Orbit(Itinerary((-1,), 1), np.array([t]), np.array([v]), A * math.sin(t) - (1.0 + R) * v * math.pi / 6.0)
+    return Orbit(Itinerary((-1,), 1), np.array([t]), np.array([v]))
 
 
 def pair_orbit(alpha: float, R: float) -> Orbit:

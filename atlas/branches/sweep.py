@@ -127,7 +127,6 @@ def _orbits_at(tree: Tree, branch: Branch, value: float) -> Iterator[Orbit]:
             one.itinerary,
             one.times + share * (other.times - one.times),
             one.speeds + share * (other.speeds - one.speeds),
-            one.offset + share * (other.offset - one.offset),
         )
         try:
             yield refined(tree.family, between, np.array([value]))

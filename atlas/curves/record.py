@@ -40,7 +40,6 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
         "values": found.values.tolist(),
         "times": [orbit.times.tolist() for orbit in found.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
-        "offsets": [orbit.offset for orbit in found.orbits],
         "contacts": found.contacts.tolist(),
         "unstable": found.unstable.tolist(),
         "corners": [[kind, place.tolist()] for kind, place in found.corners],
@@ -51,10 +50,9 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
 def curve_from_json(given: dict[str, Any]) -> Followed:
     """The inverse of ``curve_as_json``."""
     itinerary = _itinerary(given["itinerary"])
-    parts = zip(given["times"], given["speeds"], given["offsets"], strict=True)
     orbits = [
-        Orbit(itinerary, np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64), offset)
-        for times, speeds, offset in parts
+        Orbit(itinerary, np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64))
+        for times, speeds in zip(given["times"], given["speeds"], strict=True)
     ]
     first, last = given["ends"]
     return Followed(
@@ -74,14 +72,13 @@ def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
         "itinerary": list(orbit.itinerary),
         "times": orbit.times.tolist(),
         "speeds": orbit.speeds.tolist(),
-        "offset": orbit.offset,
     }
 
 
 def orbit_from_json(given: dict[str, Any]) -> Orbit:
     """The inverse of ``orbit_as_json``."""
     times, speeds = (np.array(given[name], dtype=np.float64) for name in ("times", "speeds"))
-    return Orbit(_itinerary(given["itinerary"]), times, speeds, given["offset"])
+    return Orbit(_itinerary(given["itinerary"]), times, speeds)
 
 
 def _itinerary(given: list[Any]) -> Itinerary:

@@ -150,7 +150,7 @@ class _Follower:
 
 
 def _change(before: Many, after: Many, omega: Array) -> Array:
-    _, times, speeds, _ = after.orbits
+    _, times, speeds = after.orbits
     later = np.abs(times - before.orbits.times).max(axis=1) * omega
     faster = np.abs(speeds - before.orbits.speeds).max(axis=1) / np.abs(speeds).max(axis=1)
     return np.asarray(np.maximum(later, faster))

@@ -45,7 +45,7 @@ def _recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> O
 
 
 def _alone(own: Attractors, k: int) -> Orbit | None:
-    """The orbit of attractor k by Newton's method on it alone, which also finds the offset of a rigid mode."""
+    """The orbit of attractor k by Newton's method on it alone."""
     given = own.fixed | dict(zip(own.axes, own.values[own.cell[k]].tolist(), strict=True))
     try:
         return orbit_from_state(own.system, given, own.state[k], int(own.period[k]), bool(own.symmetric[k]))

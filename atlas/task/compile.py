@@ -181,9 +181,9 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
 
 
 def _follow_an_orbit() -> None:
-    """A short branch of an orbit; its motion between impacts, and its equations at a complex multiplier."""
+    """A short branch of an orbit; and its motion between impacts."""
     from workers.continuation import branch, family_of, orbit_from_state
-    from workers.continuation.equations import Motion, many_orbits
+    from workers.continuation.equations import many_orbits, motion_of
     from workers.model.system import find_system
     from workers.tile import solve_tile
 
@@ -194,9 +194,7 @@ def _follow_an_orbit() -> None:
     (along, value), *_ = AN_ORBIT.items()
     family = family_of(record, values, (along,))
     branch(family, orbit, value, (0.999 * value, 1.001 * value))
-    motion = Motion(family.model(np.array([[value]])), many_orbits([orbit]))
-    motion.at(orbit.times[None] + 0.1)
-    motion.linearised(1j)
+    motion_of(family.model(np.array([[value]])), many_orbits([orbit])).at(orbit.times[None] + 0.1)
 
 
 def _wait_for(lock: IO[str], report: Report | None) -> None:

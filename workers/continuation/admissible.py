@@ -43,7 +43,7 @@ def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) ->
     ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
     if any, is one whose speed is zero and counts as a graze.
     """
-    span, sign = float(motion.span[0]), motion.orbits.itinerary.sign
+    span, sign = float(motion.span[0]), motion.itinerary.sign
     found = _contacts(motion, grazes, lost)
     if isinstance(found, Fault):
         return found
@@ -59,8 +59,8 @@ def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) ->
 
 def _contacts(motion: Motion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
-    span, t, sides = float(motion.span[0]), motion.orbits.times[0], motion.orbits.itinerary.sides
-    _, v, a = motion.at_impacts()[:, 0]
+    span, t, sides = float(motion.span[0]), motion.times[0], motion.itinerary.sides
+    _, v, a = motion.turn.signals[0]
     off = [i for i, side in enumerate(sides) if i != lost and side * v[i] <= 0.0]
     if off:
         return Fault(LOST, off[0])
@@ -72,7 +72,7 @@ def _contacts(motion: Motion, grazes: Iterable[float], lost: int) -> list[_Conta
     start = t[0] if len(t) else 0.0
     for s in grazes:
         time = float(s) - math.floor((s - start) / span) * span
-        y, _, bend = motion.at(np.array([[time]]))[:, 0, 0]
+        y, _, bend = motion.at(np.array([[time]]))[1][:, 0, 0]
         found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(motion.lin.lower[0]) else -1, 0.0, float(bend)))
     found.sort()
     outward = (contact for contact in found if not contact.v and contact.side * contact.a >= 0.0)
@@ -92,7 +92,7 @@ def _next_contact(
     signal: Mode, motion: Motion, here: _Contact, duration: float, there: _Contact | None = None
 ) -> Fault | None:
     """A contact on the flight from one contact to the next, before it; None if there is none."""
-    lin, h = motion.lin, np.ascontiguousarray(motion.block_state(np.array([[here.time]]))[0, ..., 0])
+    lin, h = motion.lin, motion.at(np.array([[here.time]]))[0][0, 0]
     H = duration - (_open_for(there, derivative_bounds(signal.blocks, signal.numbers, h)[2]) if there else 0.0)
     if H <= 0.0:
         return None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Orbit, unpacked
+from workers.continuation.equations import Orbit
 from workers.continuation.events import (
     Event,
     LocatedEvent,
@@ -86,7 +86,7 @@ def branch(
 ) -> BranchRun:
     """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
-    Pseudo-arclength in times, speeds and the parameter. Events are folds, symmetry breakings, period doublings,
+    Pseudo-arclength in state, times and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
     Either direction ends at the first event of which ``until`` is true.
     Raises ValueError, in one line, for R = 0, for a start that no orbit is near, that is not admissible, or that is a
@@ -105,7 +105,7 @@ def branch(
 def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> Start:
     """The doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
-    ``amplitude``: how far along the critical direction, in units of the scale of times and speeds; ``width``: that
+    ``amplitude``: how far along the critical direction, in units of the scale of state and times; ``width``: that
     of the parameter's window. The orbit's other half, or its mirror image, is the same branch in the other direction.
     Raises ValueError for other events, and where Newton's method finds none.
     """
@@ -114,13 +114,10 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
     square = Extended(family, orbit, event.conditions, values, widths)
     _, critical = square.at(square.pack(orbit, none, values)).borders[0]
-    critical = critical * square.unit[: len(critical)] * np.copysign(1.0, critical[0])  # either sign is a null vector
-    w = unpacked(orbit.itinerary, critical[None], len(critical) - 2 * square.m)
+    critical = critical * np.copysign(1.0, critical[0])  # either sign is a null vector
     whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
     equations = Extended(family, whole, (), values, widths)
-    speeds = np.append(w.speeds, -orbit.itinerary.sign * w.speeds)
-    change = Orbit(whole.itinerary, np.append(w.times, -w.times), speeds, float(w.offset[0]))
-    unit = equations.pack(change, none, np.zeros(1)) / equations.scale
+    unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
     found = solve(equations, X, unit / equations.scale)

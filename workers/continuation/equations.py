@@ -1,20 +1,23 @@
-"""A periodic orbit with m impacts as 2m equations for their times and speeds, and these linearised.
+"""A periodic orbit with m impacts as 2n + m equations by single shooting, and these linearised.
 
-    y(t_i) = +upper or -lower,  y'(t_i^-) = v_i,  with  y(t) = Y(t) - (1 + R) sum_j v_j g(t - t_j)
+    sign h(t_0 + L) - h(t_0) = 0,  y(t_i) = +upper or -lower
 
-A rigid mode adds the offset of y, and (1 + R) k sum_i v_i = load span. Of a symmetric orbit, y(t + L/2) = -y(t), only
-the impacts of one half are unknown: a turn is half the orbit, and kicks change sign from turn to turn.
+Unknown are the block state h (2n) just before the first impact and the times t_i of all. Of a symmetric orbit,
+y(t + L/2) = -y(t), only the impacts of one half are unknown: a turn is half the orbit, and sign is -1.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.oscillator import Array, ModalOscillator, rigid_mode
-from workers.continuation.pulses import answers, before_impacts, forced_motion, jacobian
+from workers.continuation.oscillator import Array, ModalOscillator
+from workers.continuation.shooting import between, turns
+from workers.model.modes import stacked
 from workers.model.oscillator import COLUMN
 
 Table = NDArray[Any]
@@ -48,14 +51,13 @@ class Itinerary(NamedTuple):
 class Orbit(NamedTuple):
     """A periodic orbit: times (m,) of its impacts in one turn after a section, signed speeds (m,) before them.
 
-    ``offset`` of y is that of a rigid mode, 0 without one. Many orbits of one itinerary are one record with another
-    axis in front of all three.
+    Times alone define it, see ``motion_of``; speeds tell orbits apart. Many orbits of one itinerary are one record with
+    another axis in front of both.
     """
 
     itinerary: Itinerary
     times: Array
     speeds: Array
-    offset: Any = 0.0
 
     def taken(self, rows: Any) -> "Orbit":
         """These rows of a record of many, in their order; of a number, that one orbit."""
@@ -67,12 +69,6 @@ def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
     return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))
 
 
-def unpacked(itinerary: Itinerary, X: Array, shift: int) -> Orbit:
-    """Many orbits of unknowns X (N, ...): m times, m speeds and, where ``shift`` is 1, the offset come first."""
-    m = len(itinerary.sides)
-    return Orbit(itinerary, X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
-
-
 def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
     turns = np.floor(orbit.times / span)
@@ -81,11 +77,15 @@ def in_one_turn(orbit: Orbit, span: float) -> Orbit:
     order = np.argsort(times, kind="stable")
     sides = (flips * np.array(orbit.itinerary.sides))[order]
     itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
-    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order], orbit.offset)
+    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order])
 
 
 def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry."""
+    """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry; two
+    rigid modes, lam = 0, since one gap coordinate sees only one.
+    """
+    if (rigid := np.count_nonzero(lin.gap.lam[0] == 0.0)) > 1:
+        raise ValueError(f"{rigid} rigid modes; one gap coordinate sees only one: leave out what it does not see")
     if np.any(lin.R <= 0.0):
         raise ValueError(
             "R = 0: an impact without rebound may rest on its stop, which these orbits exclude; take R > 0"
@@ -104,81 +104,114 @@ def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
         raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
-class Motion(NamedTuple):
-    """N orbits of one itinerary, a record of many, with their oscillators."""
+class Turn(NamedTuple):
+    """What ``turns`` finds of N orbits: see there."""
+
+    signals: Array
+    states: Array
+    residuals: Array
+    tangents: Array
+
+
+@dataclass(frozen=True)
+class Motion:
+    """N orbits of one itinerary with their oscillators: times (N, m) of impacts, states just before the first of them.
+
+    start (N, n, 2)  in block coordinates, forced response and rest position taken off; without impacts at time 0
+    """
 
     lin: ModalOscillator
-    orbits: Orbit
+    itinerary: Itinerary
+    times: Array
+    start: Array
 
     @property
     def span(self) -> Array:
         """The length (N,) of a turn."""
-        return self.orbits.itinerary.span(self.lin)
+        return self.itinerary.span(self.lin)
 
     @property
     def stops(self) -> Array:
         """Positions (N, m) of the stops of the impacts."""
-        return np.where(np.array(self.orbits.itinerary.sides) > 0, self.lin.upper[:, None], -self.lin.lower[:, None])
+        return np.where(np.array(self.itinerary.sides) > 0, self.lin.upper[:, None], -self.lin.lower[:, None])
 
     @property
-    def shift(self) -> int:
-        """1 where the offset of y is an unknown, of a rigid mode and an orbit that is not symmetric; else 0."""
-        return int(not self.orbits.itinerary.symmetric and rigid_mode(self.lin) is not None)
+    def unknowns(self) -> Array:
+        """States, then times (N, 2n + m)."""
+        return np.concatenate([self.start.reshape(len(self.start), -1), self.times], axis=1)
 
-    def at_impacts(self) -> Array:
-        """y and its first two derivatives (3, N, m) just before each impact."""
-        found: Array = before_impacts(self.lin.gap, *self._plain())
-        return found
+    @property
+    def orbits(self) -> Orbit:
+        """The orbits as a record of many."""
+        return Orbit(self.itinerary, self.times, self.turn.signals[:, 1])
 
-    def _plain(self) -> tuple[Any, ...]:
-        """Phase, 1 + R, span and sign, times, speeds and offsets as kernels take them."""
-        itinerary, *plain = self.orbits
-        fields = (np.ascontiguousarray(field) for field in plain)
-        return self.lin.tau, 1.0 + self.lin.R, self.span, float(itinerary.sign), *fields
+    @cached_property
+    def turn(self) -> Turn:
+        """One turn from the state just before the first impact."""
+        lin = self.lin
+        q, sign, stops = 1.0 + lin.R, float(self.itinerary.sign), self.stops
+        return Turn(*turns(lin.gap, lin.tau, q, sign, self.span, stops, self.times, self.start))
 
-    def at(self, s: Array) -> Array:
-        """y and its first two derivatives (3, N, K) at times s (N, K), any times but those of impacts."""
-        u, gap = self.block_state(s), self.lin.gap
-        y, v = (np.sum(row[..., None] * u, axis=2) for row in (gap.row, gap.row1))
-        a = (gap.c0 * gap.load)[..., None] - 2.0 * gap.eta[..., None] * v - gap.lam[..., None] * y
-        found: Array = forced_motion(gap.waves, gap.numbers, self.lin.tau, np.ascontiguousarray(s))
-        return found + np.sum([y, v, a], axis=2)
+    def at(self, s: Array) -> tuple[Array, Array]:
+        """Block states (N, K, n, 2) at times s (N, K), and y with its first two derivatives (3, N, K).
 
-    def block_state(self, s: Array) -> Array:
-        """Block coordinates (h, h') (N, n, 2, K) at times s (N, K), forced response and rest position taken off."""
-        (lin, (itinerary, times, speeds, offset)), span = self, self.span[:, None, None]
-        apart, sign = s[..., None] - times[:, None], float(itinerary.sign)
-        turns = np.floor(apart / span)
-        kicks = (1.0 + lin.R)[:, None, None] * speeds[:, None] * sign**turns
-        u, _ = answers(lin.gap.blocks, self.span, sign, apart - turns * span)
-        found: Array = -np.sum(kicks[:, None, None] * u, axis=4)
-        rigid = rigid_mode(lin)
-        if rigid is not None:
-            found[:, rigid, 0] += (offset / lin.gap.row[:, rigid, 0])[:, None]
-        return found
-
-    def residual(self) -> Array:
-        """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
-        lin, speeds = self.lin, self.orbits.speeds
-        y, v, _ = self.at_impacts()
-        parts = [y - self.stops, v - speeds]
-        if self.shift:  # (1 + R) k sum_i v_i - load span of the rigid mode
-            rigid = lin.gap.blocks[:, rigid_mode(lin)]
-            kicks = (1.0 + lin.R) * rigid[:, COLUMN.k1] * speeds.sum(1)
-            parts.append((kicks - rigid[:, COLUMN.load] * self.span)[:, None])
-        return np.concatenate(parts, axis=1)
+        An impact at such a time counts as past.
+        """
+        lin, sign, s = self.lin, float(self.itinerary.sign), np.ascontiguousarray(s)
+        states, y = between(lin.gap, lin.tau, sign, self.span, self.times, self.start, self.turn.states, s)
+        return states, y
 
     def linearised(self, z: complex = 1) -> Table:
-        """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
+        """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
 
-        z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Where perturbed kicks are the same
-        each turn, a rigid mode adds the perturbed offset and the balance of the kicks; without that
+        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i = v_i just before each impact
 
-            det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)):
+            det J_z = det(DP - z I) prod_i r'_i:
 
-        zero where z is a multiplier, and without poles.
+        zero where z is a multiplier, and without poles. The turn begins and ends later with its first impact: in the
+        column of that time is what the states do until then.
         """
-        rigid = rigid_mode(self.lin) if self.orbits.itinerary.sign * z == 1 else None
-        given = *self._plain(), z if isinstance(z, complex) else float(z)
-        found: Table = jacobian(self.lin.gap, *given, -1 if rigid is None else rigid)
-        return found
+        size, turn = 2 * self.start.shape[1], self.turn
+        J: Table = turn.tangents.astype(np.result_type(z, np.float64))
+        if self.itinerary.sides:
+            end = self.start + turn.residuals[:, :size].reshape(self.start.shape)
+            J[:, :, size] -= (turn.tangents[:, :, :size] @ self._rate(self.start)[..., None])[..., 0]
+            J[:, :size, size] += z * self._rate(end)
+        J[:, range(size), range(size)] -= z
+        return J
+
+    def _rate(self, h: Array) -> Array:
+        """The derivatives (N, 2n) in time of block states h (N, n, 2) in flight."""
+        gap, (h0, h1) = self.lin.gap, np.moveaxis(h, 2, 0)
+        return np.stack([h1, gap.load - 2.0 * gap.eta * h1 - gap.lam * h0], axis=2).reshape(len(h), -1)
+
+    def scale(self, least: float = 0.0) -> tuple[Array, Array]:
+        """What makes unknowns comparable: of states (N, 2n), in the energy norm what an impact or the state itself
+        amounts to; and the greatest speed (N,), which counts as ``least`` where it is less.
+        """
+        gap, n = self.lin.gap, self.start.shape[1]
+        weight = np.where(gap.lam > 0.0, gap.lam, self.lin.omega[:, None] ** 2)[..., None] ** [0.5, 0.0]
+        speed = np.maximum(np.max(np.abs(self.turn.signals[:, 1]), axis=1, initial=0.0), least)
+        kicks = (speed * (1.0 + self.lin.R))[:, None, None] * gap.kick
+        sizes = np.maximum(*(np.linalg.norm(weight * of, axis=2) for of in (kicks, self.start)))
+        sizes = np.maximum(sizes, 1e-3 * sizes.max(axis=1, keepdims=True))
+        return (sizes[..., None] / weight).reshape(-1, 2 * n), speed
+
+
+def motion_of_unknowns(lin: ModalOscillator, itinerary: Itinerary, X: Array) -> Motion:
+    """Motions of unknowns X (N, ...), of which states and times come first."""
+    n = lin.gap.blocks.shape[1]
+    start, times = np.split(X[:, : 2 * n + len(itinerary.sides)], [2 * n], axis=1)
+    return Motion(lin, itinerary, np.ascontiguousarray(times), start.reshape(-1, n, 2))
+
+
+def motion_of(lin: ModalOscillator, orbits: Orbit) -> Motion:
+    """Motions with impacts at the times of a record of many orbits, and the states that solve the equations best.
+
+    For given times these are linear in the state, 2n + m equations for 2n numbers.
+    """
+    times, n = np.ascontiguousarray(orbits.times), lin.gap.blocks.shape[1]
+    still = Motion(lin, orbits.itinerary, times, np.zeros((len(times), n, 2)))
+    J, right = still.linearised()[:, :, : 2 * n], still.turn.residuals[..., None]
+    start = -stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
+    return Motion(lin, orbits.itinerary, times, start.reshape(-1, n, 2))

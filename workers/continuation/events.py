@@ -296,9 +296,9 @@ def _peak(equations: Extended, X: Array, why: Fault) -> float | None:
     """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
     motion = equations.motion(X)
     span = float(motion.span[0])
-    ends = [t + k * span for t in motion.orbits.times[0] for k in (0, 1, 2)]
+    ends = [t + k * span for t in motion.times[0] for k in (0, 1, 2)]
     limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
     s = np.linspace(why.time, limit, 402)[1:-1]
-    speed = why.side * motion.at(s[None])[1, 0]
+    speed = why.side * motion.at(s[None])[1][1, 0]
     turned = np.flatnonzero(speed <= 0.0)
     return float(s[turned[0]]) if len(turned) else None

@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import Itinerary, Motion, Orbit, check_orbits, in_one_turn, many_orbits, unpacked
+from workers.continuation.equations import (
+    Itinerary,
+    Motion,
+    Orbit,
+    check_orbits,
+    in_one_turn,
+    many_orbits,
+    motion_of,
+    motion_of_unknowns,
+)
 from workers.continuation.newton import Rows, newton
 from workers.continuation.oscillator import Array, Family, family_of, modal
 from workers.continuation.same import is_minimal
@@ -60,28 +69,28 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
     """
-    lin, (itinerary, times, speeds, offset) = family.model(values), orbits.orbits
+    lin, itinerary = family.model(values), orbits.orbits.itinerary
     check_orbits(lin, itinerary)
-    m, shift = len(itinerary.sides), Motion(lin, orbits.orbits).shift
-    if m == 0 or not orbits.found.any():
+    if not itinerary.sides or not orbits.found.any():
         return orbits._replace(values=values)
-    fastest, time = np.max(np.abs(speeds), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
-    scale = np.repeat(np.concatenate([time, fastest, fastest * time], axis=1), [m, m, shift], axis=1)
+    start = motion_of(lin, orbits.orbits)
+    (sizes, _), time, m = start.scale(), 1.0 / lin.omega[:, None], len(itinerary.sides)
+    scale = np.concatenate([sizes, np.repeat(time, m, axis=1)], axis=1)
 
     def motion(X: Array, rows: Rows) -> Motion:
-        return Motion(taken(lin, known[rows]), unpacked(itinerary, X, shift))
+        return motion_of_unknowns(taken(lin, known[rows]), itinerary, X)
 
-    known = np.flatnonzero(orbits.found)
-    X = np.concatenate([times, speeds, offset[:, None][:, :shift]], axis=1)
+    def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
+        there = motion(X, rows)
+        return there.turn.residuals, there.linearised()
+
+    known, X = np.flatnonzero(orbits.found), start.unknowns
     found = newton(
-        lambda X, rows: motion(X, rows).residual(),
-        lambda X, rows: (motion(X, rows).residual(), motion(X, rows).linearised()),
-        X[known],
-        scale[known],
-        farthest=FARTHEST,
+        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, X[known], scale[known], farthest=FARTHEST
     )
     X[known] = found.X
-    return Many(unpacked(itinerary, X, shift), values, np.isin(np.arange(len(X)), known[found.converged]))
+    there = motion_of_unknowns(lin, itinerary, X).orbits
+    return Many(there, values, np.isin(np.arange(len(X)), known[found.converged]))
 
 
 def attract(family: Family, orbits: Many) -> Mask:
@@ -90,11 +99,11 @@ def attract(family: Family, orbits: Many) -> Mask:
     rows = np.flatnonzero(good)
     if not len(rows):
         return good
-    motion = Motion(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
+    motion = motion_of(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
     with np.errstate(all="ignore"):
         good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = Motion(taken(motion.lin, k), motion.orbits.taken(k))
+        one = Motion(taken(motion.lin, k), motion.itinerary, motion.times[k], motion.start[k])
         good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
     return good
 
@@ -114,11 +123,7 @@ def orbit_from_state(
 
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The same where the oscillator is built, of a family at parameters (free,)."""
-    orbit = recorded(osc, state, periods, symmetric)
-    motion = Motion(family.model(values[None]), many_orbits([orbit]))
-    if orbit.itinerary.sides and motion.shift:  # about what impacts miss their stops by
-        orbit = orbit._replace(offset=float(np.mean(motion.stops - motion.at_impacts()[0])))
-    return refined(family, orbit, values)
+    return refined(family, recorded(osc, state, periods, symmetric), values)
 
 
 def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
@@ -174,7 +179,7 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
-    h = Motion(lin, many).block_state((np.arange(itinerary.periods) + shift) * period)
+    h, _ = motion_of(lin, many).at((np.arange(itinerary.periods) + shift) * period)
     there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
-    states = [physical_states(there, motions_at(h[..., k]), rows) for k in range(itinerary.periods)]
+    states = [physical_states(there, motions_at(np.ascontiguousarray(h[:, k])), rows) for k in range(itinerary.periods)]
     return np.stack(states, axis=1)

@@ -75,11 +75,3 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
         return ModalOscillator(*found)
 
     return Family(free, model)
-
-
-def rigid_mode(lin: ModalOscillator) -> int | None:
-    """Which block is a rigid mode, lam = 0; None where none is. ValueError where there are two, which no gap sees."""
-    rigid = np.flatnonzero(lin.gap.lam[0] == 0.0)
-    if len(rigid) > 1:
-        raise ValueError(f"{len(rigid)} rigid modes; one gap coordinate sees only one: leave out what it does not see")
-    return int(rigid[0]) if len(rigid) else None

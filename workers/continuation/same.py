@@ -45,7 +45,7 @@ def doubled(orbit: Orbit, span: float) -> Orbit:
     (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
     itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
     times, speeds = np.append(orbit.times, orbit.times + span), np.append(orbit.speeds, sign * orbit.speeds)
-    return Orbit(itinerary, times, speeds, orbit.offset)
+    return Orbit(itinerary, times, speeds)
 
 
 @cache
@@ -64,7 +64,7 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
 
 def difference(motion: Motion, to: Itinerary) -> Array:
     """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
-    itinerary, t, v, _ = motion.orbits.taken(0)
+    itinerary, t, v = motion.orbits.taken(0)
     k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
     kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
@@ -73,10 +73,10 @@ def difference(motion: Motion, to: Itinerary) -> Array:
 
 def is_minimal(motion: Motion) -> bool:
     """Whether one orbit is none of those repeated that its itinerary allows."""
-    return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.orbits.itinerary))
+    return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.itinerary))
 
 
 def reduced(orbit: Orbit, to: Itinerary) -> Orbit:
     """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
-    k, offset = len(to.sides), 0.0 if to.symmetric else orbit.offset
-    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), offset)
+    k = len(to.sides)
+    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy())

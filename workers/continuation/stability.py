@@ -36,11 +36,11 @@ def pieces(motion: Motion) -> Array:
 
     Without impacts one flight. The last factor changes sign for symmetric orbits.
     """
-    lin, (itinerary, t, _, _) = motion
-    span, (_, v, a) = motion.span[:, None], motion.at_impacts()
-    durations = np.concatenate([t[:, 1:], t[:, :1] + span], axis=1) - t if itinerary.sides else span
+    lin, t, span = motion.lin, motion.times, motion.span[:, None]
+    _, v, a = np.moveaxis(motion.turn.signals, 1, 0)
+    durations = np.concatenate([t[:, 1:], t[:, :1] + span], axis=1) - t if motion.itinerary.sides else span
     factors: Array = flights(lin.gap.blocks, durations, lin.R, np.roll(a / v, -1, axis=1))
-    factors[:, -1] *= itinerary.sign
+    factors[:, -1] *= motion.itinerary.sign
     return factors
 
 
