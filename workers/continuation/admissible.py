@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.continuation.equations import Motion
+from workers.continuation.oscillator import Array
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Mode, each
@@ -47,13 +48,18 @@ def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) ->
     found = _contacts(motion, grazes, lost)
     if isinstance(found, Fault):
         return found
+    begins = found or [_Contact(0.0, 0, 1.0, 0.0)]
+    (states,), _ = motion.at(np.array([[contact.time for contact in begins]]))
     signal = each(motion.lin.gap, lambda field: field[0])
     if not found:
-        return _next_contact(signal, motion, _Contact(0.0, 0, 1.0, 0.0), span)
+        return _next_contact(signal, motion, states[0], begins[0], span)
     first = found[0]
     again = _Contact(first.time + span, sign * first.side, sign * first.v, sign * first.a)
     flights = pairwise([*found, again])
-    faults = (_next_contact(signal, motion, here, there.time - here.time, there) for here, there in flights)
+    faults = (
+        _next_contact(signal, motion, h, here, there.time - here.time, there)
+        for h, (here, there) in zip(states, flights, strict=True)
+    )
     return next((fault for fault in faults if fault), None)
 
 
@@ -89,10 +95,10 @@ def _open_for(contact: _Contact, M3: float) -> float:
 
 
 def _next_contact(
-    signal: Mode, motion: Motion, here: _Contact, duration: float, there: _Contact | None = None
+    signal: Mode, motion: Motion, h: Array, here: _Contact, duration: float, there: _Contact | None = None
 ) -> Fault | None:
-    """A contact on the flight from one contact to the next, before it; None if there is none."""
-    lin, h = motion.lin, motion.at(np.array([[here.time]]))[0][0, 0]
+    """A contact on the flight from one contact, with block state h after it, to the next; None if there is none."""
+    lin = motion.lin
     H = duration - (_open_for(there, derivative_bounds(signal.blocks, signal.numbers, h)[2]) if there else 0.0)
     if H <= 0.0:
         return None

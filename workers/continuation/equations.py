@@ -111,6 +111,7 @@ class Turn(NamedTuple):
     states: Array
     residuals: Array
     tangents: Array
+    shifts: Array
 
 
 @dataclass(frozen=True)
@@ -168,22 +169,10 @@ class Motion:
 
             det J_z = det(DP - z I) prod_i r'_i:
 
-        zero where z is a multiplier, and without poles. The turn begins and ends later with its first impact: in the
-        column of that time is what the states do until then.
+        zero where z is a multiplier, and without poles.
         """
-        size, turn = 2 * self.start.shape[1], self.turn
-        J: Table = turn.tangents.astype(np.result_type(z, np.float64))
-        if self.itinerary.sides:
-            end = self.start + turn.residuals[:, :size].reshape(self.start.shape)
-            J[:, :, size] -= (turn.tangents[:, :, :size] @ self._rate(self.start)[..., None])[..., 0]
-            J[:, :size, size] += z * self._rate(end)
-        J[:, range(size), range(size)] -= z
-        return J
-
-    def _rate(self, h: Array) -> Array:
-        """The derivatives (N, 2n) in time of block states h (N, n, 2) in flight."""
-        gap, (h0, h1) = self.lin.gap, np.moveaxis(h, 2, 0)
-        return np.stack([h1, gap.load - 2.0 * gap.eta * h1 - gap.lam * h0], axis=2).reshape(len(h), -1)
+        found: Table = self.turn.tangents - z * self.turn.shifts
+        return found
 
     def scale(self, least: float = 0.0) -> tuple[Array, Array]:
         """What makes unknowns comparable: of states (N, 2n), in the energy norm what an impact or the state itself

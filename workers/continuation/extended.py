@@ -27,7 +27,7 @@ CURVED = 1e-4
 """The same where a second derivative is differenced."""
 
 REMEMBERED = 8
-"""Oscillators that are kept, since one point is asked several things."""
+"""Oscillators, and motions, that are kept, since one point is asked several things."""
 
 UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP = "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp"
 """Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
@@ -57,6 +57,9 @@ class Extended:
         self.family, self.itinerary, self.conditions = family, orbit.itinerary, conditions
         self.width = np.asarray(width, dtype=np.float64)
         self._model = lru_cache(REMEMBERED)(lambda *values: family.model(np.array([values], dtype=np.float64)))
+        self._motion = lru_cache(REMEMBERED)(
+            lambda *X: motion_of_unknowns(self.model(self.values(np.array(X))), self.itinerary, np.array([X]))
+        )
         lin = self.model(np.asarray(values, dtype=np.float64))
         check_orbits(lin, orbit.itinerary)
         motion = motion_of(lin, many_orbits([orbit]))
@@ -93,7 +96,7 @@ class Extended:
 
     def motion(self, X: Array) -> Motion:
         """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
-        return motion_of_unknowns(self.model(self.values(X)), self.itinerary, X[None])
+        return self._motion(*X.tolist())
 
     def orbit(self, X: Array) -> Orbit:
         """The orbit of unknowns (N,)."""
