@@ -32,7 +32,7 @@ from workers.orbit.section import AT_SECTION, quiet_section
 Mask = NDArray[np.bool_]
 
 FARTHEST = 0.5
-"""Newton's first step at most, in radians of the force and relative to the fastest impact."""
+"""Newton's first step at most, in radians of the force and relative to the motion and its fastest impact."""
 
 RECORD = 256
 """Impacts of one period that an orbit may have."""
@@ -65,7 +65,7 @@ def many_of(orbits: list[Orbit], values: Array) -> Many:
 
 
 def moved(family: Family, orbits: Many, values: Array) -> Many:
-    """The orbits near these at other parameters (N, free), by Newton's method on each.
+    """The orbits near these at other parameters (N, free), by Newton's method on each from impacts at the same phases.
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
     """
@@ -73,24 +73,26 @@ def moved(family: Family, orbits: Many, values: Array) -> Many:
     check_orbits(lin, itinerary)
     if not itinerary.sides or not orbits.found.any():
         return orbits._replace(values=values)
-    start = motion_of(lin, orbits.orbits)
-    (sizes, _), time, m = start.scale(), 1.0 / lin.omega[:, None], len(itinerary.sides)
-    scale = np.concatenate([sizes, np.repeat(time, m, axis=1)], axis=1)
+    known = np.flatnonzero(orbits.found)
+    own, here = taken(lin, known), orbits.orbits.taken(known)
+    phases = here.times * family.model(orbits.values[known]).omega[:, None]
+    start = motion_of(own, here._replace(times=phases / own.omega[:, None]))
+    scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / own.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> Motion:
-        return motion_of_unknowns(taken(lin, known[rows]), itinerary, X)
+        return motion_of_unknowns(taken(own, rows), itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
         there = motion(X, rows)
         return there.turn.residuals, there.linearised()
 
-    known, X = np.flatnonzero(orbits.found), start.unknowns
-    found = newton(
-        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, X[known], scale[known], farthest=FARTHEST
+    solved = newton(
+        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST
     )
-    X[known] = found.X
-    there = motion_of_unknowns(lin, itinerary, X).orbits
-    return Many(there, values, np.isin(np.arange(len(X)), known[found.converged]))
+    after, found = orbits.orbits.taken(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
+    _, after.times[known], after.speeds[known] = motion_of_unknowns(own, itinerary, solved.X).orbits
+    found[known] = solved.converged
+    return Many(after, values, found)
 
 
 def attract(family: Family, orbits: Many) -> Mask:
