@@ -36,7 +36,7 @@ class Itinerary(NamedTuple):
 
     @property
     def sign(self) -> int:
-        """What kicks are multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
+        """What the motion is multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
         return -1 if self.symmetric else 1
 
     def span(self, lin: ModalOscillator) -> Array:

@@ -67,8 +67,8 @@ def difference(motion: Motion, to: Itinerary) -> Array:
     itinerary, t, v = motion.orbits.taken(0)
     k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
-    kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
-    return np.concatenate([later * motion.lin.omega[0], (kicks - to.sign * v) / np.max(np.abs(v))])
+    speeds = np.concatenate([v[k:], itinerary.sign * v[:k]])
+    return np.concatenate([later * motion.lin.omega[0], (speeds - to.sign * v) / np.max(np.abs(v))])
 
 
 def is_minimal(motion: Motion) -> bool:
