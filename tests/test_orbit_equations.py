@@ -61,6 +61,13 @@ def test_a_reference_point_is_found_again_with_its_digits(record: dict[str, Any]
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
+def test_the_times_of_a_reference_orbit_give_its_state_and_speeds(record: dict[str, Any]) -> None:
+    motion = motion_at(record)
+    assert motion.turn.residuals == pytest.approx(0.0, abs=1e-14)
+    assert motion.orbits.speeds[0] == pytest.approx(reference_orbit(record).speeds, abs=1e-14)
+
+
+@pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_a_reference_orbit_has_its_multipliers_and_its_section_state(record: dict[str, Any]) -> None:
     found = multipliers(motion_at(record))[0]
     for re, im in record["multipliers"]:
