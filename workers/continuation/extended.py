@@ -26,6 +26,10 @@ DIFFERENCE = 6e-6
 CURVED = 1e-4
 """The same where a second derivative is differenced."""
 
+FOLLOWS = 4.0
+"""How many times its size counts as one unit of a state: a step is as long as times and parameters make it, from which
+the state follows."""
+
 REMEMBERED = 8
 """Oscillators, and motions, that are kept, since one point is asked several things."""
 
@@ -70,7 +74,7 @@ class Extended:
         forced = float(np.abs(lin.gap.sin_part).sum() + np.abs(lin.gap.cos_part).sum())
         least = 1e-3 * max(forced, float(np.max(clearances, initial=1e-300, where=np.isfinite(clearances)))) / time
         (size,), (speed,) = motion.scale(least)
-        size, root = math.sqrt(len(size)) * size, math.sqrt(max(1, self.m))
+        size, root = FOLLOWS * math.sqrt(len(size)) * size, math.sqrt(max(1, self.m))
         times = np.repeat([root * time, time], [self.m, self.grazes])
         self.scale = np.concatenate([size, times, self.width])
         self.unit = np.concatenate([size, np.full(self.m, root * speed * time)])
