@@ -1,6 +1,6 @@
 """Which attractors of neighbouring cells are one: the orbit of the one cell is followed to the parameters of the other.
 
-There Newton's method on its state and the times of its impacts finds it, from one cell to the next in a few steps. Where
+There Newton's method on its state and times of impacts finds it, from one cell to the next in a few steps. Where
 one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
 counts where both ways agree: close to a bifurcation Newton's method may come to another orbit. In symmetric machines
 the mirror images of two orbits that are one are one too, whether Newton's method finds it or not.
