@@ -25,7 +25,7 @@ from workers.continuation.events import (
     monitored,
     origin,
 )
-from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, Condition, Extended, solve
+from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, Extended, solve
 from workers.continuation.oscillator import Array, Family
 from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
@@ -44,6 +44,10 @@ SHORTEST = 1e-3
 
 DOUBT = 1e-4
 """Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
+
+
+OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
+"""How many multipliers cross the unit circle at events with these conditions."""
 
 
 class BranchRun(NamedTuple):
@@ -199,18 +203,31 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
         there, end = walk.start[0], CLOSED
     after = monitored(eq, there)
     step, slid = Step(after.equations, here, there), not is_minimal(eq.motion(there))
-    if (slid or _went_too_far(seen, after)) and walk.length > SHORTEST * walk.longest:
+    may_repeat = walk.length > SHORTEST * walk.longest
+    if slid and may_repeat:
         return None
-    return _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
+    passage = _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
+    return None if may_repeat and not _accounted_for(seen, passage) else passage
 
 
-def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
-    """Whether stability changed on a branch although no test function changed its sign."""
-    if after.equations.conditions or after.fault is not None or changed(before, after):
-        return False
-    one, other = np.abs(before.point.multipliers), np.abs(after.point.multipliers)
-    gained = np.sum(other > 1.0 + DOUBT) > np.sum(one > 1.0 - DOUBT)
-    return bool(gained or np.sum(other > 1.0 - DOUBT) < np.sum(one > 1.0 + DOUBT))
+def _accounted_for(before: TestFunctions, passage: _Passage) -> bool:
+    """Whether the events of a step on a branch account for all changes of stability: two of one pair of multipliers
+    may change no sign together.
+    """
+    if before.equations.conditions:
+        return True
+    count = before.point.unstable
+    for event in passage.events:
+        if event.conditions[-1].kind not in OWN_MULTIPLIERS:
+            return True  # where it ceases a multiplier may be infinite
+        own, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
+        if count not in (others, others + own):
+            return False
+        count = others if count > others else others + own
+    if passage.after is None or passage.after.fault is not None:
+        return True
+    sizes = np.abs(passage.after.point.multipliers)
+    return bool(np.sum(sizes > 1.0 + DOUBT) <= count <= np.sum(sizes > 1.0 - DOUBT))
 
 
 def _meeting(step: Step) -> _Passage | None:
