@@ -7,7 +7,7 @@ import pytest
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
-from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.orbits import orbit_from_state
 from workers.continuation.oscillator import family_of
 from workers.model.system import find_system

@@ -20,16 +20,9 @@ from tests.handmade import (
     reference_values,
 )
 from workers.continuation.admissible import CONTACT, LOST, first_fault
-from workers.continuation.equations import (
-    Itinerary,
-    Motion,
-    Orbit,
-    check_orbits,
-    many_orbits,
-    motion_of,
-    motion_of_unknowns,
-)
+from workers.continuation.equations import ImpactMotion, Motion, check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.extended import Extended, solve
+from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import ModalOscillator, family_of
 from workers.continuation.stability import flights, multipliers, turn_map
@@ -157,7 +150,7 @@ def general_motion(rigid_damping: float = 0.3, harmonics: int = 2) -> Motion:
     """No orbit: a turn of the general oscillator from anywhere."""
     lin = general(rigid_damping=rigid_damping, harmonics=harmonics)
     start = np.random.default_rng(2).standard_normal((1, 3, 2))
-    return Motion(lin, Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
+    return ImpactMotion(lin, Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 0.05, 0.3, 2.0])

@@ -10,7 +10,8 @@ from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import in_one_turn, many_orbits, motion_of
+from workers.continuation.equations import motion_of
+from workers.continuation.itinerary import in_one_turn, many_orbits
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.model.system import find_system

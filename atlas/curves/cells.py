@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from atlas.curves.plane import Cells, Plane
 from workers.continuation import Family, Orbit, family_of
-from workers.continuation.equations import Itinerary, check_orbits
+from workers.continuation.equations import check_orbits
+from workers.continuation.itinerary import Itinerary
 from workers.continuation.orbits import alike, attract, many_of, moved, orbit_of
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit

@@ -183,7 +183,8 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
 def _follow_an_orbit() -> None:
     """A short branch of an orbit; and its motion between impacts."""
     from workers.continuation import branch, family_of, orbit_from_state
-    from workers.continuation.equations import many_orbits, motion_of
+    from workers.continuation.equations import motion_of
+    from workers.continuation.itinerary import many_orbits
     from workers.model.system import find_system
     from workers.tile import solve_tile
 

@@ -10,23 +10,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Motion
+from workers.continuation.equations import ImpactMotion
 from workers.continuation.oscillator import Array
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Mode, each
 
-CONTACT, LOST, ORDER = "contact", "impact_lost", "order"
-"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order."""
+CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
+"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction
+that would stick where it does not, or cannot where it does."""
 
 
 class Fault(NamedTuple):
-    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST or out of ORDER."""
+    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST, out of ORDER or wrongly HELD.
+
+    Of machines with modes impacts are events of any kind, and a contact that of any signal with the end of its range.
+    """
 
     reason: str
     impact: int = -1
     time: float = math.nan
     side: int = 0
+    signal: int = 0
+
+
+class Touch(NamedTuple):
+    """A graze: its time, and which end of its range a signal touches; of one rigid contact alone its gap, signal 0."""
+
+    time: float
+    signal: int
+    side: int
 
 
 class _Contact(NamedTuple):
@@ -38,7 +51,7 @@ class _Contact(NamedTuple):
     a: float
 
 
-def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) -> Fault | None:
+def first_fault(motion: ImpactMotion, grazes: Iterable[float] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
     ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
@@ -63,7 +76,7 @@ def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) ->
     return next((fault for fault in faults if fault), None)
 
 
-def _contacts(motion: Motion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
+def _contacts(motion: ImpactMotion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
     span, t, sides = float(motion.span[0]), motion.times[0], motion.itinerary.sides
     _, v, a = motion.turn.signals[0]
@@ -95,7 +108,7 @@ def _open_for(contact: _Contact, M3: float) -> float:
 
 
 def _next_contact(
-    signal: Mode, motion: Motion, h: Array, here: _Contact, duration: float, there: _Contact | None = None
+    signal: Mode, motion: ImpactMotion, h: Array, here: _Contact, duration: float, there: _Contact | None = None
 ) -> Fault | None:
     """A contact on the flight from one contact, with block state h after it, to the next; None if there is none."""
     lin = motion.lin

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Orbit
+from workers.continuation.borders import leaving, nearly_lost
 from workers.continuation.events import (
     Event,
     LocatedEvent,
@@ -20,12 +20,12 @@ from workers.continuation.events import (
     TestFunctions,
     changed,
     halves_met,
-    leaving,
     located,
     monitored,
     origin,
 )
 from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, Extended, solve
+from workers.continuation.itinerary import Orbit
 from workers.continuation.oscillator import Array, Family
 from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
@@ -191,7 +191,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
     eq, here = walk.equations, walk.X
     if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
-        return _meeting(Step(eq, here, here)) or _Passage(STALLED)
+        return _meeting(Step(eq, here, here)) or _corner(Step(eq, here, here))
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
@@ -230,6 +230,12 @@ def _accounted_for(before: TestFunctions, passage: _Passage) -> bool:
     return bool(np.sum(sizes > 1.0 + DOUBT) <= count <= np.sum(sizes > 1.0 - DOUBT))
 
 
+def _corner(step: Step) -> _Passage:
+    """The end where a branch goes no further: at an event that is lost, or none is known."""
+    met = nearly_lost(step)
+    return _Passage(STALLED) if met is None else _Passage(met.event.kind, (met.event,), (met.event.point,))
+
+
 def _meeting(step: Step) -> _Passage | None:
     """The end where a branch meets the orbit that it left; None where it does not."""
     to = halves_met(step)
@@ -248,7 +254,7 @@ def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, 
             return _Passage(INADMISSIBLE)
         found, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
     for name in changed(before, after):
-        met = located(step, before, after, name)
+        met = located(step, before, after, name, exists=after.fault is not None)
         if met is not None and met.share <= limit:
             found.append(met)
             if _ends_pair(step.equations, met.event) or (until and until(met.event)):

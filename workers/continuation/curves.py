@@ -3,9 +3,9 @@
 import numpy as np
 
 from workers.continuation.branches import MOST_POINTS, RESOLUTION, BranchRun, bounds_of, follow
-from workers.continuation.equations import Orbit
 from workers.continuation.events import Event
 from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
+from workers.continuation.itinerary import Orbit
 from workers.continuation.oscillator import Array, Family
 from workers.continuation.walk import tangent_at
 

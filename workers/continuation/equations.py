@@ -6,84 +6,27 @@ Unknown are the block state h (2n) just before the first impact and the times t_
 y(t + L/2) = -y(t), only the impacts of one half are unknown: a turn is half the orbit, and sign is -1.
 """
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.oscillator import Array, ModalOscillator
+from workers.continuation.itinerary import Itinerary, Orbit
+from workers.continuation.oscillator import Array, Machine, ModalOscillator
 from workers.continuation.shooting import between, turns
+from workers.continuation.switching import SwitchingMotion, check_machines
+from workers.continuation.turn import Table, Turn
 from workers.model.modes import stacked
 from workers.model.oscillator import COLUMN
 
-Table = NDArray[Any]
-"""Real numbers, complex ones where z is."""
 
-
-class Itinerary(NamedTuple):
-    """What is fixed while an orbit is followed: its stops in order, +1 upper and -1 lower, and its length.
-
-    sides (m,) of one turn; periods of the force in the whole orbit; symmetric: a turn is half the orbit.
-    """
-
-    sides: tuple[int, ...]
-    periods: int
-    symmetric: bool = False
-
-    @property
-    def sign(self) -> int:
-        """What the motion is multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
-        return -1 if self.symmetric else 1
-
-    def span(self, lin: ModalOscillator) -> Array:
-        """The length (N,) of a turn."""
-        return (0.5 if self.symmetric else 1.0) * self.periods * 2.0 * math.pi / lin.omega
-
-    def impacts(self, side: int) -> int:
-        """Impacts at this stop in the whole orbit."""
-        return len(self.sides) if self.symmetric else self.sides.count(side)
-
-
-class Orbit(NamedTuple):
-    """A periodic orbit: times (m,) of its impacts in one turn after a section, signed speeds (m,) before them.
-
-    Times alone define it, see ``motion_of``; speeds tell orbits apart. Many orbits of one itinerary are one record with
-    another axis in front of both.
-    """
-
-    itinerary: Itinerary
-    times: Array
-    speeds: Array
-
-    def taken(self, rows: Any) -> "Orbit":
-        """These rows of a record of many, in their order; of a number, that one orbit."""
-        return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in self[1:]))
-
-
-def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
-    """Orbits of one itinerary as one record."""
-    return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))
-
-
-def in_one_turn(orbit: Orbit, span: float) -> Orbit:
-    """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
-    turns = np.floor(orbit.times / span)
-    flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
-    times = orbit.times - turns * span
-    order = np.argsort(times, kind="stable")
-    sides = (flips * np.array(orbit.itinerary.sides))[order]
-    itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
-    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order])
-
-
-def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
+def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
     """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry; two
     rigid modes, lam = 0, since one gap coordinate sees only one.
     """
+    if not isinstance(lin, ModalOscillator):
+        check_machines(lin, itinerary)
+        return
     if (rigid := np.count_nonzero(lin.gap.lam[0] == 0.0)) > 1:
         raise ValueError(f"{rigid} rigid modes; one gap coordinate sees only one: leave out what it does not see")
     if np.any(lin.R <= 0.0):
@@ -104,18 +47,8 @@ def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
         raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
-class Turn(NamedTuple):
-    """What ``turns`` finds of N orbits: see there."""
-
-    signals: Array
-    states: Array
-    residuals: Array
-    tangents: Array
-    shifts: Array
-
-
 @dataclass(frozen=True)
-class Motion:
+class ImpactMotion:
     """N orbits of one itinerary with their oscillators: times (N, m) of impacts, states just before the first of them.
 
     start (N, n, 2)  in block coordinates, forced response and rest position taken off; without impacts at time 0
@@ -174,33 +107,53 @@ class Motion:
         found: Table = self.turn.tangents - z * self.turn.shifts
         return found
 
-    def scale(self, least: float = 0.0) -> tuple[Array, Array]:
+    def touch(self, signal: int, side: int, s: Array) -> list[Array]:
+        """How far y is from a stop (N, K) at times s (N, K), and y'."""
+        y, v, _ = self.at(s)[1]
+        return [y - (self.lin.upper if side > 0 else -self.lin.lower)[:, None], v]
+
+    def scale(self) -> tuple[Array, Array]:
         """What makes unknowns comparable: of states (N, 2n), in the energy norm what an impact or the state itself
-        amounts to; and the greatest speed (N,), which counts as ``least`` where it is less.
+        amounts to; and of guards (N, m), the greatest speed, or a thousandth of force or gap, over one radian.
         """
-        gap, n = self.lin.gap, self.start.shape[1]
+        gap, size, gaps = self.lin.gap, self.lin.dimension, np.abs([self.lin.upper, self.lin.lower])
+        forced = np.sum(np.abs([gap.sin_part, gap.cos_part]), axis=(0, 2))
+        widest = np.max(gaps, axis=0, initial=1e-300, where=np.isfinite(gaps))
+        least = 1e-3 * np.maximum(forced, widest) * self.lin.omega
         weight = np.where(gap.lam > 0.0, gap.lam, self.lin.omega[:, None] ** 2)[..., None] ** [0.5, 0.0]
         speed = np.maximum(np.max(np.abs(self.turn.signals[:, 1]), axis=1, initial=0.0), least)
         kicks = (speed * (1.0 + self.lin.R))[:, None, None] * gap.kick
         sizes = np.maximum(*(np.linalg.norm(weight * of, axis=2) for of in (kicks, self.start)))
         sizes = np.maximum(sizes, 1e-3 * sizes.max(axis=1, keepdims=True))
-        return (sizes[..., None] / weight).reshape(-1, 2 * n), speed
+        guards = np.repeat((speed / self.lin.omega)[:, None], self.times.shape[1], axis=1)
+        return (sizes[..., None] / weight).reshape(-1, size), guards
 
 
-def motion_of_unknowns(lin: ModalOscillator, itinerary: Itinerary, X: Array) -> Motion:
+Motion = ImpactMotion | SwitchingMotion
+"""N orbits of one itinerary, of machines with one rigid contact or with modes."""
+
+
+def motion_at(lin: Machine, itinerary: Itinerary, times: Array, start: Array) -> Motion:
+    """Motions with events at times (N, m) from states (N, 2n) just before the first of them."""
+    if isinstance(lin, ModalOscillator):
+        return ImpactMotion(lin, itinerary, times, start.reshape(len(start), -1, 2))
+    return SwitchingMotion(lin, itinerary, times, start)
+
+
+def motion_of_unknowns(lin: Machine, itinerary: Itinerary, X: Array) -> Motion:
     """Motions of unknowns X (N, ...), of which states and times come first."""
-    n = lin.gap.blocks.shape[1]
-    start, times = np.split(X[:, : 2 * n + len(itinerary.sides)], [2 * n], axis=1)
-    return Motion(lin, itinerary, np.ascontiguousarray(times), start.reshape(-1, n, 2))
+    size = lin.dimension
+    start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
+    return motion_at(lin, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
 
 
-def motion_of(lin: ModalOscillator, orbits: Orbit) -> Motion:
-    """Motions with impacts at the times of a record of many orbits, and the states that solve the equations best.
+def motion_of(lin: Machine, orbits: Orbit) -> Motion:
+    """Motions with events at the times of a record of many orbits, and the states that solve the equations best.
 
     For given times these are linear in the state, 2n + m equations for 2n numbers.
     """
-    times, n = np.ascontiguousarray(orbits.times), lin.gap.blocks.shape[1]
-    still = Motion(lin, orbits.itinerary, times, np.zeros((len(times), n, 2)))
-    J, right = still.linearised()[:, :, : 2 * n], still.turn.residuals[..., None]
+    times, size = np.ascontiguousarray(orbits.times), lin.dimension
+    still = motion_at(lin, orbits.itinerary, times, np.zeros((len(times), size)))
+    J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
     start = -stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
-    return Motion(lin, orbits.itinerary, times, start.reshape(-1, n, 2))
+    return motion_at(lin, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))

@@ -13,10 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Motion, Orbit, check_orbits, many_orbits, motion_of, motion_of_unknowns
+from workers.continuation.equations import Motion, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.itinerary import Orbit, many_orbits
 from workers.continuation.newton import Array, Rows, Solved, newton
-from workers.continuation.oscillator import Family, ModalOscillator, NoOscillatorError
+from workers.continuation.oscillator import Family, Machine, NoOscillatorError
 from workers.continuation.stability import multipliers, pair_near
+from workers.continuation.switching import SwitchingMotion
 from workers.model.modes import stacked
 from workers.model.oscillator import taken
 
@@ -33,18 +35,25 @@ the state follows."""
 REMEMBERED = 8
 """Oscillators, and motions, that are kept, since one point is asked several things."""
 
-UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP = "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp"
+UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS = (
+    "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends",
+)  # fmt: skip
 """Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
-time; v_i = 0; a fold without curvature."""
+time, or another signal at an end of its range; v_i = 0; a fold without curvature; the force that would
+hold friction where it turns round is its static level, or that which holds it where it begins to stick."""
 
 
 class Condition(NamedTuple):
-    """One condition: its kind, the stop's side of a graze, the impact of a speed, the kappa of an angle."""
+    """One condition: its kind, the stop's side of a graze, the impact of a speed, the kappa of an angle.
+
+    Of machines with modes the signal that grazes an end of its range, or that is at one at an event ``impact``.
+    """
 
     kind: str
     side: int = 0
     impact: int = 0
     kappa: float = 0.0
+    signal: int = 0
 
 
 class Extended:
@@ -70,18 +79,15 @@ class Extended:
         self.m, self.free, self.states = len(orbit.itinerary.sides), len(family.free), motion.unknowns.shape[1]
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
         time = 1.0 / float(lin.omega[0])
-        clearances = np.abs([lin.upper[0], lin.lower[0]])
-        forced = float(np.abs(lin.gap.sin_part).sum() + np.abs(lin.gap.cos_part).sum())
-        least = 1e-3 * max(forced, float(np.max(clearances, initial=1e-300, where=np.isfinite(clearances)))) / time
-        (size,), (speed,) = motion.scale(least)
+        (size,), (guards,) = motion.scale()
         size, root = FOLLOWS * math.sqrt(len(size)) * size, math.sqrt(max(1, self.m))
         times = np.repeat([root * time, time], [self.m, self.grazes])
         self.scale = np.concatenate([size, times, self.width])
-        self.unit = np.concatenate([size, np.full(self.m, root * speed * time)])
+        self.unit = np.concatenate([size, root * guards])
         self.totals = [2.0 * condition.kappa for condition in conditions]
         self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
-    def model(self, values: Array) -> ModalOscillator:
+    def model(self, values: Array) -> Machine:
         """The oscillator at parameters (free,), as the only one of a record of many."""
         return self._model(*values.tolist())
 
@@ -143,13 +149,14 @@ class Extended:
 
     def _all(self, X: Array, motion: Motion) -> Array:
         """All equations (B, equations) at unknowns (B, N), which are these motions."""
-        lin, contacts = motion.lin, self.contacts(X)
-        parts, graze = [motion.turn.residuals], 0
+        contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
-                _, (y, v, _) = motion.at(contacts[:, graze : graze + 1])
-                parts += [y - (lin.upper if condition.side > 0 else -lin.lower)[:, None], v]
+                parts += motion.touch(condition.signal, condition.side, contacts[:, graze : graze + 1])
                 graze += 1
+            elif condition.kind in (ONSET, ENDS):
+                assert isinstance(motion, SwitchingMotion)
+                parts.append(motion.holding(condition.impact, condition.signal, condition.side)[:, None])
             elif condition.kind == SPEED:
                 parts.append(motion.turn.signals[:, 1, condition.impact, None])
             elif condition.kind in (PAIR, ANGLE):

@@ -7,23 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
+from workers.continuation.departure import first_departure
 from workers.continuation.equations import (
-    Itinerary,
+    ImpactMotion,
     Motion,
-    Orbit,
     check_orbits,
-    in_one_turn,
-    many_orbits,
+    motion_at,
     motion_of,
     motion_of_unknowns,
 )
+from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
 from workers.continuation.newton import Rows, newton
-from workers.continuation.oscillator import Array, Family, family_of, modal
+from workers.continuation.oscillator import Array, Family, Machine, ModalOscillator, family_of, modal
+from workers.continuation.recording import recorded_modes
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.kernel.cells import physical_states
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at, motions_at
+from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motions_at
+from workers.kernel.motion import motion_at as impacts_from
 from workers.kernel.period import propagate
 from workers.model.oscillator import Oscillator, taken
 from workers.model.system import System
@@ -105,8 +107,9 @@ def attract(family: Family, orbits: Many) -> Mask:
     with np.errstate(all="ignore"):
         good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = Motion(taken(motion.lin, k), motion.itinerary, motion.times[k], motion.start[k])
-        good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
+        one = motion_at(taken(motion.lin, k), motion.itinerary, motion.times[k], motion.start[k])
+        fault = first_fault(one) if isinstance(one, ImpactMotion) else first_departure(one)
+        good[rows[k]] = is_minimal(one) and not (family.certified and fault)
     return good
 
 
@@ -119,8 +122,16 @@ def orbit_from_state(
     periods  of the force in the whole orbit
     Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
     """
-    osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
-    return orbit_of(osc, family_of(system, values, ()), np.zeros(0), state, periods, symmetric)
+    given, family, none = (
+        {p.name: float(values.get(p.name, p.default)) for p in system.parameters},
+        family_of(system, values, ()),
+        np.zeros(0),
+    )
+    if system.has_modes:
+        machine = family.model(none[None])
+        assert not isinstance(machine, ModalOscillator)
+        return refined(family, recorded_modes(machine, state, periods), none)
+    return orbit_of(system.build(given), family, none, state, periods, symmetric)
 
 
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
@@ -134,7 +145,7 @@ def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Or
     # From there on no impact is lost or counted twice.
     shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
     there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
-    motion = motion_at(h, contact, record=RECORD)
+    motion = impacts_from(h, contact, record=RECORD)
     rows = []
     for k in range(periods):
         propagate(there, motion, osc.period)
@@ -176,12 +187,21 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     """
     count, itinerary = len(orbits), orbits[0].itinerary
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
+    if system.has_modes:
+        machines = system.definition.hybrid({name: np.ascontiguousarray(column) for name, column in given.items()})
+        return _sections(machines, many_orbits(orbits), shift)
     oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
-    lin, many = modal(oscillators), many_orbits(orbits)
-    period = 2.0 * np.pi / lin.omega[:, None]
-    since = np.mod(many.times / period - shift, 1.0)
-    many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
-    h, _ = motion_of(lin, many).at((np.arange(itinerary.periods) + shift) * period)
+    lin = modal(oscillators)
+    h = _sections(lin, many_orbits(orbits), shift)
     there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
     states = [physical_states(there, motions_at(np.ascontiguousarray(h[:, k])), rows) for k in range(itinerary.periods)]
     return np.stack(states, axis=1)
+
+
+def _sections(lin: Machine, many: Orbit, shift: float) -> Array:
+    """What ``motion_of`` has for states at the sections of a turn."""
+    period = 2.0 * np.pi / lin.omega[:, None]
+    since = np.mod(many.times / period - shift, 1.0)
+    many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
+    found, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
+    return found

@@ -54,6 +54,11 @@ class HybridMachines(NamedTuple):
     rub: Array
 
     @property
+    def dimension(self) -> int:
+        """How many numbers a state has: 2n."""
+        return 2 * self.load.shape[2]
+
+    @property
     def sizes(self) -> tuple[int, int, int]:
         """How many phases, contacts and frictions there are."""
         return self.load.shape[1], self.row.shape[1], self.slide.shape[1]

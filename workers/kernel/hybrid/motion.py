@@ -54,6 +54,9 @@ from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Mode
 
+NOTED = 5
+"""Numbers that are written down of an event before those of the signals."""
+
 
 @inline_always
 def stop_at(table, tally, k, number):
@@ -149,13 +152,21 @@ def keep_held(elements, states, slips, z):
             reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
 
 
+@inline_always
+def note(row, t, signal, side, rate, number, begun):
+    """Write down what has happened, see through_modes."""
+    row[0], row[1], row[2], row[3], row[4] = t, signal, side, rate, number
+    row[NOTED:] = begun
+
+
 @kernel
 def through_modes(table, z, W, code, growth, triangle, tally, hits, events, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
 
     In place, with the number of their mode in code (1,). growth (m,), triangle: see tangent.orthonormalise; of no
     length where the vectors are not to be made orthonormal. hits (K, 3): the first K contacts, (time, +-(1 + contact)
-    with the side's sign, speed); events (K, 4): the first K events, (time, signal, side, its rate), NaN from there on.
+    with the side's sign, speed); events (K, NOTED + G): the first K events, (time, signal, side, its rate, number of
+    the mode from then on, how its G signals begin), NaN after them; of signal -1 are the start and changes of phase.
     Stops early with tally[STATUS] set where it cannot go on.
     """
     pieces, elements = table.pieces, table.elements
@@ -171,11 +182,15 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
     k, number = follow_jumps(table, states, slips, where, z, phase, begun)
+    hit, side, rate = -1, 0, 0.0
     while True:
         if k < 0:
             stop_at(table, tally, k, number)
         if tally[STATUS] != RUNNING:
             return
+        if seen < events.shape[0]:
+            note(events[seen], t, hit, side, rate, number, begun)
+            seen += 1
         tally[LOST] = max(tally[LOST], pieces.lost[k])
         until = min(duration, period, elements.starts[where + 1] * period)
         enter(pieces, k, z, W, phase, h, V)
@@ -194,6 +209,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
             code[0] = number
             return
         if hit < 0:
+            rate = 0.0
             where += 1
             k, number = follow_jumps(table, states, slips, where, z, phase, begun)
             continue
@@ -202,9 +218,6 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, dura
         row = pieces.rows[k, hit, : 2 * n]
         for e in range(m):
             slopes[e] = product(row, W[e], 0) / rate
-        if seen < events.shape[0]:
-            events[seen, 0], events[seen, 1], events[seen, 2], events[seen, 3] = t, hit, side, rate
-            seen += 1
         c = hit // SIGNALS
         if c >= C:
             k, number = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
@@ -238,7 +251,7 @@ def propagate_hybrid(osc, motion, duration):
     from_vectors(osc.to_physical, h, z)
     from_vectors(osc.to_physical, motion.V, W)
     code = motion.contact - FIRST_NUMBER
-    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, np.empty((0, 4)), duration)
+    through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, np.empty((0, 0)), duration)
     if tally[STATUS] == RUNNING:
         into_vectors(osc.to_blocks, z, h)
         into_vectors(osc.to_blocks, W, motion.V)
