@@ -60,10 +60,10 @@ def whole_times(motion: SwitchingMotion) -> np.ndarray:
 def test_the_equations_have_the_times_of_the_oracle_to_rounding(name: str) -> None:
     """Truth: Newton's method in 28 digits. A rest is where a chatter is certain to end, not where the oracle has it."""
     times, events = whole_times(solved(name)), RECORDS[name]["events"]
-    chatters = any(kind == "rest" for _, kind, _, _ in events)
-    for t, kind, _, speed in events:
-        if not (chatters and kind in ("impact", "rest") and abs(speed) < 1e-3):
-            assert np.min(np.abs(times - t)) < 1e-13 if len(times) else name in TOUCHES, (t, kind)
+    error = 1e-10 if any(kind == "rest" for _, kind, _, _ in events) else 1e-13
+    for t, kind, _, _ in events:
+        if kind != "rest":
+            assert np.min(np.abs(times - t)) < error if len(times) else name in TOUCHES, (t, kind)
 
 
 @each_forced
@@ -100,7 +100,7 @@ def test_tangents_are_the_derivatives_of_the_residuals(name: str) -> None:
     ahead, behind = np.split(moved.turn.residuals[1:], 2)
     found = moved.linearised()[0]
     size = max(1.0, float(np.abs(found).max()))
-    assert ((ahead - behind) / 2e-6).T == pytest.approx(found, abs=2e-8 * size)
+    assert pytest.approx(found, abs=2e-8 * size) == ((ahead - behind) / 2e-6).T
 
 
 @pytest.mark.parametrize("name", ["row 5", "row 9", "row 22", "row 24"])
@@ -145,8 +145,7 @@ def test_an_orbit_through_a_stop_is_no_orbit() -> None:
     assert isinstance(motion, SwitchingMotion)
     fault = first_departure(motion)
     assert fault is not None
-    assert fault.reason == "contact"
-    assert fault.side == 1
+    assert (fault.signal, fault.side) == (0, 1)
 
 
 def test_an_itinerary_repeated_is_that_of_two_turns() -> None:

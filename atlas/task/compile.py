@@ -18,14 +18,15 @@ from atlas.task.child import watched
 from workers.model.system import DEFAULT, System
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS, MODES, MODES_ATTRACTORS = "", "attractors", "orbits", "modes", "modes-attractors"
+CELLS, ATTRACTORS, ORBITS = "", "attractors", "orbits"
+MODES, MODES_ATTRACTORS, MODES_ORBITS = "modes", "modes-attractors", "modes-orbits"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
 as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law
-changes, in place of the first ones, and find their attractors."""
+changes, in place of the first ones, find their attractors, and follow their orbits."""
 
-SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60, MODES_ATTRACTORS: 10}
+SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60, MODES_ATTRACTORS: 10, MODES_ORBITS: 20}
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MODES: 250, MODES_ATTRACTORS: 40}
+FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MODES: 250, MODES_ATTRACTORS: 40, MODES_ORBITS: 60}
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
@@ -47,7 +48,7 @@ WITH_MODES: dict[str, Any] = {
 }
 """A machine whose law changes in every way."""
 
-_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS}
+_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS}
 """The parts of machines whose law changes, in place of others."""
 
 YOUNG_OBJECTS = 50_000
@@ -178,6 +179,20 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
     solve_tile(system, {}, Settings(max_periods=1))
     if MODES_ATTRACTORS in parts:
         solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
+    if MODES_ORBITS in parts:
+        _follow_through_modes(system)
+
+
+def _follow_through_modes(record: System) -> None:
+    """A short branch of an orbit of a machine whose law changes; and its motion between events."""
+    from workers.continuation import branch, family_of, orbit_from_state, section_state
+    from workers.tile import solve_tile
+
+    values = {p.name: p.default for p in record.parameters}
+    cell = solve_tile(record, values, Settings(exponents="none", survival=0))
+    orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]))
+    branch(family_of(record, values, ("omega",)), orbit, values["omega"], (0.999, 1.001))
+    section_state(record, values, orbit)
 
 
 def _follow_an_orbit() -> None:

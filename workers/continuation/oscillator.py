@@ -87,6 +87,14 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     return Family(free, model)
 
 
+def has_images(system: System, values: Mapping[str, float]) -> bool:
+    """Whether the mirror image of each orbit of a machine, half a period later, is one of its orbits too."""
+    if not system.has_modes:
+        return bool(system.build(values).symmetric)
+    given = {p.name: np.array([float(values.get(p.name, p.default))]) for p in system.parameters}
+    return system.definition.hybrid(given).mirrored
+
+
 Machines = Callable[[Array], tuple[Machine, NDArray[np.int8]]]
 """Makes machines of rows of values, with the reason against each."""
 

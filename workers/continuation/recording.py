@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.continuation.oscillator import Array
-from workers.continuation.switching import is_mirrored
 from workers.kernel.hybrid.motion import NOTED, through_modes
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid import Hybrid, build_hybrid, build_missing
@@ -65,7 +64,7 @@ def _leg(row: Array, code: Code) -> Leg:
 def _halved(machines: HybridMachines, orbit: Orbit, span: float) -> Orbit:
     """The half of an orbit whose other half is its mirror image; else the orbit."""
     (sides, periods, _, legs), half = orbit.itinerary, len(orbit.times) // 2
-    if len(sides) % 2 or periods % 2 == 0 or not is_mirrored(machines) or not orbit.itinerary.repeats(half, -1):
+    if len(sides) % 2 or periods % 2 == 0 or not machines.mirrored or not orbit.itinerary.repeats(half, -1):
         return orbit
     if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > ALIKE * span:
         return orbit

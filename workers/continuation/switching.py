@@ -38,20 +38,9 @@ from workers.model.hybrid_modes import OPEN, SIGNALS, Code, Pieces, pieces_of
 from workers.model.modes import stacked
 
 
-def is_mirrored(machines: HybridMachines) -> bool:
-    """Whether all of these machines are their own mirror images half a period later.
-
-    That takes equal stops, belts at rest, no load, odd harmonics alone, and one phase.
-    """
-    own = machines
-    even = [own.force_sin[:, :, 1::2], own.force_cos[:, :, 1::2], own.load, own.belt]
-    equal = np.array_equal(own.stops[..., 0], -own.stops[..., 1])
-    return own.sizes[0] == 1 and equal and not any(np.any(field) for field in even)
-
-
 def check_machines(machines: HybridMachines, itinerary: Itinerary) -> None:
     """ValueError, in one line, where a symmetric orbit is asked for of a machine that is not its own mirror image."""
-    if itinerary.symmetric and (itinerary.periods % 2 == 0 or not is_mirrored(machines)):
+    if itinerary.symmetric and (itinerary.periods % 2 == 0 or not machines.mirrored):
         raise ValueError("a symmetric orbit needs an odd number of periods, a machine that is its own mirror image")
 
 
