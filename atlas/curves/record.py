@@ -6,6 +6,8 @@ import numpy as np
 
 from atlas.curves.following import Followed, Located
 from workers.continuation import Condition, Itinerary, Orbit
+from workers.continuation.itinerary import Leg
+from workers.model.hybrid_modes import Code
 
 
 def event_as_json(event: Located) -> dict[str, Any]:
@@ -82,5 +84,10 @@ def orbit_from_json(given: dict[str, Any]) -> Orbit:
 
 
 def _itinerary(given: list[Any]) -> Itinerary:
-    sides, periods, symmetric = given
-    return Itinerary(tuple(sides), periods, symmetric)
+    sides, periods, symmetric, legs = given
+    return Itinerary(tuple(sides), periods, symmetric, tuple(tuple(map(_leg, chain)) for chain in legs))
+
+
+def _leg(given: list[Any]) -> Leg:
+    (phase, contacts, slips), begun, signal, side = given
+    return Leg(Code(phase, tuple(contacts), tuple(slips)), tuple(begun), signal, side)

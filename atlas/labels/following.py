@@ -55,7 +55,8 @@ def followed(attractors: Attractors) -> Links:
     Orbits that are not connected by these are followed over up to FARTHEST cells, whose initial states may have missed
     them.
     """
-    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
+    # what machines with modes do without impact depends on where they slide
+    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0) & (not attractors.system.has_modes)
     free, follower = np.flatnonzero(still), _Follower(attractors)
     cell, image = with_images(attractors)
     known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
@@ -151,6 +152,7 @@ class _Follower:
 
 def _change(before: Many, after: Many, omega: Array) -> Array:
     _, times, speeds = after.orbits
-    later = np.abs(times - before.orbits.times).max(axis=1) * omega
-    faster = np.abs(speeds - before.orbits.speeds).max(axis=1) / np.abs(speeds).max(axis=1)
+    later = np.abs(times - before.orbits.times).max(axis=1, initial=0.0) * omega
+    fastest = np.abs(speeds).max(axis=1, initial=1e-300)
+    faster = np.abs(speeds - before.orbits.speeds).max(axis=1, initial=0.0) / fastest
     return np.asarray(np.maximum(later, faster))

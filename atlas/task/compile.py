@@ -26,7 +26,7 @@ changes, in place of the first ones, find their attractors, and follow their orb
 
 SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 60, MODES_ATTRACTORS: 10, MODES_ORBITS: 20}
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MODES: 250, MODES_ATTRACTORS: 40, MODES_ORBITS: 60}
+FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MODES: 250, MODES_ATTRACTORS: 40, MODES_ORBITS: 40}
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}

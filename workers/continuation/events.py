@@ -37,6 +37,7 @@ FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker",
 )  # fmt: skip
 GRAZING, IMPACT_LOST, CONTACT_LOST = "graze", "impact_lost", "contact_lost"
+LOST = IMPACT_LOST, CONTACT_LOST
 STICK_ONSET, STICK_END = "stick_onset", "stick_end"
 """Kinds of events with one condition."""
 

@@ -19,7 +19,7 @@ from workers.continuation.equations import (
 from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
 from workers.continuation.newton import Rows, newton
 from workers.continuation.oscillator import Array, Family, Machine, ModalOscillator, family_of, modal
-from workers.continuation.recording import recorded_modes
+from workers.continuation.recording import halved, recorded_modes
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.kernel.cells import physical_states
@@ -27,7 +27,7 @@ from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motions_at
 from workers.kernel.motion import motion_at as impacts_from
 from workers.kernel.period import propagate
-from workers.model.oscillator import Oscillator, taken
+from workers.model.oscillator import Oscillator, one_of, taken
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section
 
@@ -130,8 +130,29 @@ def orbit_from_state(
     if system.has_modes:
         machine = family.model(none[None])
         assert not isinstance(machine, ModalOscillator)
-        return refined(family, recorded_modes(machine, state, periods), none)
+        orbit = refined(family, recorded_modes(machine, state, periods), none)
+        half = halved(machine, orbit)
+        return orbit if half is orbit else refined(family, half, none)
     return orbit_of(system.build(given), family, none, state, periods, symmetric)
+
+
+def recorded_each(
+    system: System, values: Mapping[str, Array], states: Array, periods: Sequence[int], symmetric: Sequence[bool]
+) -> list[Orbit | None]:
+    """Orbits as they are recorded from physical section states (N, 2n) of machines with values (N,) of each parameter;
+    None where that cannot be, see ``orbit_from_state``."""
+    found = list[Orbit | None]()
+    machines = system.definition.hybrid(values) if system.has_modes else None
+    oscillators = None if system.has_modes else system.build_many(values)[0]
+    for k, (state, length, half) in enumerate(zip(states, periods, symmetric, strict=True)):
+        try:
+            if machines is None:
+                found.append(recorded(one_of(oscillators, k), state, int(length), bool(half)))
+            else:
+                found.append(recorded_modes(taken(machines, np.array([k])), state, int(length)))
+        except ValueError:
+            found.append(None)
+    return found
 
 
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:

@@ -54,16 +54,19 @@ def recorded_modes(machines: HybridMachines, state: Array, periods: int) -> Orbi
         chains[-1].append(legs[i])
         before = codes[i]
     itinerary = Itinerary(tuple(sides), periods, legs=tuple(map(tuple, chains)))
-    return _halved(machines, Orbit(itinerary, np.array(times), np.array(speeds)), periods * period)
+    return halved(machines, Orbit(itinerary, np.array(times), np.array(speeds)))
 
 
 def _leg(row: Array, code: Code) -> Leg:
     return Leg(code, tuple(int(each) for each in row[NOTED:]), int(row[1]), int(row[2]))
 
 
-def _halved(machines: HybridMachines, orbit: Orbit, span: float) -> Orbit:
-    """The half of an orbit whose other half is its mirror image; else the orbit."""
-    (sides, periods, _, legs), half = orbit.itinerary, len(orbit.times) // 2
+def halved(machines: HybridMachines, orbit: Orbit) -> Orbit:
+    """The half of an orbit of one machine whose other half is its mirror image; else the orbit itself."""
+    (sides, periods, symmetric, legs), half = orbit.itinerary, len(orbit.times) // 2
+    span = float(orbit.itinerary.span(machines)[0])
+    if symmetric or not sides:
+        return orbit
     if len(sides) % 2 or periods % 2 == 0 or not machines.mirrored or not orbit.itinerary.repeats(half, -1):
         return orbit
     if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > ALIKE * span:
