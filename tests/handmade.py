@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.equations import Itinerary, Motion, Orbit
+from workers.continuation.equations import ImpactMotion
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
 from workers.continuation.stability import pieces
 from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, Mode, make_blocks
@@ -73,13 +74,13 @@ def upper_peak(family: Family, values: Array) -> float:
     return float(crest / lin.omega[0])
 
 
-def exponents(motion: Motion) -> Array:
+def exponents(motion: ImpactMotion) -> Array:
     """Lyapunov exponents (N, 2n) per forcing period, largest first: ln|multipliers|, whatever their spread.
 
     The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
     beside another as in the product of the factors.
     """
-    factors, itinerary = pieces(motion), motion.orbits.itinerary
+    factors, itinerary = pieces(motion), motion.itinerary
     N, m, size = factors.shape[:3]
     cyclic = np.zeros((N, m * size, m * size))
     for i in range(m):

@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.oracle.pieces import Contact, Machine, Mode
+from workers.continuation.departure import first_departure
+from workers.continuation.equations import motion_of
+from workers.continuation.itinerary import many_orbits
+from workers.continuation.recording import recorded_modes
+from workers.continuation.switching import SwitchingMotion
 from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.hybrid.notes import NOTED
 from workers.kernel.hybrid.state import shown_number
 from workers.kernel.motion import MODE_MISSING, NOTHING_COUNTED, RECORDED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid import Hybrid, build_hybrid, build_missing
@@ -153,9 +159,9 @@ def _go_on(hybrid: Hybrid, found: Followed, since: float, duration: float) -> No
     while going:
         z, W, growth, tally = (array.copy() for array in (found.state, found.jacobian.T, found.growth, found.tally))
         W, code = np.ascontiguousarray(W), np.array([found.number])
-        hits, events = np.zeros((EVENTS, 3)), np.empty((EVENTS, 4))
+        hits, events = np.zeros((EVENTS, 3)), np.empty((EVENTS, NOTED + table.pieces.ends.shape[1]))
         tally[WORK], tally[RECORDED] = WORK_OF_A_TRIAL, 0.0
-        through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, np.empty((0, 4)), duration)
+        through_modes(table, z, W, code, growth, np.zeros((0, 0)), tally, hits, events, np.empty((0, 0)), duration)
         going = tally[STATUS] == MODE_MISSING and len(build_missing(hybrid, np.zeros(1, dtype=np.int64))) > 0
     hits = hits[: int(tally[RECORDED])]
     hits[:, 0] += since
@@ -163,11 +169,11 @@ def _go_on(hybrid: Hybrid, found: Followed, since: float, duration: float) -> No
     found.numbers.append(found.number)
     found.sections.append(z)
     found.hits = np.concatenate([found.hits, hits])
-    found.events += [_event(hybrid, row, since) for row in events[~np.isnan(events[:, 0])]]
+    found.events += [_event(hybrid, row, since) for row in events[events[:, 1] >= 0.0]]
 
 
 def _event(hybrid: Hybrid, row: Array, since: float) -> Event:
-    t, signal, side, rate = row.tolist()
+    t, signal, side, rate = row[:4].tolist()
     first_friction = SIGNALS * hybrid.machines.sizes[1]
     if signal >= first_friction:
         return Event(since + t, "friction", int(signal) - first_friction, int(side), rate, False)
@@ -179,3 +185,8 @@ def warm_up() -> None:
     """Compile the loop through modes by itself, as tests call it: once for all processes of a test run."""
     mass = Machine([[1.0]], [[0.1]], [[1.0]], [0.0], 1.0, (), (Contact([1.0], 1.0, None, stiffness=1.0),))
     follow(built(mass), [0.0, 0.0])
+    machines = machines_of([mass])
+    motion = motion_of(machines, many_orbits([recorded_modes(machines, np.array([2.0, 0.0]), 1)]))
+    assert isinstance(motion, SwitchingMotion)
+    motion.at(np.array([[0.0]]))
+    first_departure(motion)

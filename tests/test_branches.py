@@ -7,9 +7,12 @@ import pytest
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
-from workers.continuation.equations import Itinerary, Orbit
+from workers.continuation.itinerary import Itinerary, Orbit
+from workers.continuation.orbits import orbit_from_state
 from workers.continuation.oscillator import family_of
 from workers.model.system import find_system
+from workers.settings import Settings
+from workers.tile import solve_tile
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +23,7 @@ def ball_orbit(A: float, R: float) -> Orbit:
     """The orbit of period 1 with A cos t = pi (1 - R)/(1 + R)."""
     t = math.acos(math.pi * (1.0 - R) / (1.0 + R) / A)
     v = -2.0 * math.pi / (1.0 + R)
-    return Orbit(Itinerary((-1,), 1), np.array([t]), np.array([v]), A * math.sin(t) - (1.0 + R) * v * math.pi / 6.0)
+    return Orbit(Itinerary((-1,), 1), np.array([t]), np.array([v]))
 
 
 def pair_orbit(alpha: float, R: float) -> Orbit:
@@ -143,3 +146,16 @@ def test_a_symmetric_orbit_given_as_asymmetric_is_refused_in_one_line() -> None:
     twice = Orbit(Itinerary((1, -1), 1), times, np.concatenate([orbit.speeds, -orbit.speeds]))
     with pytest.raises(ValueError, match="shorter or symmetric one repeated"):
         branch(whole, twice, 0.2, (0.1, 0.6))
+
+
+@pytest.mark.parametrize("resolution", [0.02, 0.1, 0.25, 0.5, 1.0])
+def test_a_pair_that_leaves_the_unit_circle_and_returns_through_minus_one_within_a_step_is_seen(
+    resolution: float,
+) -> None:
+    """Both may change no sign together: the pair is real when it returns, and its product is below 1 again."""
+    given = {"omega": 3.6764705882352944, "b": 0.09231481481481482, "R": 0.8, "tau": 0.0}
+    values = {p.name: given.get(p.name, p.default) for p in TWO_MASS.parameters}
+    arrays = solve_tile(TWO_MASS, values, Settings())
+    orbit = orbit_from_state(TWO_MASS, values, arrays["state"][()], 1)
+    run = branch(family_of(TWO_MASS, values, ("b",)), orbit, values["b"], (0.05, 0.0924), resolution=resolution)
+    assert kinds(run) == ["graze", "period_doubling", "neimark_sacker"]

@@ -51,7 +51,7 @@ def test_two_folds_meet_at_the_cusp_of_a_ball_on_a_table_of_two_tones() -> None:
     at = float(brentq(bend, 1.9, 2.0, xtol=1e-15))
     exact = np.array(fold(at))
     v, start = -2.0 * math.pi / (1.0 + R), np.array(fold(0.0))
-    orbit = Orbit(Itinerary((-1,), 1), np.zeros(1), np.array([v]), -(1.0 + R) * v * math.pi / 6.0)
+    orbit = Orbit(Itinerary((-1,), 1), np.zeros(1), np.array([v]))
     event = Event("fold", (Condition(UNIT),), Point(start, orbit, np.zeros(0), np.zeros(0, dtype=np.complex128), 0))
     run = curve(two_tones(), event, start, {"A": (-5.0, 1.5), "B": (-3.0, 1.0)})
     cusps = [met.point for met in run.events if met.kind == "cusp"]

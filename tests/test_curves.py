@@ -17,9 +17,9 @@ from tests.handmade import (
 from tests.test_branches import ball_orbit, pair_orbit
 from workers.continuation.branches import BUDGET, CLOSED, EDGE, branch
 from workers.continuation.curves import curve
-from workers.continuation.equations import Itinerary, Orbit
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, Condition
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.oscillator import Family, family_of
 from workers.model.system import find_system
 

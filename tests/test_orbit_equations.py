@@ -1,5 +1,7 @@
-"""Periodic orbits as equations of their impacts: the answer to kicks, derivatives, stability."""
+"""Periodic orbits as equations of their states and times of impacts: one turn, derivatives, stability."""
 
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,13 +20,13 @@ from tests.handmade import (
     reference_values,
 )
 from workers.continuation.admissible import CONTACT, LOST, first_fault
-from workers.continuation.equations import Itinerary, Motion, Orbit, check_orbits, many_orbits
+from workers.continuation.equations import ImpactMotion, Motion, check_orbits, motion_of, motion_of_unknowns
 from workers.continuation.extended import Extended, solve
+from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.orbits import section_state
 from workers.continuation.oscillator import ModalOscillator, family_of
-from workers.continuation.pulses import answers
 from workers.continuation.stability import flights, multipliers, turn_map
-from workers.model.oscillator import COLUMN, OF_FLOW, make_blocks
+from workers.model.oscillator import make_blocks
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")
@@ -34,7 +36,7 @@ BIFURCATIONS = [record for record in CURVES if record["times"]]
 
 def motion_at(record: dict[str, Any]) -> Motion:
     lin = family_of(TWO_MASS, reference_values(record), ()).model(np.zeros((1, 0)))
-    return Motion(lin, many_orbits([reference_orbit(record)]))
+    return motion_of(lin, many_orbits([reference_orbit(record)]))
 
 
 @pytest.mark.parametrize("record", CURVES, ids=reference_name)
@@ -52,6 +54,13 @@ def test_a_reference_point_is_found_again_with_its_digits(record: dict[str, Any]
 
 
 @pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
+def test_the_times_of_a_reference_orbit_give_its_state_and_speeds(record: dict[str, Any]) -> None:
+    motion = motion_at(record)
+    assert motion.turn.residuals == pytest.approx(0.0, abs=1e-14)
+    assert motion.orbits.speeds[0] == pytest.approx(reference_orbit(record).speeds, abs=1e-14)
+
+
+@pytest.mark.parametrize("record", BIFURCATIONS, ids=reference_name)
 def test_a_reference_orbit_has_its_multipliers_and_its_section_state(record: dict[str, Any]) -> None:
     found = multipliers(motion_at(record))[0]
     for re, im in record["multipliers"]:
@@ -66,7 +75,7 @@ def test_a_reference_orbit_is_admissible(record: dict[str, Any]) -> None:
     family, event, values = reference_event(record, tuple(record["free"]))
     orbit = event.point.orbit
     lin = Extended(family, orbit, (), values, values).model(values)
-    assert first_fault(Motion(lin, many_orbits([orbit])), event.point.contacts) is None
+    assert first_fault(motion_of(lin, many_orbits([orbit])), event.point.contacts) is None
 
 
 def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
@@ -79,7 +88,7 @@ def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
     for b in (given["b"] * (1 - 1e-4), given["b"] * (1 + 1e-4)):
         values = np.array([b])
         equations = Extended(family, orbit, (), values, values)
-        row = np.eye(1, 5, 4)[0]
+        row = np.eye(1, 7, 6)[0]
         found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
         faults.append(first_fault(equations.motion(found.X)))
     crossed = [fault for fault in faults if fault is not None]
@@ -93,17 +102,20 @@ def test_an_impact_that_moves_off_its_stop_is_a_fault() -> None:
     record = CURVES[4]
     family, event, values = reference_event(record, ("omega",))
     lin = Extended(family, event.point.orbit, (), values, values).model(values)
-    orbit = event.point.orbit
-    turned = orbit._replace(speeds=orbit.speeds * np.array([1.0, -1.0]))
-    fault = first_fault(Motion(lin, many_orbits([turned])))
+    motion = motion_of(lin, many_orbits([event.point.orbit]))
+    first, second = motion.itinerary.sides
+    turned = replace(motion, itinerary=motion.itinerary._replace(sides=(first, -second)))
+    fault = first_fault(turned)
     assert fault is not None
     assert (fault.reason, fault.impact) == (LOST, 1)
 
 
-def kicked(
-    lin: ModalOscillator, orbits: Orbit, span: float, h: np.ndarray, s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The naive twin: block states at times s, and at the end of the turn, by an integrator from h at time 0."""
+def bounced(motion: Motion, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The naive twin: block states (h, h') at times s of one turn, and at its end, by an integrator.
+
+    An impact changes the velocity of y, forced part and all, by -(1 + R) times itself.
+    """
+    lin, times = motion.lin, motion.times[0]
     eta, lam, load = lin.gap.eta[0], lin.gap.lam[0], lin.gap.load[0]
     n = len(eta)
 
@@ -111,52 +123,49 @@ def kicked(
         x, v = u[:n], u[n:]
         return np.concatenate([v, load - 2.0 * eta * v - lam * x])
 
-    u, out, now = np.concatenate([h[:, 0], h[:, 1]]), [], 0.0
-    for t, v in [*zip(orbits.times[0], orbits.speeds[0], strict=True), (span, 0.0)]:
-        inside = s[(s > now) & (s < t)]
-        path = solve_ivp(rate, (now, t), u, t_eval=[*inside, t], method="DOP853", rtol=1e-13, atol=1e-13)
-        out += list(path.y.T[: len(inside)])
-        u = path.y[:, -1] - (1.0 + lin.R[0]) * v * lin.gap.kick[0].T.ravel()
-        now = t
+    def flight(u: np.ndarray, begin: float, end: float) -> np.ndarray:
+        inside = s[(s > begin) & (s < end)]
+        path = solve_ivp(rate, (begin, end), u, t_eval=[*inside, end], method="DOP853", rtol=1e-13, atol=1e-13)
+        out.extend(path.y.T[: len(inside)])
+        return np.asarray(path.y[:, -1])
+
+    u, out = motion.start[0].T.ravel(), list[np.ndarray]()
+    for begin, end in pairwise([*times, times[0] + motion.span[0]]):
+        v = np.sum(lin.gap.row[0].T.ravel() * rate(begin, u)) + waves(lin, np.array([begin]))[1, 0]
+        u = flight(u - (1.0 + lin.R[0]) * v * lin.gap.kick[0].T.ravel(), begin, end)
     return np.array(out), u
 
 
+def waves(lin: ModalOscillator, s: np.ndarray) -> np.ndarray:
+    """The forced part of y and its derivative (2, K) at times s (K,)."""
+    omega, found = lin.omega[0], np.zeros((2, len(s)))
+    for k, (sin, cos) in enumerate(zip(lin.gap.sin_part[0], lin.gap.cos_part[0], strict=True), 1):
+        angle = k * (omega * s + lin.tau[0])
+        found[0] += sin * np.sin(angle) + cos * np.cos(angle)
+        found[1] += k * omega * (sin * np.cos(angle) - cos * np.sin(angle))
+    return found
+
+
+def general_motion(rigid_damping: float = 0.3, harmonics: int = 2) -> Motion:
+    """No orbit: a turn of the general oscillator from anywhere."""
+    lin = general(rigid_damping=rigid_damping, harmonics=harmonics)
+    start = np.random.default_rng(2).standard_normal((1, 3, 2))
+    return ImpactMotion(lin, Itinerary((1, -1, 1), 2), np.array([[0.9, 2.2, 5.1]]), start)
+
+
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 0.05, 0.3, 2.0])
-def test_the_answer_to_kicks_is_that_of_a_general_integrator(damping: float) -> None:
+def test_a_turn_is_that_of_a_general_integrator(damping: float) -> None:
     """Blocks with both entries of c and k, a damped or undamped rigid mode under a load, and two harmonics."""
-    lin = general(rigid_damping=damping)
-    itinerary = Itinerary((1, -1, 1), 2)
-    span = float(itinerary.span(lin)[0])
-    v = np.array([[0.8, -0.5, 0.3]])
-    balance = lin.gap.blocks[0, 2, COLUMN.load] * span / ((1.0 + lin.R[0]) * lin.gap.kick[0, 2, 1])
-    orbits = Orbit(itinerary, np.array([[0.9, 2.2, 5.1]]), v * balance / v.sum(), np.array([0.25]))
-    start = Motion(lin, orbits).block_state(np.zeros((1, 1)))[0, ..., 0]
-    s = np.array([0.3, 1.0, 2.0, 2.3, 4.0, 6.0])
-    path, end = kicked(lin, orbits, span, start, s)
-    phase = lin.omega[0] * s + lin.tau[0]
-    waves = zip(lin.gap.sin_part[0], lin.gap.cos_part[0], (phase, 2.0 * phase), strict=True)
-    Y = sum(sin * np.sin(angle) + cos * np.cos(angle) for sin, cos, angle in waves)
-    y = path[:, :3] @ lin.gap.row[0, :, 0] + path[:, 3:] @ lin.gap.row[0, :, 1] + Y
-    assert end == pytest.approx(np.concatenate([start[:, 0], start[:, 1]]), abs=1e-10)
-    assert Motion(lin, orbits).at(s[None])[0][0] == pytest.approx(y, abs=1e-10)
-
-
-@pytest.mark.parametrize("damping", [0.0, 1e-9, 0.02, 0.13, 0.14, 1.0, 40.0])
-def test_the_answer_of_a_rigid_mode_has_a_unit_kick_and_mean_zero(damping: float) -> None:
-    """Truth: its definition, g'(0) - g'(L) = 1 and g(0) = g(L); 0.13 and 0.14 lie on either side of the series."""
-    lin = bouncing_ball((), A=1.0, R=0.5).model(np.zeros((1, 0)))
-    eta = np.full((1, 1), damping)
-    blocks = lin.gap.blocks.copy()
-    blocks[..., :OF_FLOW] = make_blocks(eta, lin.gap.lam)[..., :OF_FLOW]
-    lin = lin._replace(gap=lin.gap._replace(blocks=blocks))
-    nodes, weights = np.polynomial.legendre.leggauss(200)
-    s = np.concatenate([[0.0, 3.7], 1.85 * (nodes + 1.0)])
-    u, load = answers(lin.gap.blocks, np.array([3.7]), 1.0, s[None, :, None])
-    g0, g1 = u[0, 0, :, :, 0]
-    assert g0[0] == pytest.approx(g0[1], abs=1e-14)
-    assert g1[0] - g1[1] == pytest.approx(1.0, abs=1e-14)
-    assert 1.85 * weights @ g0[2:] == pytest.approx(0.0, abs=1e-12)
-    assert load == pytest.approx(-1.0 / 3.7, abs=1e-12)
+    motion = general_motion(damping)
+    lin, s = motion.lin, np.array([1.0, 2.0, 2.3, 4.0, 6.0, 8.0])
+    path, end = bounced(motion, s)
+    y = path[:, :3] @ lin.gap.row[0, :, 0] + path[:, 3:] @ lin.gap.row[0, :, 1] + waves(lin, s)[0]
+    states, (found, _, _) = motion.at(s[None])
+    assert states[0].transpose(0, 2, 1).reshape(6, 6) == pytest.approx(path, abs=1e-10)
+    assert found[0] == pytest.approx(y, abs=1e-10)
+    assert motion.turn.residuals[0, :6].reshape(3, 2).T.ravel() == pytest.approx(
+        end - motion.start[0].T.ravel(), abs=1e-10
+    )
 
 
 def test_flows_are_those_of_the_kernel_s_formula() -> None:
@@ -177,33 +186,24 @@ def test_the_jacobian_is_that_of_finite_differences(record: dict[str, Any]) -> N
 
 
 def test_the_jacobian_with_a_rigid_mode_is_that_of_finite_differences() -> None:
-    lin = general(harmonics=1)
-    orbit = Orbit(Itinerary((1, -1, 1), 2), np.array([0.9, 2.2, 5.1]), np.array([0.8, -0.5, 0.3]), 0.25)
-    differences_of(Motion(lin, many_orbits([orbit])), 1e-7)
+    differences_of(general_motion(harmonics=1), 1e-7)
 
 
 def differences_of(motion: Motion, tolerance: float) -> None:
-    (lin, (itinerary, times, speeds, offset)), J = motion, motion.linearised()[0]
-    m, X = times.shape[1], np.concatenate([times[0], speeds[0], offset])[: len(J)]
+    J, X = motion.linearised()[0], motion.unknowns
     for i in range(len(J)):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = X.copy()
-            moved[i] += sign * 1e-6
-            offset = moved[2 * m :] if len(J) > 2 * m else offset
-            ends.append(Motion(lin, Orbit(itinerary, moved[None, :m], moved[None, m : 2 * m], offset)).residual()[0])
-        assert J[:, i] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=tolerance)
+        step = 1e-6 * np.eye(1, len(J), i)
+        ends = (motion_of_unknowns(motion.lin, motion.itinerary, X + sign * step).turn.residuals for sign in (1, -1))
+        ahead, behind = ends
+        assert J[:, i] == pytest.approx((ahead - behind)[0] / 2e-6, abs=tolerance)
 
 
 @pytest.mark.parametrize("z", [1.0, -1.0, np.exp(0.7j), 1.3])
 @pytest.mark.parametrize("record", BIFURCATIONS[2:7:2] + BIFURCATIONS[-1:], ids=reference_name)
 def test_the_determinant_is_that_of_the_turn_without_poles(record: dict[str, Any], z: complex) -> None:
-    """det J_z = prod(-v_i) det(z - DP) / det(z - e^(A span)), the whole orbit and the half of a symmetric one."""
-    motion, one = motion_at(record), np.eye(4)
-    (lin, orbits), span = motion, motion.span
-    free = orbits.itinerary.sign * flights(lin.gap.blocks, span[:, None], lin.R, np.zeros((1, 0)))[0, 0]
-    DP = turn_map(motion)[0]
-    expected = np.prod(-orbits.speeds) * np.linalg.det(z * one - DP) / np.linalg.det(z * one - free)
+    """det J_z = det(DP - z) prod v_i, the whole orbit and the half of a symmetric one."""
+    motion = motion_at(record)
+    expected = np.prod(motion.orbits.speeds) * np.linalg.det(turn_map(motion)[0] - z * np.eye(4))
     assert np.linalg.det(motion.linearised(z)[0]) == pytest.approx(expected, abs=1e-11)
 
 
@@ -224,11 +224,11 @@ def test_the_bouncing_ball_has_the_multipliers_of_its_map() -> None:
     R = 0.5
     lin = bouncing_ball((), A=np.pi * (1 - R) / (1 + R), R=R).model(np.zeros((1, 0)))
     v = -2.0 * np.pi / (1.0 + R)
-    orbit = Orbit(Itinerary((-1,), 1), np.zeros((1, 1)), np.array([[v]]), np.array([-(1 + R) * v * 2 * np.pi / 12]))
-    if Motion(lin, orbit).residual()[0, 1] ** 2 >= 1e-20:
-        orbit = orbit._replace(times=orbit.times + np.pi)
-    assert Motion(lin, orbit).residual() == pytest.approx(0.0, abs=1e-13)
-    mu = multipliers(Motion(lin, orbit))[0]
+    orbits = (Orbit(Itinerary((-1,), 1), np.array([[t]]), np.array([[v]])) for t in (0.0, np.pi))
+    motion = min((motion_of(lin, orbit) for orbit in orbits), key=lambda motion: np.abs(motion.turn.residuals).max())
+    assert motion.turn.residuals == pytest.approx(0.0, abs=1e-13)
+    assert motion.orbits.speeds == pytest.approx(v, abs=1e-13)
+    mu = multipliers(motion)[0]
     assert mu == pytest.approx([1.0, R**2], abs=1e-7)
 
 

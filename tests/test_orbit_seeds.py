@@ -10,7 +10,8 @@ from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import Motion, in_one_turn, many_orbits
+from workers.continuation.equations import motion_of
+from workers.continuation.itinerary import in_one_turn, many_orbits
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.model.system import find_system
@@ -33,7 +34,7 @@ def agree(params: dict[str, Any], settings: Settings) -> int:
         orbit = orbit_from_state(
             TWO_MASS, values, found["state"][k], int(found["period"][k]), bool(found["symmetric"][k])
         )
-        motion = Motion(family_of(TWO_MASS, values, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
+        motion = motion_of(family_of(TWO_MASS, values, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
         assert section_state(TWO_MASS, values, orbit) == pytest.approx(found["state"][k], abs=1e-10)
         spectrum = exponents(motion)[0]
         assert spectrum[0] == pytest.approx(found["spectrum"][k, 0], abs=max(1e-9, found["error"][k]))
@@ -86,4 +87,4 @@ def test_times_are_reduced_to_one_turn_of_the_same_orbit() -> None:
         reduced = in_one_turn(later, span)
         assert np.all((reduced.times >= 0.0) & (reduced.times < span))
         assert np.all(np.diff(reduced.times) > 0.0)
-        assert Motion(lin, many_orbits([reduced])).residual() == pytest.approx(0.0, abs=1e-13)
+        assert motion_of(lin, many_orbits([reduced])).turn.residuals == pytest.approx(0.0, abs=1e-13)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
 from atlas.spec.spec import checked_parameters
-from atlas.spec.system import checked_system, refuse_modes, resolved_system
+from atlas.spec.system import checked_system, resolved_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import NO_IMPACT, NO_REASON, PERIODIC, REASON, REASONS, REGIME, REGIMES
@@ -84,18 +84,18 @@ def system_of(ds: "xr.Dataset") -> System:
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
     """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
     from workers.continuation import orbit_from_state
+    from workers.continuation.oscillator import has_images
 
-    refuse_modes(record, "branches")
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):
         name = next(each.name for each in REGIMES if each.code == regime).replace("_", " ")
         code = int(cell.get(REASON.name, NO_REASON))
         why = f" ({REASONS[code].text})" if code != NO_REASON else ""
         raise InputError(f"this cell is {name}{why}: a branch starts from a periodic one")
-    if bool(cell["sticks"]):
+    if bool(cell["sticks"]) and not record.has_modes:
         raise InputError("this cell's orbit rests on a stop: branches are of orbits with impacts alone")
     # Without impacts it is its own mirror image wherever orbits have one.
-    symmetric = bool(cell["symmetric"]) or (regime == NO_IMPACT and bool(record.build(values).symmetric))
+    symmetric = bool(cell["symmetric"]) or (regime == NO_IMPACT and has_images(record, values))
     try:
         orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]) or 1, symmetric)
     except ValueError as error:

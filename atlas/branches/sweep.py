@@ -12,7 +12,6 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
-from atlas.spec.system import refuse_modes
 from workers.continuation import Orbit, Point
 from workers.continuation.orbits import refined
 from workers.results import PERIODIC, REGIME
@@ -40,7 +39,6 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds), axis_names(ds)
-    refuse_modes(system, "branches")
     for other in sweeps[1:]:
         if axis_names(other) != (along,):
             raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
@@ -127,7 +125,6 @@ def _orbits_at(tree: Tree, branch: Branch, value: float) -> Iterator[Orbit]:
             one.itinerary,
             one.times + share * (other.times - one.times),
             one.speeds + share * (other.speeds - one.speeds),
-            one.offset + share * (other.offset - one.offset),
         )
         try:
             yield refined(tree.family, between, np.array([value]))

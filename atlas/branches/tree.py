@@ -18,9 +18,11 @@ from workers.continuation import (
     branch,
     family_of,
     leaving_branch,
+    orbit_from_state,
     section_states,
 )
 from workers.continuation.orbits import refined
+from workers.continuation.oscillator import has_images
 from workers.model.system import System
 
 Array = NDArray[np.float64]
@@ -33,6 +35,9 @@ BESIDE = 1e-3
 
 LEAVES = ("symmetry_breaking", "period_doubling")
 """Kinds of events at which a branch leaves."""
+
+GOES_ON = ("graze", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding")
+"""Kinds of events at which the orbit of a machine with modes may go on as one with other events."""
 
 SAME = 1e-6
 """Difference, relative to the size of states, below which two orbits at one parameter are the same."""
@@ -88,7 +93,7 @@ class Tree:
 
     def __post_init__(self) -> None:
         self.family: Family = family_of(self.system, self.values, (self.along,))
-        self.twins = bool(self.system.build(self.values).symmetric)
+        self.twins = has_images(self.system, self.values)
 
     def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
         """Follow the branch of an orbit, and with ``leaving`` those that leave it or that it leaves, and so on.
@@ -100,6 +105,10 @@ class Tree:
         waiting = deque(self._meetings(first)) if leaving else deque()
         while waiting:
             number, event = waiting.popleft()
+            if event.kind in GOES_ON:
+                if len(self.branches) < self.most and self._go_on(number, event):
+                    waiting.extend(self._meetings(len(self.branches) - 1))
+                continue
             ends = len(event.point.orbit.times) < len(self.branches[number].itinerary.sides)
             if self._is_known(event, ends):
                 continue
@@ -118,8 +127,34 @@ class Tree:
         return section_states(self.system, given, [point.orbit], shift)[0]
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
-        """The events of a branch at which another one leaves it, or it leaves another."""
-        return [(number, event) for event in self.branches[number].run.events if event.kind in LEAVES]
+        """The events of a branch at which another one leaves it, or it leaves another, or goes on as another."""
+        kinds = LEAVES + GOES_ON if self.system.has_modes else LEAVES
+        return [(number, event) for event in self.branches[number].run.events if event.kind in kinds]
+
+    def _go_on(self, number: int, event: Event) -> bool:
+        """Add the branch of the orbit with other events that a branch becomes at its end; whether one is found."""
+        if sum(self._meets(event, other) for branch in self.branches for other in branch.run.events) > 1:
+            return False
+        (low, high), here, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
+        for beside in (here + share * sign * (high - low) for share in (BESIDE, 0.1 * BESIDE) for sign in (1.0, -1.0)):
+            if not low < beside < high:
+                continue
+            try:
+                given = {**self.values, self.along: beside}
+                start = orbit_from_state(self.system, given, state, event.point.orbit.itinerary.periods)
+                run = branch(self.family, start, beside, self.window)
+            except ValueError:
+                continue
+            other = start.itinerary != self.branches[number].itinerary
+            if other and any(self._meets(event, end) for end in run.events):
+                self._add(run, start.itinerary, number, event)
+                return True
+        return False
+
+    def _meets(self, one: Event, other: Event) -> bool:
+        """Whether two events of any kind are one orbit, or mirror images."""
+        near = abs(one.point.values[0] - other.point.values[0]) <= 1e-8 * (self.window[1] - self.window[0])
+        return near and self.is_orbit(self.states(one.point)[0], other.point)
 
     def _follow(self, parent: int, event: Event) -> bool:
         """Add the branch that leaves at an event; whether one is found that comes back to it."""
@@ -169,10 +204,7 @@ class Tree:
 
     def _same(self, one: Event, other: Event) -> bool:
         """Whether two events are one, or mirror images."""
-        near = abs(one.point.values[0] - other.point.values[0]) <= 1e-8 * (self.window[1] - self.window[0])
-        if one.kind != other.kind or not near:
-            return False
-        return self.is_orbit(self.states(one.point)[0], other.point)
+        return one.kind == other.kind and self._meets(one, other)
 
     def is_orbit(self, state: Array, point: Point) -> bool:
         """Whether a section state (2d,) is one of the orbit of a point, or of its mirror image."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.branches.branch import MOST, tree_from
-from atlas.branches.seed import seed_of_cell, seed_of_point
+from atlas.branches.seed import seed_of_cell, seed_of_point, system_of
 from atlas.branches.table import Branches
 from atlas.cli.options import (
     at_option,
@@ -33,7 +33,7 @@ from atlas.render import FORMATS, LOOK, branch_figure
 from atlas.service.progress import Progress, prepare_kernels, reporter
 from atlas.spec.spec import checked_parameters, checked_settings
 from atlas.spec.system import checked_system
-from atlas.task.compile import ORBITS
+from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import plural
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ def branch(
     """Follow the periodic orbit of a cell along one parameter, where it is stable and where it is not.
 
     The cell is one of STORE, by --at, or is solved here, by --set. Prints the events on the way: folds, symmetry
-    breakings, period doublings, Neimark-Sacker points, grazes, lost impacts, each located to 1e-10 or better.
+    breakings, period doublings, Neimark-Sacker points, grazes, lost impacts and contacts, onset and end of stick, each
+    located to 1e-10 or better.
     """
     _check_out(out)
     look = {name: options.pop(name) for name in LOOK if name in options}
@@ -138,12 +139,14 @@ def _seed(
     pairs, at = read_pairs("--set", given, read_number), read_pairs("--at", point, read_number)
     if store is None:
         settings = checked_settings(options)
-        checked_parameters(checked_system(system), pairs)
-        prepare_kernels(show, ORBITS)
+        record = checked_system(system)
+        checked_parameters(record, pairs)
+        prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
-        return seed_of_point(pairs, system, settings)
-    prepare_kernels(show, ORBITS)
-    return seed_of_cell(selected(open_atlas(store), read_pairs("--select", select, read_number)), at)
+        return seed_of_point(pairs, record, settings)
+    ds = selected(open_atlas(store), read_pairs("--select", select, read_number))
+    prepare_kernels(show, *kernels_for(system_of(ds), ORBITS))
+    return seed_of_cell(ds, at)
 
 
 def _print(found: Branches) -> None:

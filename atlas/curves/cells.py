@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from atlas.curves.plane import Cells, Plane
 from workers.continuation import Family, Orbit, family_of
-from workers.continuation.equations import Itinerary, check_orbits
-from workers.continuation.orbits import alike, attract, many_of, moved, orbit_of
+from workers.continuation.equations import check_orbits
+from workers.continuation.itinerary import Itinerary
+from workers.continuation.orbits import alike, attract, many_of, moved, recorded_each, refined
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
-from workers.model.oscillator import one_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,7 +46,7 @@ class CellOrbits:
         plane, found = self.plane, self._known
         wanted = np.array([cell for cell in dict.fromkeys(cells.tolist()) if cell not in found], dtype=np.int64)
         found.update(dict.fromkeys(wanted.tolist()))
-        impacts = (plane.impacts_upper[wanted] > 0) | (plane.impacts_lower[wanted] > 0)
+        impacts = (plane.impacts_upper[wanted] > 0) | (plane.impacts_lower[wanted] > 0) | plane.system.has_modes
         for cell in wanted[plane.proven[wanted] & ~impacts].tolist():
             found[cell] = self._without_impact(plane.values(np.array([cell])))
         found.update(self._with_impacts(wanted[plane.proven[wanted] & impacts]))
@@ -111,11 +111,11 @@ class CellOrbits:
             return found
         given = {name: np.full(len(cells), value) for name, value in plane.fixed.items()}
         given |= {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(plane.axes)}
-        oscillators, _ = plane.system.build_many(given)
-        for k, cell in enumerate(cells.tolist()):
+        turns = plane.period[cells].tolist(), plane.symmetric[cells].tolist()
+        orbits = recorded_each(plane.system, given, plane.state[cells], *turns)
+        for k, (cell, orbit) in enumerate(zip(cells.tolist(), orbits, strict=True)):
             try:
-                osc, turn = one_of(oscillators, k), (int(plane.period[cell]), bool(plane.symmetric[cell]))
-                found[cell] = orbit_of(osc, self.family, values[k], plane.state[cell], *turn)
+                found[cell] = orbit and refined(self.family, orbit, values[k])
             except ValueError:
                 found[cell] = None
         return found

@@ -14,7 +14,7 @@ from atlas.curves.table import KINDS
 from atlas.errors import InputError, check_names
 from atlas.query.queries import at
 from workers.continuation import Event, Orbit
-from workers.continuation.events import GRAZING, IMPACT_LOST
+from workers.continuation.events import GRAZING, LOST
 from workers.continuation.orbits import attract, many_of, moved
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
     """
     if kind is not None:
         check_names("kind of event", [kind], KINDS)
-        kind = GRAZING if kind == IMPACT_LOST else kind
+        kind = GRAZING if kind in LOST else kind
     plane = plane_of(header_of(ds))
     found = at(ds, point)
     orbits, here = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
@@ -71,7 +71,7 @@ def _first(
         return
 
     def wanted(event: Event) -> bool:
-        return bounds_stability(event) and kind in (None, GRAZING if event.kind == IMPACT_LOST else event.kind)
+        return bounds_stability(event) and kind in (None, GRAZING if event.kind in LOST else event.kind)
 
     events = events_towards(orbits, orbit, here, axis, end, RESOLUTION, wanted)
     yield from [event for event in events if kind in (None, event.kind)][:1]

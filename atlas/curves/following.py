@@ -9,7 +9,7 @@ from atlas.curves.cells import CellOrbits
 from workers.continuation import Condition, Event, Family, Orbit, Point, branch, curve
 from workers.continuation.branches import Until
 from workers.continuation.curves import without_impact
-from workers.continuation.events import GRAZING
+from workers.continuation.events import GRAZING, LOST
 from workers.continuation.extended import PAIR, SPEED, Extended, solve
 from workers.continuation.oscillator import NoOscillatorError
 from workers.continuation.same import same_orbit
@@ -111,7 +111,8 @@ def _located(event: Event, values: Array) -> Located:
         return Located(GRAZING, graze, orbit, contacts, values, event.kappa)
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
-    return Located(event.kind, condition, point.orbit, point.contacts, values, event.kappa)
+    kind = GRAZING if event.kind in LOST else event.kind
+    return Located(kind, condition, point.orbit, point.contacts, values, event.kappa)
 
 
 def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:

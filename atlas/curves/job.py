@@ -16,7 +16,7 @@ from atlas.store.curves import get_part, put_part
 from atlas.store.location import place_of
 from atlas.store.outage import LONG
 from atlas.store.store import Header, read_header
-from atlas.task.compile import ORBITS, compile_once
+from atlas.task.compile import ORBITS, compile_once, kernels_for
 from atlas.task.task import RefusedError, check_claim, checked_header, file_errors
 
 
@@ -53,7 +53,7 @@ def do_and_keep(job: CurveJob) -> CurveReceipt:
     """Do a task and keep its result as a part of the store."""
     with file_errors(job.store):
         header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
-    compile_once(ORBITS)
+    compile_once(*kernels_for(header.spec.record, ORBITS))
     begin = time.thread_time()
     orbits = _orbits(job.store, job.run_id, job.digest, job.settings)
     try:

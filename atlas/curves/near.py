@@ -64,6 +64,6 @@ def orbits_beside(passings: list[Passing]) -> tuple[list[Orbit], Array]:
         first, last = found.orbits[chord], found.orbits[chord + 1]
         times = (1.0 - share) * first.times + share * last.times
         speeds = (1.0 - share) * first.speeds + share * last.speeds
-        orbits.append(Orbit(first.itinerary, times, speeds, (1.0 - share) * first.offset + share * last.offset))
+        orbits.append(Orbit(first.itinerary, times, speeds))
         values.append((1.0 - share) * found.values[chord] + share * found.values[chord + 1])
     return orbits, np.array(values).reshape(-1, 2)

@@ -13,7 +13,6 @@ from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.spec.cells import edges_of
-from atlas.spec.system import refuse_modes
 from atlas.store.store import Header, done_tiles
 from atlas.text import plural
 from workers.model.parameter import TAU
@@ -173,7 +172,6 @@ def plane_of(header: Header) -> Plane:
     ChunkError where a chunk is missing or damaged.
     """
     spec = header.spec
-    refuse_modes(spec.record, "curves")
     if spec.points or len(spec.axes) != 2:
         found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
         raise InputError(f"{header.place}: found {found}; curves are those of a plane, which has two axes")

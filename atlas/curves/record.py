@@ -6,6 +6,8 @@ import numpy as np
 
 from atlas.curves.following import Followed, Located
 from workers.continuation import Condition, Itinerary, Orbit
+from workers.continuation.itinerary import Leg
+from workers.model.hybrid_modes import Code
 
 
 def event_as_json(event: Located) -> dict[str, Any]:
@@ -40,7 +42,6 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
         "values": found.values.tolist(),
         "times": [orbit.times.tolist() for orbit in found.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
-        "offsets": [orbit.offset for orbit in found.orbits],
         "contacts": found.contacts.tolist(),
         "unstable": found.unstable.tolist(),
         "corners": [[kind, place.tolist()] for kind, place in found.corners],
@@ -51,10 +52,9 @@ def curve_as_json(found: Followed) -> dict[str, Any]:
 def curve_from_json(given: dict[str, Any]) -> Followed:
     """The inverse of ``curve_as_json``."""
     itinerary = _itinerary(given["itinerary"])
-    parts = zip(given["times"], given["speeds"], given["offsets"], strict=True)
     orbits = [
-        Orbit(itinerary, np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64), offset)
-        for times, speeds, offset in parts
+        Orbit(itinerary, np.array(times, dtype=np.float64), np.array(speeds, dtype=np.float64))
+        for times, speeds in zip(given["times"], given["speeds"], strict=True)
     ]
     first, last = given["ends"]
     return Followed(
@@ -74,16 +74,20 @@ def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
         "itinerary": list(orbit.itinerary),
         "times": orbit.times.tolist(),
         "speeds": orbit.speeds.tolist(),
-        "offset": orbit.offset,
     }
 
 
 def orbit_from_json(given: dict[str, Any]) -> Orbit:
     """The inverse of ``orbit_as_json``."""
     times, speeds = (np.array(given[name], dtype=np.float64) for name in ("times", "speeds"))
-    return Orbit(_itinerary(given["itinerary"]), times, speeds, given["offset"])
+    return Orbit(_itinerary(given["itinerary"]), times, speeds)
 
 
 def _itinerary(given: list[Any]) -> Itinerary:
-    sides, periods, symmetric = given
-    return Itinerary(tuple(sides), periods, symmetric)
+    sides, periods, symmetric, legs = given
+    return Itinerary(tuple(sides), periods, symmetric, tuple(tuple(map(_leg, chain)) for chain in legs))
+
+
+def _leg(given: list[Any]) -> Leg:
+    (phase, contacts, slips), begun, signal, side = given
+    return Leg(Code(phase, tuple(contacts), tuple(slips)), tuple(begun), signal, side)

@@ -12,7 +12,10 @@ from atlas.store.curves import GROUP, read_arrays, write_arrays
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 
-KINDS = ("fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost")
+KINDS = (
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
+    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
+)  # fmt: skip
 """What a curve can be of; where an impact is lost the orbit without it grazes, and that is the curve kept."""
 
 

@@ -1,6 +1,6 @@
 """Which attractors of neighbouring cells are one: the orbit of the one cell is followed to the parameters of the other.
 
-There Newton's method on the times and speeds of its impacts finds it, from one cell to the next in a few steps. Where
+There Newton's method on its state and times of impacts finds it, from one cell to the next in a few steps. Where
 one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
 counts where both ways agree: close to a bifurcation Newton's method may come to another orbit. In symmetric machines
 the mirror images of two orbits that are one are one too, whether Newton's method finds it or not.
@@ -55,7 +55,8 @@ def followed(attractors: Attractors) -> Links:
     Orbits that are not connected by these are followed over up to FARTHEST cells, whose initial states may have missed
     them.
     """
-    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0)
+    # what machines with modes do without impact depends on where they slide
+    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0) & (not attractors.system.has_modes)
     free, follower = np.flatnonzero(still), _Follower(attractors)
     cell, image = with_images(attractors)
     known = still | np.array([orbit is not None for orbit in follower.orbits], dtype=np.bool_)
@@ -150,7 +151,8 @@ class _Follower:
 
 
 def _change(before: Many, after: Many, omega: Array) -> Array:
-    _, times, speeds, _ = after.orbits
-    later = np.abs(times - before.orbits.times).max(axis=1) * omega
-    faster = np.abs(speeds - before.orbits.speeds).max(axis=1) / np.abs(speeds).max(axis=1)
+    _, times, speeds = after.orbits
+    later = np.abs(times - before.orbits.times).max(axis=1, initial=0.0) * omega
+    fastest = np.abs(speeds).max(axis=1, initial=1e-300)
+    faster = np.abs(speeds - before.orbits.speeds).max(axis=1, initial=0.0) / fastest
     return np.asarray(np.maximum(later, faster))

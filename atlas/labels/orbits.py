@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from atlas.labels.attractors import Array, Attractors
+from atlas.labels.attractors import Attractors
 from workers.continuation import Family, Orbit, orbit_from_state
-from workers.continuation.orbits import alike, many_of, moved, recorded
-from workers.model.oscillator import Oscillator, one_of
+from workers.continuation.orbits import alike, many_of, moved, recorded_each
 
 
 def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
@@ -17,11 +16,7 @@ def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
     points = own.values[own.cell]
     given = {p.name: np.full(count, own.fixed.get(p.name, p.default)) for p in own.system.parameters}
     given |= {name: np.ascontiguousarray(points[:, k]) for k, name in enumerate(own.axes)}
-    oscillators, _ = own.system.build_many(given)
-    found: list[Orbit | None] = [
-        _recorded(one_of(oscillators, k), own.state[k], int(own.period[k]), bool(own.symmetric[k]))
-        for k in range(count)
-    ]
+    found = recorded_each(own.system, given, own.state, own.period.tolist(), own.symmetric.tolist())
     for rows in alike(None if orbit is None else orbit.itinerary for orbit in found):
         orbits = [orbit for k in rows if (orbit := found[k]) is not None]
         try:
@@ -36,16 +31,8 @@ def orbits_of(attractors: Attractors, family: Family) -> list[Orbit | None]:
     return found
 
 
-def _recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit | None:
-    """An orbit of ``periods`` forcing periods as its impacts are recorded; None where it rests on a stop."""
-    try:
-        return recorded(osc, state, periods, symmetric)
-    except ValueError:
-        return None
-
-
 def _alone(own: Attractors, k: int) -> Orbit | None:
-    """The orbit of attractor k by Newton's method on it alone, which also finds the offset of a rigid mode."""
+    """The orbit of attractor k by Newton's method on it alone."""
     given = own.fixed | dict(zip(own.axes, own.values[own.cell[k]].tolist(), strict=True))
     try:
         return orbit_from_state(own.system, given, own.state[k], int(own.period[k]), bool(own.symmetric[k]))

@@ -26,7 +26,7 @@ from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.curves import drop_parts, get_part, part_names, put_part
 from atlas.store.location import place_of, waiting
 from atlas.store.store import Header, read_header
-from atlas.task.compile import ORBITS
+from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural
 from workers import SOLVER_VERSION
 
@@ -173,7 +173,7 @@ class _Coordinator:
         if not jobs:
             return
         if self.client is None:
-            prepare_kernels(self.options.report, ORBITS)
+            prepare_kernels(self.options.report, *kernels_for(self.header.spec.record, ORBITS))
             self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.workers))
             self.begin = time.monotonic()

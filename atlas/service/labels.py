@@ -13,7 +13,7 @@ from atlas.service.run import claimed_place
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of, waiting
 from atlas.store.store import read_header
-from atlas.task.compile import ORBITS
+from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural
 
 
@@ -58,7 +58,7 @@ def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAUL
         refuse_packed(header.place)
         begin = time.monotonic()
         with claimed_place(header.place, options) as claim:
-            prepare_kernels(options.report, ORBITS)
+            prepare_kernels(options.report, *kernels_for(header.spec.record, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
             found = labels_of(header)
             claim.confirm(header.place)

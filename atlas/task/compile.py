@@ -18,16 +18,19 @@ from atlas.task.child import watched
 from workers.model.system import DEFAULT, System
 from workers.settings import Settings
 
-CELLS, ATTRACTORS, ORBITS, MODES, MODES_ATTRACTORS, MEASURES = (
-    "", "attractors", "orbits", "modes", "modes-attractors", "measures",
-)  # fmt: skip
+CELLS, ATTRACTORS, ORBITS, MEASURES = "", "attractors", "orbits", "measures"
+MODES, MODES_ATTRACTORS, MODES_ORBITS = "modes", "modes-attractors", "modes-orbits"
 """Kernels that solve cells, which all else needs too; those that compare motions with known attractors; those of orbits
-as equations of their impacts, for branches, curves and labels; and those that solve cells of machines whose law
-changes, in place of the first ones, and find their attractors; and what measures motions of other machines."""
+as equations of their impacts, for branches, curves and labels; those that measure motions; and those that solve cells
+of machines whose law changes, in place of the first ones, find their attractors, and follow their orbits."""
 
-SECONDS = {CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MODES: 75, MODES_ATTRACTORS: 10, MEASURES: 20}
+SECONDS = {
+    CELLS: 55, ATTRACTORS: 10, ORBITS: 15, MEASURES: 20, MODES: 75, MODES_ATTRACTORS: 10, MODES_ORBITS: 20,
+}  # fmt: skip
 """What each part takes, roughly: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 227, ATTRACTORS: 36, ORBITS: 97, MODES: 267, MODES_ATTRACTORS: 40, MEASURES: 116}
+FUNCTIONS = {
+    CELLS: 227, ATTRACTORS: 36, ORBITS: 119, MEASURES: 116, MODES: 267, MODES_ATTRACTORS: 40, MODES_ORBITS: 40,
+}  # fmt: skip
 """How many functions each part compiles in a process that has compiled nothing else."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
@@ -63,7 +66,7 @@ WITH_MEASURES: dict[str, Any] = {
 }
 """A machine that is measured, with one rigid contact that it does not reach."""
 
-_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS}
+_OF_MODES = {ATTRACTORS: MODES_ATTRACTORS, ORBITS: MODES_ORBITS}
 """The parts of machines whose law changes, in place of others."""
 
 YOUNG_OBJECTS = 50_000
@@ -198,12 +201,27 @@ def _warm_up_modes(parts: tuple[str, ...]) -> None:
     solve_tile(system, {}, Settings(max_periods=1))
     if MODES_ATTRACTORS in parts:
         solve_attractors(system, {}, Settings(exponents="none", survival=0), Starts(4))
+    if MODES_ORBITS in parts:
+        _follow_through_modes(system)
+
+
+def _follow_through_modes(record: System) -> None:
+    """A short branch of an orbit of a machine whose law changes; and its motion between events."""
+    from workers.continuation import branch, family_of, orbit_from_state, section_state
+    from workers.tile import solve_tile
+
+    values = {p.name: p.default for p in record.parameters}
+    cell = solve_tile(record, values, Settings(exponents="none", survival=0))
+    orbit = orbit_from_state(record, values, cell["state"], int(cell["period"]))
+    branch(family_of(record, values, ("omega",)), orbit, values["omega"], (0.999, 1.001))
+    section_state(record, values, orbit)
 
 
 def _follow_an_orbit() -> None:
-    """A short branch of an orbit; its motion between impacts, and its equations at a complex multiplier."""
+    """A short branch of an orbit; and its motion between impacts."""
     from workers.continuation import branch, family_of, orbit_from_state
-    from workers.continuation.equations import Motion, many_orbits
+    from workers.continuation.equations import motion_of
+    from workers.continuation.itinerary import many_orbits
     from workers.model.system import find_system
     from workers.tile import solve_tile
 
@@ -214,9 +232,7 @@ def _follow_an_orbit() -> None:
     (along, value), *_ = AN_ORBIT.items()
     family = family_of(record, values, (along,))
     branch(family, orbit, value, (0.999 * value, 1.001 * value))
-    motion = Motion(family.model(np.array([[value]])), many_orbits([orbit]))
-    motion.at(orbit.times[None] + 0.1)
-    motion.linearised(1j)
+    motion_of(family.model(np.array([[value]])), many_orbits([orbit])).at(orbit.times[None] + 0.1)
 
 
 def _wait_for(lock: IO[str], report: Report | None) -> None:

@@ -4,9 +4,9 @@ equations of their impacts, their branches in one parameter and their bifurcatio
 
 from workers.continuation.branches import BranchRun, Start, branch, leaving_branch
 from workers.continuation.curves import curve
-from workers.continuation.equations import Itinerary, Orbit
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import Condition
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.orbits import orbit_from_state, section_state, section_states
 from workers.continuation.oscillator import Family, ModalOscillator, family_of
 

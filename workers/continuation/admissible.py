@@ -10,22 +10,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Motion
+from workers.continuation.equations import ImpactMotion
+from workers.continuation.oscillator import Array
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.signal import derivative_bounds
 from workers.model.oscillator import Mode, each
 
-CONTACT, LOST, ORDER = "contact", "impact_lost", "order"
-"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order."""
+CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
+"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction
+that would stick where it does not, or cannot where it does."""
 
 
 class Fault(NamedTuple):
-    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST or out of ORDER."""
+    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST, out of ORDER or wrongly HELD.
+
+    Of machines with modes impacts are events of any kind, and a contact that of any signal with the end of its range.
+    """
 
     reason: str
     impact: int = -1
     time: float = math.nan
     side: int = 0
+    signal: int = 0
+
+
+class Touch(NamedTuple):
+    """A graze: its time, and which end of its range a signal touches; of one rigid contact alone its gap, signal 0."""
+
+    time: float
+    signal: int
+    side: int
 
 
 class _Contact(NamedTuple):
@@ -37,30 +51,35 @@ class _Contact(NamedTuple):
     a: float
 
 
-def first_fault(motion: Motion, grazes: Iterable[float] = (), lost: int = -1) -> Fault | None:
+def first_fault(motion: ImpactMotion, grazes: Iterable[float] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
     ``grazes`` (G,) are times at which it touches a stop, y' = 0: no fault where y'' points inward. Impact ``lost``,
     if any, is one whose speed is zero and counts as a graze.
     """
-    span, sign = float(motion.span[0]), motion.orbits.itinerary.sign
+    span, sign = float(motion.span[0]), motion.itinerary.sign
     found = _contacts(motion, grazes, lost)
     if isinstance(found, Fault):
         return found
+    begins = found or [_Contact(0.0, 0, 1.0, 0.0)]
+    (states,), _ = motion.at(np.array([[contact.time for contact in begins]]))
     signal = each(motion.lin.gap, lambda field: field[0])
     if not found:
-        return _next_contact(signal, motion, _Contact(0.0, 0, 1.0, 0.0), span)
+        return _next_contact(signal, motion, states[0], begins[0], span)
     first = found[0]
     again = _Contact(first.time + span, sign * first.side, sign * first.v, sign * first.a)
     flights = pairwise([*found, again])
-    faults = (_next_contact(signal, motion, here, there.time - here.time, there) for here, there in flights)
+    faults = (
+        _next_contact(signal, motion, h, here, there.time - here.time, there)
+        for h, (here, there) in zip(states, flights, strict=True)
+    )
     return next((fault for fault in faults if fault), None)
 
 
-def _contacts(motion: Motion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
+def _contacts(motion: ImpactMotion, grazes: Iterable[float], lost: int) -> list[_Contact] | Fault:
     """The contacts of a turn in order of time; a fault where an impact moves off its stop or orders differ."""
-    span, t, sides = float(motion.span[0]), motion.orbits.times[0], motion.orbits.itinerary.sides
-    _, v, a = motion.at_impacts()[:, 0]
+    span, t, sides = float(motion.span[0]), motion.times[0], motion.itinerary.sides
+    _, v, a = motion.turn.signals[0]
     off = [i for i, side in enumerate(sides) if i != lost and side * v[i] <= 0.0]
     if off:
         return Fault(LOST, off[0])
@@ -72,7 +91,7 @@ def _contacts(motion: Motion, grazes: Iterable[float], lost: int) -> list[_Conta
     start = t[0] if len(t) else 0.0
     for s in grazes:
         time = float(s) - math.floor((s - start) / span) * span
-        y, _, bend = motion.at(np.array([[time]]))[:, 0, 0]
+        y, _, bend = motion.at(np.array([[time]]))[1][:, 0, 0]
         found.append(_Contact(time, 1 if y > 0.0 or not math.isfinite(motion.lin.lower[0]) else -1, 0.0, float(bend)))
     found.sort()
     outward = (contact for contact in found if not contact.v and contact.side * contact.a >= 0.0)
@@ -89,10 +108,10 @@ def _open_for(contact: _Contact, M3: float) -> float:
 
 
 def _next_contact(
-    signal: Mode, motion: Motion, here: _Contact, duration: float, there: _Contact | None = None
+    signal: Mode, motion: ImpactMotion, h: Array, here: _Contact, duration: float, there: _Contact | None = None
 ) -> Fault | None:
-    """A contact on the flight from one contact to the next, before it; None if there is none."""
-    lin, h = motion.lin, np.ascontiguousarray(motion.block_state(np.array([[here.time]]))[0, ..., 0])
+    """A contact on the flight from one contact, with block state h after it, to the next; None if there is none."""
+    lin = motion.lin
     H = duration - (_open_for(there, derivative_bounds(signal.blocks, signal.numbers, h)[2]) if there else 0.0)
     if H <= 0.0:
         return None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Orbit, unpacked
+from workers.continuation.borders import leaving, nearly_lost
 from workers.continuation.events import (
     Event,
     LocatedEvent,
@@ -20,12 +20,12 @@ from workers.continuation.events import (
     TestFunctions,
     changed,
     halves_met,
-    leaving,
     located,
     monitored,
     origin,
 )
-from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, Condition, Extended, solve
+from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, Extended, solve
+from workers.continuation.itinerary import Orbit
 from workers.continuation.oscillator import Array, Family
 from workers.continuation.same import doubled, is_minimal
 from workers.continuation.walk import PseudoArclength, Step
@@ -44,6 +44,10 @@ SHORTEST = 1e-3
 
 DOUBT = 1e-4
 """Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
+
+
+OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
+"""How many multipliers cross the unit circle at events with these conditions."""
 
 
 class BranchRun(NamedTuple):
@@ -86,7 +90,7 @@ def branch(
 ) -> BranchRun:
     """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
-    Pseudo-arclength in times, speeds and the parameter. Events are folds, symmetry breakings, period doublings,
+    Pseudo-arclength in state, times and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
     Either direction ends at the first event of which ``until`` is true.
     Raises ValueError, in one line, for R = 0, for a start that no orbit is near, that is not admissible, or that is a
@@ -105,7 +109,7 @@ def branch(
 def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> Start:
     """The doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
-    ``amplitude``: how far along the critical direction, in units of the scale of times and speeds; ``width``: that
+    ``amplitude``: how far along the critical direction, in units of the scale of state and times; ``width``: that
     of the parameter's window. The orbit's other half, or its mirror image, is the same branch in the other direction.
     Raises ValueError for other events, and where Newton's method finds none.
     """
@@ -114,13 +118,10 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
     square = Extended(family, orbit, event.conditions, values, widths)
     _, critical = square.at(square.pack(orbit, none, values)).borders[0]
-    critical = critical * square.unit[: len(critical)] * np.copysign(1.0, critical[0])  # either sign is a null vector
-    w = unpacked(orbit.itinerary, critical[None], len(critical) - 2 * square.m)
+    critical = critical * np.copysign(1.0, critical[0])  # either sign is a null vector
     whole = doubled(orbit, float(orbit.itinerary.span(square.model(values))[0]))
     equations = Extended(family, whole, (), values, widths)
-    speeds = np.append(w.speeds, -orbit.itinerary.sign * w.speeds)
-    change = Orbit(whole.itinerary, np.append(w.times, -w.times), speeds, float(w.offset[0]))
-    unit = equations.pack(change, none, np.zeros(1)) / equations.scale
+    unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
     found = solve(equations, X, unit / equations.scale)
@@ -190,7 +191,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
     eq, here = walk.equations, walk.X
     if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
-        return _meeting(Step(eq, here, here)) or _Passage(STALLED)
+        return _meeting(Step(eq, here, here)) or _corner(Step(eq, here, here))
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
@@ -202,18 +203,37 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
         there, end = walk.start[0], CLOSED
     after = monitored(eq, there)
     step, slid = Step(after.equations, here, there), not is_minimal(eq.motion(there))
-    if (slid or _went_too_far(seen, after)) and walk.length > SHORTEST * walk.longest:
+    may_repeat = walk.length > SHORTEST * walk.longest
+    if slid and may_repeat:
         return None
-    return _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
+    passage = _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
+    return None if may_repeat and not _accounted_for(seen, passage) else passage
 
 
-def _went_too_far(before: TestFunctions, after: TestFunctions) -> bool:
-    """Whether stability changed on a branch although no test function changed its sign."""
-    if after.equations.conditions or after.fault is not None or changed(before, after):
-        return False
-    one, other = np.abs(before.point.multipliers), np.abs(after.point.multipliers)
-    gained = np.sum(other > 1.0 + DOUBT) > np.sum(one > 1.0 - DOUBT)
-    return bool(gained or np.sum(other > 1.0 - DOUBT) < np.sum(one > 1.0 + DOUBT))
+def _accounted_for(before: TestFunctions, passage: _Passage) -> bool:
+    """Whether the events of a step on a branch account for all changes of stability: two of one pair of multipliers
+    may change no sign together.
+    """
+    if before.equations.conditions:
+        return True
+    count = before.point.unstable
+    for event in passage.events:
+        if event.conditions[-1].kind not in OWN_MULTIPLIERS:
+            return True  # where it ceases a multiplier may be infinite
+        own, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
+        if count not in (others, others + own):
+            return False
+        count = others if count > others else others + own
+    if passage.after is None or passage.after.fault is not None:
+        return True
+    sizes = np.abs(passage.after.point.multipliers)
+    return bool(np.sum(sizes > 1.0 + DOUBT) <= count <= np.sum(sizes > 1.0 - DOUBT))
+
+
+def _corner(step: Step) -> _Passage:
+    """The end where a branch goes no further: at an event that is lost, or none is known."""
+    met = nearly_lost(step)
+    return _Passage(STALLED) if met is None else _Passage(met.event.kind, (met.event,), (met.event.point,))
 
 
 def _meeting(step: Step) -> _Passage | None:
@@ -234,7 +254,7 @@ def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, 
             return _Passage(INADMISSIBLE)
         found, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
     for name in changed(before, after):
-        met = located(step, before, after, name)
+        met = located(step, before, after, name, exists=after.fault is not None)
         if met is not None and met.share <= limit:
             found.append(met)
             if _ends_pair(step.equations, met.event) or (until and until(met.event)):

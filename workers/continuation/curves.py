@@ -3,9 +3,9 @@
 import numpy as np
 
 from workers.continuation.branches import MOST_POINTS, RESOLUTION, BranchRun, bounds_of, follow
-from workers.continuation.equations import Orbit
 from workers.continuation.events import Event
 from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
+from workers.continuation.itinerary import Orbit
 from workers.continuation.oscillator import Array, Family
 from workers.continuation.walk import tangent_at
 
@@ -54,5 +54,5 @@ def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
     """The orbit without an impact whose speed is zero, its graze there, and the time of that."""
     kept = [i for i in range(len(orbit.times)) if i != impact]
     sides = tuple(orbit.itinerary.sides[i] for i in kept)
-    rest = Orbit(orbit.itinerary._replace(sides=sides), orbit.times[kept], orbit.speeds[kept], orbit.offset)
+    rest = Orbit(orbit.itinerary._replace(sides=sides), orbit.times[kept], orbit.speeds[kept])
     return rest, Condition(GRAZE, side=orbit.itinerary.sides[impact]), orbit.times[impact : impact + 1]

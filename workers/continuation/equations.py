@@ -1,91 +1,34 @@
-"""A periodic orbit with m impacts as 2m equations for their times and speeds, and these linearised.
+"""A periodic orbit with m impacts as 2n + m equations by single shooting, and these linearised.
 
-    y(t_i) = +upper or -lower,  y'(t_i^-) = v_i,  with  y(t) = Y(t) - (1 + R) sum_j v_j g(t - t_j)
+    sign h(t_0 + L) - h(t_0) = 0,  y(t_i) = +upper or -lower
 
-A rigid mode adds the offset of y, and (1 + R) k sum_i v_i = load span. Of a symmetric orbit, y(t + L/2) = -y(t), only
-the impacts of one half are unknown: a turn is half the orbit, and kicks change sign from turn to turn.
+Unknown are the block state h (2n) just before the first impact and the times t_i of all. Of a symmetric orbit,
+y(t + L/2) = -y(t), only the impacts of one half are unknown: a turn is half the orbit, and sign is -1.
 """
 
-import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from workers.continuation.oscillator import Array, ModalOscillator, rigid_mode
-from workers.continuation.pulses import answers, before_impacts, forced_motion, jacobian
+from workers.continuation.itinerary import Itinerary, Orbit
+from workers.continuation.oscillator import Array, Machine, ModalOscillator
+from workers.continuation.shooting import between, turns
+from workers.continuation.switching import SwitchingMotion, check_machines
+from workers.continuation.turn import Table, Turn
+from workers.model.modes import stacked
 from workers.model.oscillator import COLUMN
 
-Table = NDArray[Any]
-"""Real numbers, complex ones where z is."""
 
-
-class Itinerary(NamedTuple):
-    """What is fixed while an orbit is followed: its stops in order, +1 upper and -1 lower, and its length.
-
-    sides (m,) of one turn; periods of the force in the whole orbit; symmetric: a turn is half the orbit.
+def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
+    """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry; two
+    rigid modes, lam = 0, since one gap coordinate sees only one.
     """
-
-    sides: tuple[int, ...]
-    periods: int
-    symmetric: bool = False
-
-    @property
-    def sign(self) -> int:
-        """What kicks are multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
-        return -1 if self.symmetric else 1
-
-    def span(self, lin: ModalOscillator) -> Array:
-        """The length (N,) of a turn."""
-        return (0.5 if self.symmetric else 1.0) * self.periods * 2.0 * math.pi / lin.omega
-
-    def impacts(self, side: int) -> int:
-        """Impacts at this stop in the whole orbit."""
-        return len(self.sides) if self.symmetric else self.sides.count(side)
-
-
-class Orbit(NamedTuple):
-    """A periodic orbit: times (m,) of its impacts in one turn after a section, signed speeds (m,) before them.
-
-    ``offset`` of y is that of a rigid mode, 0 without one. Many orbits of one itinerary are one record with another
-    axis in front of all three.
-    """
-
-    itinerary: Itinerary
-    times: Array
-    speeds: Array
-    offset: Any = 0.0
-
-    def taken(self, rows: Any) -> "Orbit":
-        """These rows of a record of many, in their order; of a number, that one orbit."""
-        return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in self[1:]))
-
-
-def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
-    """Orbits of one itinerary as one record."""
-    return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))
-
-
-def unpacked(itinerary: Itinerary, X: Array, shift: int) -> Orbit:
-    """Many orbits of unknowns X (N, ...): m times, m speeds and, where ``shift`` is 1, the offset come first."""
-    m = len(itinerary.sides)
-    return Orbit(itinerary, X[:, :m], X[:, m : 2 * m], X[:, 2 * m] if shift else np.zeros(len(X)))
-
-
-def in_one_turn(orbit: Orbit, span: float) -> Orbit:
-    """The same orbit with its times in the turn that begins at the section, 0 <= t < span, in order."""
-    turns = np.floor(orbit.times / span)
-    flips = np.where(turns % 2 == 0, 1, orbit.itinerary.sign)
-    times = orbit.times - turns * span
-    order = np.argsort(times, kind="stable")
-    sides = (flips * np.array(orbit.itinerary.sides))[order]
-    itinerary = orbit.itinerary._replace(sides=tuple(int(side) for side in sides))
-    return Orbit(itinerary, times[order], (flips * orbit.speeds)[order], orbit.offset)
-
-
-def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry."""
+    if not isinstance(lin, ModalOscillator):
+        check_machines(lin, itinerary)
+        return
+    if (rigid := np.count_nonzero(lin.gap.lam[0] == 0.0)) > 1:
+        raise ValueError(f"{rigid} rigid modes; one gap coordinate sees only one: leave out what it does not see")
     if np.any(lin.R <= 0.0):
         raise ValueError(
             "R = 0: an impact without rebound may rest on its stop, which these orbits exclude; take R > 0"
@@ -104,81 +47,113 @@ def check_orbits(lin: ModalOscillator, itinerary: Itinerary) -> None:
         raise ValueError("a symmetric orbit needs equal stops, no constant load and odd harmonics only")
 
 
-class Motion(NamedTuple):
-    """N orbits of one itinerary, a record of many, with their oscillators."""
+@dataclass(frozen=True)
+class ImpactMotion:
+    """N orbits of one itinerary with their oscillators: times (N, m) of impacts, states just before the first of them.
+
+    start (N, n, 2)  in block coordinates, forced response and rest position taken off; without impacts at time 0
+    """
 
     lin: ModalOscillator
-    orbits: Orbit
+    itinerary: Itinerary
+    times: Array
+    start: Array
 
     @property
     def span(self) -> Array:
         """The length (N,) of a turn."""
-        return self.orbits.itinerary.span(self.lin)
+        return self.itinerary.span(self.lin)
 
     @property
     def stops(self) -> Array:
         """Positions (N, m) of the stops of the impacts."""
-        return np.where(np.array(self.orbits.itinerary.sides) > 0, self.lin.upper[:, None], -self.lin.lower[:, None])
+        return np.where(np.array(self.itinerary.sides) > 0, self.lin.upper[:, None], -self.lin.lower[:, None])
 
     @property
-    def shift(self) -> int:
-        """1 where the offset of y is an unknown, of a rigid mode and an orbit that is not symmetric; else 0."""
-        return int(not self.orbits.itinerary.symmetric and rigid_mode(self.lin) is not None)
+    def unknowns(self) -> Array:
+        """States, then times (N, 2n + m)."""
+        return np.concatenate([self.start.reshape(len(self.start), -1), self.times], axis=1)
 
-    def at_impacts(self) -> Array:
-        """y and its first two derivatives (3, N, m) just before each impact."""
-        found: Array = before_impacts(self.lin.gap, *self._plain())
-        return found
+    @property
+    def orbits(self) -> Orbit:
+        """The orbits as a record of many."""
+        return Orbit(self.itinerary, self.times, self.turn.signals[:, 1])
 
-    def _plain(self) -> tuple[Any, ...]:
-        """Phase, 1 + R, span and sign, times, speeds and offsets as kernels take them."""
-        itinerary, *plain = self.orbits
-        fields = (np.ascontiguousarray(field) for field in plain)
-        return self.lin.tau, 1.0 + self.lin.R, self.span, float(itinerary.sign), *fields
+    @cached_property
+    def turn(self) -> Turn:
+        """One turn from the state just before the first impact."""
+        lin = self.lin
+        q, sign, stops = 1.0 + lin.R, float(self.itinerary.sign), self.stops
+        return Turn(*turns(lin.gap, lin.tau, q, sign, self.span, stops, self.times, self.start))
 
-    def at(self, s: Array) -> Array:
-        """y and its first two derivatives (3, N, K) at times s (N, K), any times but those of impacts."""
-        u, gap = self.block_state(s), self.lin.gap
-        y, v = (np.sum(row[..., None] * u, axis=2) for row in (gap.row, gap.row1))
-        a = (gap.c0 * gap.load)[..., None] - 2.0 * gap.eta[..., None] * v - gap.lam[..., None] * y
-        found: Array = forced_motion(gap.waves, gap.numbers, self.lin.tau, np.ascontiguousarray(s))
-        return found + np.sum([y, v, a], axis=2)
+    def at(self, s: Array) -> tuple[Array, Array]:
+        """Block states (N, K, n, 2) at times s (N, K), and y with its first two derivatives (3, N, K).
 
-    def block_state(self, s: Array) -> Array:
-        """Block coordinates (h, h') (N, n, 2, K) at times s (N, K), forced response and rest position taken off."""
-        (lin, (itinerary, times, speeds, offset)), span = self, self.span[:, None, None]
-        apart, sign = s[..., None] - times[:, None], float(itinerary.sign)
-        turns = np.floor(apart / span)
-        kicks = (1.0 + lin.R)[:, None, None] * speeds[:, None] * sign**turns
-        u, _ = answers(lin.gap.blocks, self.span, sign, apart - turns * span)
-        found: Array = -np.sum(kicks[:, None, None] * u, axis=4)
-        rigid = rigid_mode(lin)
-        if rigid is not None:
-            found[:, rigid, 0] += (offset / lin.gap.row[:, rigid, 0])[:, None]
-        return found
-
-    def residual(self) -> Array:
-        """The equations (N, 2m): y(t_i) - stop_i, then y'(t_i^-) - v_i; (N, 2m + 1) where the offset is unknown."""
-        lin, speeds = self.lin, self.orbits.speeds
-        y, v, _ = self.at_impacts()
-        parts = [y - self.stops, v - speeds]
-        if self.shift:  # (1 + R) k sum_i v_i - load span of the rigid mode
-            rigid = lin.gap.blocks[:, rigid_mode(lin)]
-            kicks = (1.0 + lin.R) * rigid[:, COLUMN.k1] * speeds.sum(1)
-            parts.append((kicks - rigid[:, COLUMN.load] * self.span)[:, None])
-        return np.concatenate(parts, axis=1)
+        An impact at such a time counts as past.
+        """
+        lin, sign, s = self.lin, float(self.itinerary.sign), np.ascontiguousarray(s)
+        states, y = between(lin.gap, lin.tau, sign, self.span, self.times, self.start, self.turn.states, s)
+        return states, y
 
     def linearised(self, z: complex = 1) -> Table:
-        """J_z: the equations linearised for perturbations of times and speeds that grow by z from turn to turn.
+        """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
 
-        z = 1 is the Jacobian (N, M, M) of ``residual`` by times, speeds and offset. Where perturbed kicks are the same
-        each turn, a rigid mode adds the perturbed offset and the balance of the kicks; without that
+        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i = v_i just before each impact
 
-            det J_z = prod_i (-v_i) det(z I - DP) / det(z I - e^(A span)):
+            det J_z = det(DP - z I) prod_i r'_i:
 
         zero where z is a multiplier, and without poles.
         """
-        rigid = rigid_mode(self.lin) if self.orbits.itinerary.sign * z == 1 else None
-        given = *self._plain(), z if isinstance(z, complex) else float(z)
-        found: Table = jacobian(self.lin.gap, *given, -1 if rigid is None else rigid)
+        found: Table = self.turn.tangents - z * self.turn.shifts
         return found
+
+    def touch(self, signal: int, side: int, s: Array) -> list[Array]:
+        """How far y is from a stop (N, K) at times s (N, K), and y'."""
+        y, v, _ = self.at(s)[1]
+        return [y - (self.lin.upper if side > 0 else -self.lin.lower)[:, None], v]
+
+    def scale(self) -> tuple[Array, Array]:
+        """What makes unknowns comparable: of states (N, 2n), in the energy norm what an impact or the state itself
+        amounts to; and of guards (N, m), the greatest speed, or a thousandth of force or gap, over one radian.
+        """
+        gap, size, gaps = self.lin.gap, self.lin.dimension, np.abs([self.lin.upper, self.lin.lower])
+        forced = np.sum(np.abs([gap.sin_part, gap.cos_part]), axis=(0, 2))
+        widest = np.max(gaps, axis=0, initial=1e-300, where=np.isfinite(gaps))
+        least = 1e-3 * np.maximum(forced, widest) * self.lin.omega
+        weight = np.where(gap.lam > 0.0, gap.lam, self.lin.omega[:, None] ** 2)[..., None] ** [0.5, 0.0]
+        speed = np.maximum(np.max(np.abs(self.turn.signals[:, 1]), axis=1, initial=0.0), least)
+        kicks = (speed * (1.0 + self.lin.R))[:, None, None] * gap.kick
+        sizes = np.maximum(*(np.linalg.norm(weight * of, axis=2) for of in (kicks, self.start)))
+        sizes = np.maximum(sizes, 1e-3 * sizes.max(axis=1, keepdims=True))
+        guards = np.repeat((speed / self.lin.omega)[:, None], self.times.shape[1], axis=1)
+        return (sizes[..., None] / weight).reshape(-1, size), guards
+
+
+Motion = ImpactMotion | SwitchingMotion
+"""N orbits of one itinerary, of machines with one rigid contact or with modes."""
+
+
+def motion_at(lin: Machine, itinerary: Itinerary, times: Array, start: Array) -> Motion:
+    """Motions with events at times (N, m) from states (N, 2n) just before the first of them."""
+    if isinstance(lin, ModalOscillator):
+        return ImpactMotion(lin, itinerary, times, start.reshape(len(start), -1, 2))
+    return SwitchingMotion(lin, itinerary, times, start)
+
+
+def motion_of_unknowns(lin: Machine, itinerary: Itinerary, X: Array) -> Motion:
+    """Motions of unknowns X (N, ...), of which states and times come first."""
+    size = lin.dimension
+    start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
+    return motion_at(lin, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
+
+
+def motion_of(lin: Machine, orbits: Orbit) -> Motion:
+    """Motions with events at the times of a record of many orbits, and the states that solve the equations best.
+
+    For given times these are linear in the state, 2n + m equations for 2n numbers.
+    """
+    times, size = np.ascontiguousarray(orbits.times), lin.dimension
+    still = motion_at(lin, orbits.itinerary, times, np.zeros((len(times), size)))
+    J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
+    start = -stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
+    return motion_at(lin, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))

@@ -8,9 +8,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.admissible import LOST, ORDER, Fault, first_fault
-from workers.continuation.equations import Itinerary, Orbit
-from workers.continuation.extended import ANGLE, CUSP, GRAZE, MINUS_ONE, PAIR, SPEED, UNIT, Condition, Extended, solve
+from workers.continuation.admissible import Fault, Touch, first_fault
+from workers.continuation.departure import first_departure, name_of_touch
+from workers.continuation.equations import ImpactMotion
+from workers.continuation.extended import (
+    ANGLE,
+    CUSP,
+    ENDS,
+    GRAZE,
+    MINUS_ONE,
+    ONSET,
+    PAIR,
+    SPEED,
+    UNIT,
+    Condition,
+    Extended,
+    solve,
+)
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.oscillator import Array, NoOscillatorError
 from workers.continuation.same import difference, is_minimal, reduced, reductions
 from workers.continuation.stability import multipliers, pair_near
@@ -21,14 +36,13 @@ Complex = NDArray[np.complex128]
 FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker",
 )  # fmt: skip
-GRAZING, IMPACT_LOST = "graze", "impact_lost"
+GRAZING, IMPACT_LOST, CONTACT_LOST = "graze", "impact_lost", "contact_lost"
+LOST = IMPACT_LOST, CONTACT_LOST
+STICK_ONSET, STICK_END = "stick_onset", "stick_end"
 """Kinds of events with one condition."""
 
 ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
 """Strong resonances by cos theta."""
-
-HALVINGS = 14
-"""Halvings of a step that help to locate where an orbit ceases to be admissible."""
 
 NEAR_HALVES = 1e-2
 """Difference of both halves, in radians of the force and relative speeds, below which a branch that stalls meets the
@@ -36,6 +50,10 @@ orbit of half the turn."""
 
 TRIES = 4
 """Halvings of a step that help to locate where a test function is zero."""
+
+
+BORDERS = (GRAZE, SPEED, ONSET, ENDS)
+"""Conditions of events at which an orbit ceases to be admissible."""
 
 
 class Point(NamedTuple):
@@ -112,8 +130,17 @@ def fault(equations: Extended, X: Array) -> Fault | None:
     """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
     if not equations.family.certified:
         return None
-    lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
-    return first_fault(equations.motion(X), equations.contacts(X), lost)
+    motion, times = equations.motion(X), equations.contacts(X)
+    if isinstance(motion, ImpactMotion):
+        lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
+        return first_fault(motion, times, lost)
+    return first_departure(motion, touches(equations, X))
+
+
+def touches(equations: Extended, X: Array) -> list[Touch]:
+    """The grazes of a solution."""
+    own = (condition for condition in equations.conditions if condition.kind == GRAZE)
+    return [Touch(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), own, strict=True)]
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
@@ -124,7 +151,10 @@ def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
     if CUSP in kinds:
         return "cusp"
     flip = SYMMETRY_BREAKING if symmetric else PERIOD_DOUBLING
-    names = {UNIT: FOLD, MINUS_ONE: flip, PAIR: NEIMARK_SACKER, GRAZE: GRAZING, SPEED: IMPACT_LOST}
+    names = {
+        UNIT: FOLD, MINUS_ONE: flip, PAIR: NEIMARK_SACKER, GRAZE: GRAZING, SPEED: IMPACT_LOST,
+        ONSET: STICK_ONSET, ENDS: STICK_END,
+    }  # fmt: skip
     if len(kinds) == 1:
         return names[kinds[0]]
     if set(kinds) == {UNIT, MINUS_ONE}:
@@ -177,12 +207,17 @@ def changed(before: TestFunctions, after: TestFunctions) -> list[str]:
     return [name for name, b in after.functions.items() if before.functions[name].sign * b.sign < 0.0]
 
 
-def located(step: Step, before: TestFunctions, after: TestFunctions, name: str) -> LocatedEvent | None:
-    """The event at which a test function changed its sign; None at a pole, at a real pair of product 1."""
+def located(
+    step: Step, before: TestFunctions, after: TestFunctions, name: str, exists: bool = False
+) -> LocatedEvent | None:
+    """The event at which a test function changed its sign; None at a pole, at a real pair of product 1.
+
+    exists: its orbit has to be admissible, since orbits cease on the step.
+    """
     a, b = before.functions[name], after.functions[name]
     low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
     for _ in range(TRIES):
-        found = _solved(step, step.guess(guess), b.conditions)
+        found = solved_on(step, step.guess(guess), b.conditions, exists=exists)
         if found is not None:
             return found
         guess = 0.5 * (low + high)
@@ -192,25 +227,6 @@ def located(step: Step, before: TestFunctions, after: TestFunctions, name: str) 
         passed = monitored(step.equations, middle.X).functions[name].sign == b.sign
         low, high = (low, guess) if passed else (guess, high)
         guess = 0.5 * (low + high)
-    return None
-
-
-def leaving(step: Step, why: Fault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
-    low, high, X = 0.0, 1.0, step.there
-    for _ in range(HALVINGS):
-        found = _of_fault(step, X, why)
-        if found is not None:
-            return found
-        half = 0.5 * (low + high)
-        middle = step.solution(half)
-        if not middle.converged:
-            return None
-        seen = fault(step.equations, middle.X)
-        if seen is None:
-            low = half
-        else:
-            high, X, why = half, middle.X, seen
     return None
 
 
@@ -224,8 +240,8 @@ def origin(step: Step, to: Itinerary) -> Event | None:
         return None
     a, b = (float(np.linalg.norm(difference(eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
     guess = step.guess(a / (a + b))
-    found = _solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
-    return None if found is None else _event(*found)
+    found = solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
+    return None if found is None else event_of(*found)
 
 
 def halves_met(step: Step) -> Itinerary | None:
@@ -240,26 +256,30 @@ def halves_met(step: Step) -> Itinerary | None:
     return None
 
 
-def _solved(
-    step: Step, guess: Array, conditions: tuple[Condition, ...], contact: tuple[float, ...] = ()
+def solved_on(
+    step: Step,
+    guess: Array,
+    conditions: tuple[Condition, ...],
+    contact: tuple[float, ...] = (),
+    exists: bool = False,
 ) -> LocatedEvent | None:
     """The event with these conditions near a guess, if on the step; ``contact``: the time of a new graze.
 
     The orbit of one at which orbits cease, its own grazes allowed, has to be admissible.
     """
     eq = step.equations
-    found = _solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
+    found = solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
     share = None if found is None else step.share_of(found[1])
     if found is None or share is None or not is_minimal(found[0].motion(found[1])):
         return None
-    if conditions[-1].kind in (GRAZE, SPEED) and fault(*found):
+    if (exists or conditions[-1].kind in BORDERS) and fault(*found):
         return None
-    event = _event(*found)
+    event = event_of(*found)
     kappa = abs(event.kappa)
     return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else LocatedEvent(share, event)
 
 
-def _solution(
+def solution(
     equations: Extended, orbit: Orbit, conditions: tuple[Condition, ...], contacts: Array, guess: Array
 ) -> tuple[Extended, Array] | None:
     """The square system of these conditions and its solution near an orbit and the parameters of a guess."""
@@ -274,31 +294,11 @@ def _solution(
     return (square.at(found.X), found.X) if found.converged else None
 
 
-def _event(square: Extended, X: Array) -> Event:
+def event_of(square: Extended, X: Array) -> Event:
     """The event that unknowns X of a square system are."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
-    kind = name_of(square.conditions, square.itinerary.symmetric)
+    kind, motion = name_of(square.conditions, square.itinerary.symmetric), square.motion(X)
+    if kind == GRAZING and not isinstance(motion, ImpactMotion):
+        (touch,) = touches(square, X)
+        kind = name_of_touch(motion, touch)
     return Event(kind, square.conditions, _point(square, X)[0], 0.5 * next(totals, math.nan))
-
-
-def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
-    """The graze or the lost impact that a fault at X comes from."""
-    own = step.equations.conditions
-    if why.reason == ORDER:
-        return None
-    if why.reason == LOST:
-        return _solved(step, X, (*own, Condition(SPEED, impact=why.impact)))
-    peak = _peak(step.equations, X, why)
-    return None if peak is None else _solved(step, X, (*own, Condition(GRAZE, side=why.side)), (peak,))
-
-
-def _peak(equations: Extended, X: Array, why: Fault) -> float | None:
-    """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
-    motion = equations.motion(X)
-    span = float(motion.span[0])
-    ends = [t + k * span for t in motion.orbits.times[0] for k in (0, 1, 2)]
-    limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
-    s = np.linspace(why.time, limit, 402)[1:-1]
-    speed = why.side * motion.at(s[None])[1, 0]
-    turned = np.flatnonzero(speed <= 0.0)
-    return float(s[turned[0]]) if len(turned) else None

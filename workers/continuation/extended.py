@@ -1,9 +1,9 @@
 """Orbits with conditions on them as one square system: events with one free parameter, curves and points with two.
 
-    (t_1..t_m, v_1..v_m, offset, contact times, parameters) -> (orbit, conditions)
+    (state, t_1..t_m, contact times, parameters) -> (orbit, conditions)
 
-The residual is exact. Its derivatives by times, speeds and offset are exact too, all others central differences, so
-that Newton's method still gains six digits or more a step.
+The residual is exact. Its derivatives by state and times are exact too, all others central differences, so that
+Newton's method still gains six digits or more a step.
 """
 
 import math
@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.equations import Motion, Orbit, check_orbits, many_orbits, unpacked
+from workers.continuation.equations import Motion, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.itinerary import Orbit, many_orbits
 from workers.continuation.newton import Array, Rows, Solved, newton
-from workers.continuation.oscillator import Family, ModalOscillator, NoOscillatorError
+from workers.continuation.oscillator import Family, Machine, NoOscillatorError
 from workers.continuation.stability import multipliers, pair_near
+from workers.continuation.switching import SwitchingMotion
 from workers.model.modes import stacked
-from workers.model.oscillator import each, taken
+from workers.model.oscillator import taken
 
 DIFFERENCE = 6e-6
 """Half the length of a central difference, in units of an unknown's scale: about the cube root of rounding."""
@@ -26,29 +28,40 @@ DIFFERENCE = 6e-6
 CURVED = 1e-4
 """The same where a second derivative is differenced."""
 
-REMEMBERED = 8
-"""Oscillators that are kept, since one point is asked several things."""
+FOLLOWS = 4.0
+"""How many times its size counts as one unit of a state: a step is as long as times and parameters make it, from which
+the state follows."""
 
-UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP = "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp"
+REMEMBERED = 8
+"""Oscillators, and motions, that are kept, since one point is asked several things."""
+
+UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS = (
+    "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends",
+)  # fmt: skip
 """Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
-time; v_i = 0; a fold without curvature."""
+time, or another signal at an end of its range; v_i = 0; a fold without curvature; the force that would
+hold friction where it turns round is its static level, or that which holds it where it begins to stick."""
 
 
 class Condition(NamedTuple):
-    """One condition: its kind, the stop's side of a graze, the impact of a speed, the kappa of an angle."""
+    """One condition: its kind, the stop's side of a graze, the impact of a speed, the kappa of an angle.
+
+    Of machines with modes the signal that grazes an end of its range, or that is at one at an event ``impact``.
+    """
 
     kind: str
     side: int = 0
     impact: int = 0
     kappa: float = 0.0
+    signal: int = 0
 
 
 class Extended:
     """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
 
-    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2m + 1,) perturbations of times, speeds and offset;
-    ``width`` (free,) is the scale of the parameters; ``states`` of the unknowns are times, speeds and offset. ``at``
-    takes the vectors that border singular matrices from a solution, and the sum of the pair that is asked for.
+    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2n + m,) residuals of the orbit; ``width`` (free,) is the
+    scale of the parameters; ``states`` of the unknowns are the state and the times of the orbit. ``at`` takes the
+    vectors that border singular matrices from a solution, and the sum of the pair that is asked for.
     """
 
     def __init__(
@@ -57,31 +70,31 @@ class Extended:
         self.family, self.itinerary, self.conditions = family, orbit.itinerary, conditions
         self.width = np.asarray(width, dtype=np.float64)
         self._model = lru_cache(REMEMBERED)(lambda *values: family.model(np.array([values], dtype=np.float64)))
+        self._motion = lru_cache(REMEMBERED)(
+            lambda *X: motion_of_unknowns(self.model(self.values(np.array(X))), self.itinerary, np.array([X]))
+        )
         lin = self.model(np.asarray(values, dtype=np.float64))
         check_orbits(lin, orbit.itinerary)
-        self.m, self.free = len(orbit.itinerary.sides), len(family.free)
-        self.shift = Motion(lin, many_orbits([orbit])).shift
-        self.states = 2 * self.m + self.shift
+        motion = motion_of(lin, many_orbits([orbit]))
+        self.m, self.free, self.states = len(orbit.itinerary.sides), len(family.free), motion.unknowns.shape[1]
         self.grazes = sum(condition.kind == GRAZE for condition in conditions)
         time = 1.0 / float(lin.omega[0])
-        clearances = np.abs([lin.upper[0], lin.lower[0]])
-        forced = float(np.abs(lin.gap.sin_part).sum() + np.abs(lin.gap.cos_part).sum())
-        least = 1e-3 * max(forced, float(np.max(clearances, initial=1e-300, where=np.isfinite(clearances)))) / time
-        speed, root = max(float(np.max(np.abs(orbit.speeds), initial=0.0)), least), math.sqrt(max(1, self.m))
-        sizes = [root * time, root * speed, speed * time]
-        states = np.repeat([*sizes, time], [self.m, self.m, self.shift, self.grazes])
-        self.scale, self.unit = np.concatenate([states, self.width]), np.repeat(sizes, [self.m, self.m, 1])
+        (size,), (guards,) = motion.scale()
+        size, root = FOLLOWS * math.sqrt(len(size)) * size, math.sqrt(max(1, self.m))
+        times = np.repeat([root * time, time], [self.m, self.grazes])
+        self.scale = np.concatenate([size, times, self.width])
+        self.unit = np.concatenate([size, root * guards])
         self.totals = [2.0 * condition.kappa for condition in conditions]
         self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
-    def model(self, values: Array) -> ModalOscillator:
+    def model(self, values: Array) -> Machine:
         """The oscillator at parameters (free,), as the only one of a record of many."""
         return self._model(*values.tolist())
 
     def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
         """The unknowns (N,) of an orbit with contact times (G,) at parameters (free,)."""
-        offset = [orbit.offset] if self.shift else []
-        return np.concatenate([orbit.times, orbit.speeds, offset, contacts, values])
+        motion = motion_of(self.model(values), many_orbits([orbit]))
+        return np.concatenate([motion.unknowns[0], contacts, values])
 
     def contacts(self, X: Array) -> Array:
         """The contact times (..., G) of unknowns (..., N)."""
@@ -93,19 +106,15 @@ class Extended:
 
     def motion(self, X: Array) -> Motion:
         """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
-        return Motion(self.model(self.values(X)), self._orbits(X[None]))
-
-    def _orbits(self, X: Array) -> Orbit:
-        """Many orbits of unknowns (B, N)."""
-        return unpacked(self.itinerary, X, self.shift)
+        return self._motion(*X.tolist())
 
     def orbit(self, X: Array) -> Orbit:
         """The orbit of unknowns (N,)."""
-        return self._orbits(X[None]).taken(0)
+        return self.motion(X).orbits.taken(0)
 
     def residual(self, X: Array, _: Rows | None = None) -> Array:
         """All equations (1, equations) at unknowns (1, N), exact."""
-        return self._all(X, self.model(self.values(X[0])))
+        return self._all(X, self.motion(X[0]))
 
     def with_jacobian(self, X: Array, _: Rows | None = None) -> tuple[Array, Array]:
         """All equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
@@ -114,12 +123,11 @@ class Extended:
         steps = np.diag(DIFFERENCE * self.scale)[columns]
         rows = np.concatenate([X, X + steps, X - steps])
         values, which = np.unique(self.values(rows), axis=0, return_inverse=True)
-        lin = taken(self.family.model(values), which)
-        base, ahead, behind = np.split(self._all(rows, lin), [1, 1 + len(columns)])
+        motion = motion_of_unknowns(taken(self.family.model(values), which), self.itinerary, rows)
+        base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
         J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
-        here = Motion(each(lin, lambda field: field[:1]), self._orbits(X))
-        J[: self.states, : self.states] = here.linearised()[0]
+        J[: self.states, : self.states] = motion.linearised()[0]
         J[: self.states, self.states : N - self.free] = 0.0
         return base, J[None]
 
@@ -139,17 +147,18 @@ class Extended:
                 found.totals[i] = float(total[0])
         return found
 
-    def _all(self, X: Array, lin: ModalOscillator) -> Array:
-        """All equations (B, equations) at unknowns (B, N), of oscillators of the same rows."""
-        motion, contacts = Motion(lin, self._orbits(X)), self.contacts(X)
-        parts, graze = [motion.residual()], 0
+    def _all(self, X: Array, motion: Motion) -> Array:
+        """All equations (B, equations) at unknowns (B, N), which are these motions."""
+        contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
-                y, v, _ = motion.at(contacts[:, graze : graze + 1])
-                parts += [y - (lin.upper if condition.side > 0 else -lin.lower)[:, None], v]
+                parts += motion.touch(condition.signal, condition.side, contacts[:, graze : graze + 1])
                 graze += 1
+            elif condition.kind in (ONSET, ENDS):
+                assert isinstance(motion, SwitchingMotion)
+                parts.append(motion.holding(condition.impact, condition.signal, condition.side)[:, None])
             elif condition.kind == SPEED:
-                parts.append(motion.orbits.speeds[:, condition.impact, None])
+                parts.append(motion.turn.signals[:, 1, condition.impact, None])
             elif condition.kind in (PAIR, ANGLE):
                 total, product, _ = pair_near(multipliers(motion), np.full(len(X), self.totals[i]))
                 parts.append((product - 1.0 if condition.kind == PAIR else total - 2.0 * condition.kappa)[:, None])
@@ -160,10 +169,9 @@ class Extended:
         return np.concatenate(parts, axis=1)
 
     def _bordered_matrix(self, condition: Condition, motion: Motion) -> Array:
-        """J_z of a condition on a multiplier, in units of the scale of the unknowns."""
+        """J_z of a condition on a multiplier, in units of unknowns and residuals."""
         J = motion.linearised(1 if condition.kind == UNIT else -1)
-        unit = self.unit[: J.shape[2]]
-        return np.asarray(J * unit / unit[:, None])
+        return np.asarray(J * self.scale[: self.states] / self.unit[:, None])
 
     def _solved(self, i: int, motion: Motion) -> Array:
         """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
@@ -178,15 +186,9 @@ class Extended:
     def curvature(self, motion: Motion) -> Array:
         """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
-        lin, here = motion
-        w = self._orbits(self._solved(fold, motion) * np.append(self.scale[: self.states], 1.0))
-        ends = (
-            Orbit(
-                self.itinerary, *(field + sign * CURVED * along for field, along in zip(here[1:], w[1:], strict=True))
-            )
-            for sign in (1.0, -1.0)
-        )
-        ahead, behind = (self._solved(fold, Motion(lin, end))[:, -1] for end in ends)
+        along = self._solved(fold, motion)[:, :-1] * self.scale[: self.states]
+        ends = (motion.unknowns + sign * CURVED * along for sign in (1.0, -1.0))
+        ahead, behind = (self._solved(fold, motion_of_unknowns(motion.lin, self.itinerary, end))[:, -1] for end in ends)
         return np.asarray((ahead - behind) / (2.0 * CURVED))
 
 

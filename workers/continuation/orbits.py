@@ -7,23 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.admissible import first_fault
-from workers.continuation.equations import Itinerary, Motion, Orbit, check_orbits, in_one_turn, many_orbits, unpacked
+from workers.continuation.departure import first_departure
+from workers.continuation.equations import (
+    ImpactMotion,
+    Motion,
+    check_orbits,
+    motion_at,
+    motion_of,
+    motion_of_unknowns,
+)
+from workers.continuation.itinerary import Itinerary, Orbit, in_one_turn, many_orbits
 from workers.continuation.newton import Rows, newton
-from workers.continuation.oscillator import Array, Family, family_of, modal
+from workers.continuation.oscillator import Array, Family, Machine, ModalOscillator, family_of, modal
+from workers.continuation.recording import halved, recorded_modes
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
 from workers.kernel.cells import physical_states
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motion_at, motions_at
+from workers.kernel.motion import LOST, RECORDED, RUNNING, STATUS, STUCK, motions_at
+from workers.kernel.motion import motion_at as impacts_from
 from workers.kernel.period import propagate
-from workers.model.oscillator import Oscillator, taken
+from workers.model.oscillator import Oscillator, one_of, taken
 from workers.model.system import System
 from workers.orbit.section import AT_SECTION, quiet_section
 
 Mask = NDArray[np.bool_]
 
 FARTHEST = 0.5
-"""Newton's first step at most, in radians of the force and relative to the fastest impact."""
+"""Newton's first step at most, in radians of the force and relative to the motion and its fastest impact."""
 
 RECORD = 256
 """Impacts of one period that an orbit may have."""
@@ -56,32 +67,34 @@ def many_of(orbits: list[Orbit], values: Array) -> Many:
 
 
 def moved(family: Family, orbits: Many, values: Array) -> Many:
-    """The orbits near these at other parameters (N, free), by Newton's method on each.
+    """The orbits near these at other parameters (N, free), by Newton's method on each from impacts at the same phases.
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
     """
-    lin, (itinerary, times, speeds, offset) = family.model(values), orbits.orbits
+    lin, itinerary = family.model(values), orbits.orbits.itinerary
     check_orbits(lin, itinerary)
-    m, shift = len(itinerary.sides), Motion(lin, orbits.orbits).shift
-    if m == 0 or not orbits.found.any():
+    if not itinerary.sides or not orbits.found.any():
         return orbits._replace(values=values)
-    fastest, time = np.max(np.abs(speeds), axis=1, keepdims=True), 1.0 / lin.omega[:, None]
-    scale = np.repeat(np.concatenate([time, fastest, fastest * time], axis=1), [m, m, shift], axis=1)
+    known = np.flatnonzero(orbits.found)
+    own, here = taken(lin, known), orbits.orbits.taken(known)
+    phases = here.times * family.model(orbits.values[known]).omega[:, None]
+    start = motion_of(own, here._replace(times=phases / own.omega[:, None]))
+    scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / own.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> Motion:
-        return Motion(taken(lin, known[rows]), unpacked(itinerary, X, shift))
+        return motion_of_unknowns(taken(own, rows), itinerary, X)
 
-    known = np.flatnonzero(orbits.found)
-    X = np.concatenate([times, speeds, offset[:, None][:, :shift]], axis=1)
-    found = newton(
-        lambda X, rows: motion(X, rows).residual(),
-        lambda X, rows: (motion(X, rows).residual(), motion(X, rows).linearised()),
-        X[known],
-        scale[known],
-        farthest=FARTHEST,
+    def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
+        there = motion(X, rows)
+        return there.turn.residuals, there.linearised()
+
+    solved = newton(
+        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST
     )
-    X[known] = found.X
-    return Many(unpacked(itinerary, X, shift), values, np.isin(np.arange(len(X)), known[found.converged]))
+    after, found = orbits.orbits.taken(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
+    _, after.times[known], after.speeds[known] = motion_of_unknowns(own, itinerary, solved.X).orbits
+    found[known] = solved.converged
+    return Many(after, values, found)
 
 
 def attract(family: Family, orbits: Many) -> Mask:
@@ -90,12 +103,13 @@ def attract(family: Family, orbits: Many) -> Mask:
     rows = np.flatnonzero(good)
     if not len(rows):
         return good
-    motion = Motion(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
+    motion = motion_of(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
     with np.errstate(all="ignore"):
         good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = Motion(taken(motion.lin, k), motion.orbits.taken(k))
-        good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
+        one = motion_at(taken(motion.lin, k), motion.itinerary, motion.times[k], motion.start[k])
+        fault = first_fault(one) if isinstance(one, ImpactMotion) else first_departure(one)
+        good[rows[k]] = is_minimal(one) and not (family.certified and fault)
     return good
 
 
@@ -108,17 +122,42 @@ def orbit_from_state(
     periods  of the force in the whole orbit
     Raises ValueError where the motion from there rests on a stop, where R = 0, or where no orbit is found.
     """
-    osc = system.build({p.name: float(values.get(p.name, p.default)) for p in system.parameters})
-    return orbit_of(osc, family_of(system, values, ()), np.zeros(0), state, periods, symmetric)
+    given, family, none = (
+        {p.name: float(values.get(p.name, p.default)) for p in system.parameters},
+        family_of(system, values, ()),
+        np.zeros(0),
+    )
+    if system.has_modes:
+        machine = family.model(none[None])
+        assert not isinstance(machine, ModalOscillator)
+        orbit = refined(family, recorded_modes(machine, state, periods), none)
+        half = halved(machine, orbit)
+        return orbit if half is orbit else refined(family, half, none)
+    return orbit_of(system.build(given), family, none, state, periods, symmetric)
+
+
+def recorded_each(
+    system: System, values: Mapping[str, Array], states: Array, periods: Sequence[int], symmetric: Sequence[bool]
+) -> list[Orbit | None]:
+    """Orbits as they are recorded from physical section states (N, 2n) of machines with values (N,) of each parameter;
+    None where that cannot be, see ``orbit_from_state``."""
+    found = list[Orbit | None]()
+    machines = system.definition.hybrid(values) if system.has_modes else None
+    oscillators = None if system.has_modes else system.build_many(values)[0]
+    for k, (state, length, half) in enumerate(zip(states, periods, symmetric, strict=True)):
+        try:
+            if machines is None:
+                found.append(recorded(one_of(oscillators, k), state, int(length), bool(half)))
+            else:
+                found.append(recorded_modes(taken(machines, np.array([k])), state, int(length)))
+        except ValueError:
+            found.append(None)
+    return found
 
 
 def orbit_of(osc: Oscillator, family: Family, values: Array, state: Array, periods: int, symmetric: bool) -> Orbit:
     """The same where the oscillator is built, of a family at parameters (free,)."""
-    orbit = recorded(osc, state, periods, symmetric)
-    motion = Motion(family.model(values[None]), many_orbits([orbit]))
-    if orbit.itinerary.sides and motion.shift:  # about what impacts miss their stops by
-        orbit = orbit._replace(offset=float(np.mean(motion.stops - motion.at_impacts()[0])))
-    return refined(family, orbit, values)
+    return refined(family, recorded(osc, state, periods, symmetric), values)
 
 
 def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Orbit:
@@ -127,7 +166,7 @@ def recorded(osc: Oscillator, state: Array, periods: int, symmetric: bool) -> Or
     # From there on no impact is lost or counted twice.
     shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
     there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
-    motion = motion_at(h, contact, record=RECORD)
+    motion = impacts_from(h, contact, record=RECORD)
     rows = []
     for k in range(periods):
         propagate(there, motion, osc.period)
@@ -169,12 +208,21 @@ def section_states(system: System, values: Mapping[str, Array], orbits: Sequence
     """
     count, itinerary = len(orbits), orbits[0].itinerary
     given = {p.name: np.full(count, p.default) for p in system.parameters} | dict(values)
+    if system.has_modes:
+        machines = system.definition.hybrid({name: np.ascontiguousarray(column) for name, column in given.items()})
+        return _sections(machines, many_orbits(orbits), shift)
     oscillators, _ = system.build_many({name: np.ascontiguousarray(column) for name, column in given.items()})
-    lin, many = modal(oscillators), many_orbits(orbits)
+    lin = modal(oscillators)
+    h = _sections(lin, many_orbits(orbits), shift)
+    there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
+    states = [physical_states(there, motions_at(np.ascontiguousarray(h[:, k])), rows) for k in range(itinerary.periods)]
+    return np.stack(states, axis=1)
+
+
+def _sections(lin: Machine, many: Orbit, shift: float) -> Array:
+    """What ``motion_of`` has for states at the sections of a turn."""
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
-    h = Motion(lin, many).block_state((np.arange(itinerary.periods) + shift) * period)
-    there, rows = oscillators._replace(tau=lin.tau + 2.0 * np.pi * shift), np.arange(count)
-    states = [physical_states(there, motions_at(h[..., k]), rows) for k in range(itinerary.periods)]
-    return np.stack(states, axis=1)
+    found, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
+    return found

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.family import FreeMotions
+from workers.model.hybrid_machines import HybridMachines, hybrid_faults
 from workers.model.oscillator import NUMBER, Mode, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON, REASONS
@@ -35,6 +36,15 @@ class ModalOscillator(NamedTuple):
         """The forcing frequency (N,)."""
         return self.gap.numbers[:, NUMBER.omega]
 
+    @property
+    def dimension(self) -> int:
+        """How many numbers a state has: 2n."""
+        return 2 * self.gap.blocks.shape[1]
+
+
+Machine = ModalOscillator | HybridMachines
+"""N machines with one rigid contact, or with modes."""
+
 
 class NoOscillatorError(ValueError):
     """Parameters at which there is no oscillator."""
@@ -43,11 +53,11 @@ class NoOscillatorError(ValueError):
 class Family(NamedTuple):
     """Oscillators over some free parameters, by name: ``model`` makes N of them of rows of values (N, free).
 
-    ``certified``: whether orbits have to be admissible, by certified crossings of the gap signals.
+    ``certified``: whether orbits have to be admissible, by certified crossings of the guards.
     """
 
     free: tuple[str, ...]
-    model: Callable[[Array], ModalOscillator]
+    model: Callable[[Array], Machine]
     certified: bool = True
 
 
@@ -64,22 +74,48 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     """
     for name in (*values, *free):
         system.parameter(name)
-    motions = FreeMotions(system, values, free)
+    machines = _with_modes(system, values, free) if system.has_modes else _with_impacts(system, values, free)
 
-    def model(rows: Array) -> ModalOscillator:
-        found, reasons = motions(rows)
+    def model(rows: Array) -> Machine:
+        found, reasons = machines(rows)
         if np.any(reasons != NO_REASON):
             bad = int(np.flatnonzero(reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
             raise NoOscillatorError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
-        return ModalOscillator(*found)
+        return found
 
     return Family(free, model)
 
 
-def rigid_mode(lin: ModalOscillator) -> int | None:
-    """Which block is a rigid mode, lam = 0; None where none is. ValueError where there are two, which no gap sees."""
-    rigid = np.flatnonzero(lin.gap.lam[0] == 0.0)
-    if len(rigid) > 1:
-        raise ValueError(f"{len(rigid)} rigid modes; one gap coordinate sees only one: leave out what it does not see")
-    return int(rigid[0]) if len(rigid) else None
+def has_images(system: System, values: Mapping[str, float]) -> bool:
+    """Whether the mirror image of each orbit of a machine, half a period later, is one of its orbits too."""
+    if not system.has_modes:
+        return bool(system.build(values).symmetric)
+    given = {p.name: np.array([float(values.get(p.name, p.default))]) for p in system.parameters}
+    return system.definition.hybrid(given).mirrored
+
+
+Machines = Callable[[Array], tuple[Machine, NDArray[np.int8]]]
+"""Makes machines of rows of values, with the reason against each."""
+
+
+def _with_impacts(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Machines:
+    motions = FreeMotions(system, values, free)
+
+    def machines(rows: Array) -> tuple[Machine, NDArray[np.int8]]:
+        found, reasons = motions(rows)
+        return ModalOscillator(*found), reasons
+
+    return machines
+
+
+def _with_modes(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Machines:
+    fixed = {p.name: float(values.get(p.name, p.default)) for p in system.parameters if p.name not in free}
+
+    def machines(rows: Array) -> tuple[Machine, NDArray[np.int8]]:
+        given = {name: np.full(len(rows), value) for name, value in fixed.items()}
+        given |= {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(free)}
+        found = system.definition.hybrid(given)
+        return found, system.out_of_range(given, hybrid_faults(found))
+
+    return machines

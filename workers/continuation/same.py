@@ -5,7 +5,8 @@ from itertools import product
 
 import numpy as np
 
-from workers.continuation.equations import Itinerary, Motion, Orbit
+from workers.continuation.equations import Motion
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.oscillator import Array
 
 SAME = 1e-7
@@ -42,10 +43,8 @@ def same_orbit(one: Orbit, other: Orbit, omega: float, tolerance: float = SAME) 
 
 def doubled(orbit: Orbit, span: float) -> Orbit:
     """Two turns of length ``span`` of an orbit as one: of a symmetric orbit the whole of it, of others it twice."""
-    (sides, periods, symmetric), sign = orbit.itinerary, orbit.itinerary.sign
-    itinerary = Itinerary(sides + tuple(sign * side for side in sides), periods if symmetric else 2 * periods)
-    times, speeds = np.append(orbit.times, orbit.times + span), np.append(orbit.speeds, sign * orbit.speeds)
-    return Orbit(itinerary, times, speeds, orbit.offset)
+    times = np.append(orbit.times, orbit.times + span)
+    return Orbit(orbit.itinerary.twice, times, np.append(orbit.speeds, orbit.itinerary.sign * orbit.speeds))
 
 
 @cache
@@ -57,26 +56,27 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
         k, length = m // parts, halves // parts
         for sign in (1, -1):
             closes = sign**parts == itinerary.sign and length % 2 == (sign < 0)
-            if closes and all(sides[i + k] == sign * sides[i] for i in range(m - k)):
-                found.append(Itinerary(sides[:k], length if sign < 0 else length // 2, sign < 0))
+            if closes and itinerary.repeats(k, sign):
+                periods = length if sign < 0 else length // 2
+                found.append(Itinerary(sides[:k], periods, sign < 0, itinerary.legs[:k]))
     return tuple(found)
 
 
 def difference(motion: Motion, to: Itinerary) -> Array:
     """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
-    itinerary, t, v, _ = motion.orbits.taken(0)
+    itinerary, t, v = motion.orbits.taken(0)
     k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
-    kicks = np.concatenate([v[k:], itinerary.sign * v[:k]])
-    return np.concatenate([later * motion.lin.omega[0], (kicks - to.sign * v) / np.max(np.abs(v))])
+    speeds = np.concatenate([v[k:], itinerary.sign * v[:k]])
+    return np.concatenate([later * motion.lin.omega[0], (speeds - to.sign * v) / np.max(np.abs(v))])
 
 
 def is_minimal(motion: Motion) -> bool:
     """Whether one orbit is none of those repeated that its itinerary allows."""
-    return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.orbits.itinerary))
+    return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.itinerary))
 
 
 def reduced(orbit: Orbit, to: Itinerary) -> Orbit:
     """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
-    k, offset = len(to.sides), 0.0 if to.symmetric else orbit.offset
-    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), offset)
+    k = len(to.sides)
+    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy())

@@ -5,7 +5,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.equations import Motion
+from workers.continuation.equations import ImpactMotion, Motion
 from workers.continuation.oscillator import Array
 from workers.kernel.contact import saltation
 from workers.kernel.flow import flow_with_tangent
@@ -31,32 +31,38 @@ def flights(blocks, s, R, ratio):
     return found
 
 
-def pieces(motion: Motion) -> Array:
+def pieces(motion: ImpactMotion) -> Array:
     """The factors (N, m, 2n, 2n) of the map of a turn from just after its first impact: a flight and the next impact.
 
     Without impacts one flight. The last factor changes sign for symmetric orbits.
     """
-    lin, (itinerary, t, _, _) = motion
-    span, (_, v, a) = motion.span[:, None], motion.at_impacts()
-    durations = np.concatenate([t[:, 1:], t[:, :1] + span], axis=1) - t if itinerary.sides else span
+    lin, t, span = motion.lin, motion.times, motion.span[:, None]
+    _, v, a = np.moveaxis(motion.turn.signals, 1, 0)
+    durations = np.concatenate([t[:, 1:], t[:, :1] + span], axis=1) - t if motion.itinerary.sides else span
     factors: Array = flights(lin.gap.blocks, durations, lin.R, np.roll(a / v, -1, axis=1))
-    factors[:, -1] *= itinerary.sign
+    factors[:, -1] *= motion.itinerary.sign
     return factors
 
 
 def turn_map(motion: Motion) -> Array:
     """DP (N, 2n, 2n) over a turn; of symmetric orbits D_G = -DP over half the orbit: its square is DP."""
+    if not isinstance(motion, ImpactMotion):
+        return motion.turn_map()
     return reduce(lambda total, factor: factor @ total, np.moveaxis(pieces(motion), 1, 0))
 
 
 def multipliers(motion: Motion) -> NDArray[np.complex128]:
-    """Multipliers (N, 2n) of a turn, those of D_G for symmetric orbits, of largest modulus first; inf where v = 0."""
+    """Multipliers (N, 2n) of a turn, those of D_G for symmetric orbits, of largest modulus first; inf where v = 0, and
+    exactly 0 in directions that are lost."""
     with np.errstate(all="ignore"):
         maps = turn_map(motion)
     found = np.full(maps.shape[:2], np.inf, dtype=np.complex128)
     finite = np.isfinite(maps).all(axis=(1, 2))
     found[finite] = np.linalg.eigvals(maps[finite])
-    return np.take_along_axis(found, np.argsort(-np.abs(found), axis=1, kind="stable"), axis=1)
+    found = np.take_along_axis(found, np.argsort(-np.abs(found), axis=1, kind="stable"), axis=1)
+    if not isinstance(motion, ImpactMotion) and motion.lost:
+        found[:, -motion.lost :] = 0.0
+    return found
 
 
 def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Array, NDArray[np.int64]]:

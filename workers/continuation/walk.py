@@ -122,3 +122,9 @@ class Step(NamedTuple):
         share = float(off @ chord) / length**2
         near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
         return share if near else None
+
+    def is_near(self, guess: Array, values: Array) -> bool:
+        """Whether parameters (free,) of a solution of other equations are as near to a guess as the step is long."""
+        eq = self.equations
+        length = float(np.linalg.norm((self.there - self.here) / eq.scale))
+        return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, 1e-6))

@@ -94,7 +94,7 @@ def spend(tally, evaluations):
 
 @inline_always
 def count_contact(tally, contacts, t, which, speed):
-    """Count that a stop is reached, which > 0 for an upper one; write it down while there is room in contacts (K, 3)."""
+    """Count that a stop is reached, an upper one for which > 0; write it down while contacts (K, 3) have room."""
     tally[UPPER if which > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
     tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)

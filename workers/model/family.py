@@ -33,7 +33,6 @@ class FreeMotions:
     """The free motion of a system's machines over some of its parameters, the others fixed."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
-        system.refuse_modes("curves and branches of orbits")
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
         self._changing = system.definition.depending(free)

@@ -60,6 +60,21 @@ class HybridMachines(NamedTuple):
     drift: Array
 
     @property
+    def dimension(self) -> int:
+        """How many numbers a state has: 2n."""
+        return 2 * self.load.shape[2]
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether all are their own mirror images half a period later.
+
+        That takes equal stops, belts at rest, no load, odd harmonics alone, and one phase.
+        """
+        even = (self.force_sin[:, :, 1::2], self.force_cos[:, :, 1::2], self.load, self.belt)
+        equal = np.array_equal(self.stops[..., 0], -self.stops[..., 1])
+        return self.sizes[0] == 1 and equal and not any(np.any(field) for field in even)
+
+    @property
     def sizes(self) -> tuple[int, int, int]:
         """How many phases, contacts and frictions there are."""
         return self.load.shape[1], self.row.shape[1], self.slide.shape[1]

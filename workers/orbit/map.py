@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
-from workers.kernel.hybrid.motion import freeze
+from workers.kernel.hybrid.neutral import freeze
 from workers.kernel.jit import by_record, inline_always, kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import step

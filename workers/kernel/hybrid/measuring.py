@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.flow import flow
-from workers.kernel.hybrid.motion import LEG, LEG_STATE, through_modes
+from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
 from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side
 from workers.kernel.jit import inline_always, kernel

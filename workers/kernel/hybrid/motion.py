@@ -1,7 +1,6 @@
 """The one loop of mode, first guard and reset, of hybrid machines."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +17,8 @@ from workers.kernel.hybrid.events import (
     soft_event,
     strikes_while_held,
 )
+from workers.kernel.hybrid.neutral import count_progress, keep_neighbours, note_slips
+from workers.kernel.hybrid.notes import note, note_leg
 from workers.kernel.hybrid.state import (
     enter,
     from_vectors,
@@ -28,7 +29,6 @@ from workers.kernel.hybrid.state import (
     read_number,
     reset,
     right_hand_side,
-    slot_of,
 )
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import (
@@ -40,12 +40,9 @@ from workers.kernel.motion import (
     MAX_SPEED,
     MIN_SPEED,
     MODE_MISSING,
-    NEUTRAL,
     NO_MODE,
-    PROGRESS,
     RUNNING,
     SIMULTANEOUS,
-    SLID,
     STATUS,
     STUCK,
     count_contact,
@@ -55,22 +52,6 @@ from workers.kernel.tangent import MAX_SPREAD, graded_flow, orthonormalise, spre
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import HEAD, Mode
-
-
-class Leg(NamedTuple):
-    """What is written down of a motion in one mode, as columns: when it starts and how long it lasts, which mode of the
-    table it is in, and the signal that ends it, -1 for the time or a phase.
-    """
-
-    start: int
-    duration: int
-    mode: int
-    signal: int
-
-
-LEG = Leg(*range(len(Leg._fields)))
-LEG_STATE = len(LEG)
-"""Column of the first component of the state that a leg starts from."""
 
 
 @inline_always
@@ -154,93 +135,14 @@ def keep_held(elements, states, slips, z):
             reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
 
 
-@inline_always
-def note_leg(legs, place, t, s, k, hit, z):
-    """Write a leg down while there is room in legs (K, LEG_STATE + 2n); the place of the next one."""
-    if place < legs.shape[0]:
-        legs[place, LEG.start], legs[place, LEG.duration] = t, s
-        legs[place, LEG.mode], legs[place, LEG.signal] = k, hit
-        for i in range(len(z)):
-            legs[place, LEG_STATE + i] = z[i]
-    return place + 1
-
-
-@inline_always
-def keep_neighbours(elements, states, lost, V):
-    """Take off tangent vectors V (m, n, 2) what would move what is held or sticks: neighbours come to do so at once.
-
-    The last blocks are those of what is held, then of what sticks, see hybrid_modes.
-    """
-    held = 0
-    for c in range(len(states)):
-        if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            held += 1
-    first = V.shape[1] - (int(lost) - held)
-    for e in range(V.shape[0]):
-        for i in range(first, V.shape[1]):
-            V[e, i, 1] = 0.0
-            if i < first + held:
-                V[e, i, 0] = 0.0
-
-
-@inline_always
-def note_slips(slips, tally):
-    """Note which frictions slide: that of number e by the binary digit 2^e."""
-    slid = int(tally[SLID])
-    for e in range(len(slips)):
-        if slips[e] != 0:
-            slid |= 1 << e
-    tally[SLID] = slid
-
-
-@kernel
-def freeze(osc, motion):
-    """Take what has never slid on a motion's way as a parameter of it: of tangent vectors, what would move its place.
-
-    It could rest anywhere near as well: that direction is neutral, its multiplier 1. It counts as lost besides.
-    """
-    table, elements = osc.table, osc.table.elements
-    n, m = motion.h.shape[0], motion.V.shape[0]
-    states, slips = np.zeros(elements.row.shape[0], dtype=np.int64), np.zeros(elements.slide.shape[0], dtype=np.int64)
-    number = motion.contact[0] - FIRST_NUMBER
-    read_number(number, states, slips)
-    k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
-    W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
-    from_vectors(osc.to_physical, motion.V, W)
-    into_vectors(table.pieces.to_blocks[k], W, V)
-    place, neutral = n, 0
-    for e in range(len(slips) - 1, -1, -1):
-        if slips[e] != 0 or rests_on_stop(elements, e, states):
-            continue
-        place -= 1
-        drifts = table.drifts > 0.0 and product(elements.slide[e], osc.to_physical[:n, 2 * n - 1], 0) != 0.0
-        if not drifts and (slid >> e) & 1 == 0 and elements.belt[e] == 0.0:
-            neutral += 1
-            for i in range(m):
-                V[i, place, 0] = 0.0
-    if neutral > 0:
-        from_vectors(table.pieces.to_physical[k], V, W)
-        into_vectors(osc.to_blocks, W, motion.V)
-        motion.tally[NEUTRAL] = neutral
-        motion.tally[LOST] += neutral
-
-
-@inline_always
-def rests_on_stop(elements, e, states):
-    """Whether friction e sticks on the row of a rigid contact that is held, which decides of it."""
-    for c in range(len(states)):
-        if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
-            return True
-    return False
-
-
 @kernel
 def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs, duration):
     """Take a physical state z (2n,) and tangent vectors W (m, 2n) from a section on by ``duration`` <= one period.
 
     In place, with the number of their mode in code (1,). growth (m,), triangle: see tangent.orthonormalise; of no
     length where the vectors are not to be made orthonormal. hits (K, 3): the first K contacts, (time, +-(1 + contact)
-    with the side's sign, speed); events (K, 4): the first K events, (time, signal, side, its rate), NaN from there on;
+    with the side's sign, speed); events (K, NOTED + G): the first K events, (time, signal, side, its rate, number of
+    the mode from then on, how its G signals begin), NaN after them; of signal -1 are the start and changes of phase;
     legs (K, LEG_STATE + 2n): the first K legs, see Leg, each with the state that it starts from, NaN from there on.
     Stops early with tally[STATUS] set where it cannot go on.
     """
@@ -257,11 +159,15 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
     where = 0  # a section is where the first phase begins
     keep_held(elements, states, slips, z)
     k, number = follow_jumps(table, states, slips, where, z, phase, begun)
+    hit, side, rate = -1, 0, 0.0
     while True:
         if k < 0:
             stop_at(table, tally, k, number)
         if tally[STATUS] != RUNNING:
             return
+        if seen < events.shape[0]:
+            note(events[seen], t, hit, side, rate, number, begun)
+            seen += 1
         tally[LOST] = max(tally[LOST], pieces.lost[k] + table.drifts)
         until = min(duration, period, elements.starts[where + 1] * period)
         enter(pieces, k, z, W, phase, h, V)
@@ -284,6 +190,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
             code[0] = number
             return
         if hit < 0:
+            rate = 0.0
             where += 1
             k, number = follow_jumps(table, states, slips, where, z, phase, begun)
             continue
@@ -292,9 +199,6 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
         row = pieces.rows[k, hit, : 2 * n]
         for e in range(m):
             slopes[e] = product(row, W[e], 0) / rate
-        if seen < events.shape[0]:
-            events[seen, 0], events[seen, 1], events[seen, 2], events[seen, 3] = t, hit, side, rate
-            seen += 1
         c = hit // SIGNALS
         if c >= C:
             k, number = friction_event(table, hit, hit - SIGNALS * C, side, states, slips, where, z, f, W, phase, begun)
@@ -319,16 +223,6 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, events, legs
             tally[CONTRACTION] += log(max(abs(1.0 + product(row, after, 0) / rate), TINY))
 
 
-@inline_always
-def count_progress(motion, h, omega):
-    """Reset the coordinate that drifts, of a motion that a period took to block state h (n, 2): see model.Hybrid."""
-    last = h.shape[0] - 1
-    motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega
-    h[last, 1] = 0.0
-    for e in range(motion.V.shape[0]):
-        motion.V[e, last, 1] = 0.0
-
-
 @kernel
 def propagate_hybrid(osc, motion, duration):
     """period.propagate of a HybridCell. Where a mode is missing the motion stays where it was."""
@@ -338,7 +232,7 @@ def propagate_hybrid(osc, motion, duration):
     from_vectors(osc.to_physical, h, z)
     from_vectors(osc.to_physical, motion.V, W)
     code = motion.contact - FIRST_NUMBER
-    none = np.empty((0, 4))
+    none = np.empty((0, 0))
     through_modes(osc.table, z[0], W, code, growth, triangle, tally, motion.impacts, none, none, duration)
     if tally[STATUS] == RUNNING:
         into_vectors(osc.to_blocks, z, h)

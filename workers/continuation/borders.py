@@ -1,0 +1,110 @@
+"""Where orbits cease to be admissible on a step: grazes, events that are lost, onset and end of stick."""
+
+import numpy as np
+
+from workers.continuation.admissible import HELD, LOST, ORDER, Fault
+from workers.continuation.departure import peak_of, without_event
+from workers.continuation.equations import ImpactMotion
+from workers.continuation.events import (
+    CONTACT_LOST,
+    GRAZING,
+    IMPACT_LOST,
+    LocatedEvent,
+    event_of,
+    fault,
+    solution,
+    solved_on,
+)
+from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition
+from workers.continuation.oscillator import Array
+from workers.continuation.walk import Step
+from workers.model.hybrid_modes import SIGNALS
+
+HALVINGS = 14
+"""Halvings of a step that help to locate where an orbit ceases to be admissible."""
+
+
+def leaving(step: Step, why: Fault) -> LocatedEvent | None:
+    """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
+    low, high, X = 0.0, 1.0, step.there
+    for _ in range(HALVINGS):
+        found = _of_fault(step, X, why)
+        if found is not None:
+            return found
+        half = 0.5 * (low + high)
+        middle = step.solution(half)
+        if not middle.converged:
+            return None
+        seen = fault(step.equations, middle.X)
+        if seen is None:
+            low = half
+        else:
+            high, X, why = half, middle.X, seen
+    return None
+
+
+def nearly_lost(step: Step) -> LocatedEvent | None:
+    """Where an orbit of a machine with modes loses its slowest event, if next to ``here``: a corner of a branch."""
+    motion = step.equations.motion(step.here)
+    if isinstance(motion, ImpactMotion) or not motion.itinerary.sides:
+        return None
+    slowest = int(np.argmin(np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]))
+    return _of_loss(step, step.here, Fault(LOST, slowest))
+
+
+def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
+    """The graze or the lost impact that a fault at X comes from."""
+    own = step.equations.conditions
+    motion = step.equations.motion(X)
+    if why.reason == ORDER:
+        return None
+    if why.reason == HELD:
+        return _of_holding(step, X, why)
+    if why.reason == LOST and not isinstance(motion, ImpactMotion):
+        return _of_loss(step, X, why)
+    if why.reason == LOST:
+        return solved_on(step, X, (*own, Condition(SPEED, impact=why.impact)))
+    peak = _peak(motion, why) if isinstance(motion, ImpactMotion) else peak_of(motion, why)
+    graze = Condition(GRAZE, side=why.side, signal=why.signal)
+    return None if peak is None else solved_on(step, X, (*own, graze), (peak,))
+
+
+def _of_holding(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
+    """Where the force that would hold friction at an event is its static level."""
+    motion = step.equations.motion(X)
+    if isinstance(motion, ImpactMotion) or why.impact < 0:
+        return None
+    turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.turning)
+    condition = Condition(ONSET if turns else ENDS, side=why.side, impact=why.impact, signal=why.signal)
+    return solved_on(step, X, (*step.equations.conditions, condition))
+
+
+def _of_loss(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
+    """Where an event of a machine with modes is lost: the graze of the orbit without it."""
+    eq, motion = step.equations, step.equations.motion(X)
+    shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
+    if shorter is None or isinstance(motion, ImpactMotion):
+        return None
+    orbit, leg, time = shorter
+    conditions = (*eq.conditions, Condition(GRAZE, side=leg.side, signal=leg.signal))
+    found = solution(eq, orbit, conditions, np.append(eq.contacts(X), time), X)
+    before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
+    share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
+    if found is None or not step.is_near(eq.values(step.guess(share)), found[0].values(found[1])) or fault(*found):
+        return None
+    event = event_of(*found)
+    if event.kind == GRAZING:
+        soft = motion.lin.soft[0, leg.signal // SIGNALS] > 0.0
+        event = event._replace(kind=CONTACT_LOST if soft else IMPACT_LOST)
+    return LocatedEvent(share, event)
+
+
+def _peak(motion: ImpactMotion, why: Fault) -> float | None:
+    """About when y, beyond a stop since the time of a fault, turns back: where Newton's method looks for a graze."""
+    span = float(motion.span[0])
+    ends = [t + k * span for t in motion.times[0] for k in (0, 1, 2)]
+    limit = min([end for end in ends if end > why.time + 1e-9 * span], default=why.time + span)
+    s = np.linspace(why.time, limit, 402)[1:-1]
+    speed = why.side * motion.at(s[None])[1][1, 0]
+    turned = np.flatnonzero(speed <= 0.0)
+    return float(s[turned[0]]) if len(turned) else None

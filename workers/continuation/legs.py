@@ -1,0 +1,162 @@
+"""One turn of an orbit of a machine with modes over its legs and events, with its tangents: see shooting.turns.
+
+States are physical, z = (x, v), between legs and in blocks within one. Everywhere N machines of K modes and L legs.
+"""
+
+import math
+
+import numpy as np
+
+from workers.kernel.flow import flow_with_tangent
+from workers.kernel.hybrid.motion import first_event
+from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.model.hybrid_modes import SIGNALS, Pieces
+
+MODE, EVENT, SIGNAL, END, ACT, PLAN = range(6)
+"""Of a leg: its mode, by its place; the event at its end, NO_EVENT where the phase changes or the turn ends; the signal
+that reaches an end there, 0 the lower one; and what it does to the velocity."""
+
+NO_EVENT = -1
+
+NOTHING, REBOUNDS, RESTS, SLOWS = range(4)
+"""What an event does to the velocity: nothing; a rigid contact rebounds, or comes to rest; friction begins to stick."""
+
+
+@inline_always
+def of_machine(pieces, r):
+    """The modes of machine r."""
+    p = pieces
+    return Pieces(
+        p.blocks[r], p.metric[r], p.waves[r], p.numbers[r], p.forced[r], p.rows[r], p.direct[r], p.offset[r], p.ends[r],
+        p.to_blocks[r], p.to_physical[r], p.rest[r], p.acceleration[r], p.drive[r], p.lost[r], p.trace[r],
+    )  # fmt: skip
+
+
+@kernel
+def fly_leg(modes, k, s, phase, later, z, W, h, V):
+    """Take a state z (2n,) and tangents W (m, 2n) on by s in mode k, from one phase of the force to another."""
+    if s != 0.0:
+        enter(modes, k, z, W, phase, h, V)
+        flow_with_tangent(modes.blocks[k, 0], s, h, V)
+        leave(modes, k, h, V, later, z, W)
+
+
+@kernel
+def act_on(elements, r, act, signal, z, W):
+    """What an event does to a velocity, and to tangents W (m, 2n), in place."""
+    n = elements.row.shape[2]
+    if act in (REBOUNDS, RESTS):
+        c = signal // SIGNALS
+        row, kick, share = elements.row[r, c], elements.kick[r, c], 1.0 if act == RESTS else 1.0 + elements.R[r, c]
+        reset(z, n, row, kick, 0.0, share)
+        for e in range(len(W)):
+            reset(W[e], n, row, kick, 0.0, share)
+    elif act == SLOWS:
+        f = signal - SIGNALS * elements.row.shape[1]
+        row, kick = elements.slide[r, f], elements.brake[r, f]
+        reset(z, n, row, kick, elements.belt[r, f], 1.0)
+        for e in range(len(W)):
+            reset(W[e], n, row, kick, 0.0, 1.0)
+
+
+@kernel
+def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start):
+    """Turns from ``start`` (N, 2n) over events at times t (N, m); plan (L, PLAN): the legs, which end at ends (N, L).
+
+    signals (N, 3, m)  each guard's value, its rate, and the rate after the event; states (N, L, 2n) where legs begin
+    residuals, tangents, shifts: as those of shooting.turns, of physical states and guards
+    """
+    (N, m), size, legs = t.shape, start.shape[1], len(plan)
+    n, M = size // 2, size + m
+    signals, states = np.zeros((N, 3, m)), np.empty((N, legs, size))
+    residuals, tangents, shifts = np.empty((N, M)), np.zeros((N, M, M)), np.zeros((N, M, M))
+    h, V, f, late = np.empty((n, 2)), np.empty((M, n, 2)), np.empty(size), np.empty(size)
+    for r in range(N):
+        modes, z, W = of_machine(pieces, r), start[r].copy(), np.zeros((M, size))
+        W[:size] = np.eye(size)
+        now, alive, k = 0.0, size, plan[0, MODE]
+        if m > 0:
+            now, alive = t[r, 0], size + 1
+            right_hand_side(modes, k, z, tau[r] + omega[r] * now, f)
+            W[size] = -f
+        for leg in range(legs):
+            k, i, g, act = plan[leg, MODE], plan[leg, EVENT], plan[leg, SIGNAL], plan[leg, ACT]
+            states[r, leg] = z
+            phase, later = tau[r] + omega[r] * now, tau[r] + omega[r] * ends[r, leg]
+            fly_leg(modes, k, ends[r, leg] - now, phase, later, z, W[:alive], h, V[:alive])
+            now = ends[r, leg]
+            right_hand_side(modes, k, z, later, f)
+            if i == NO_EVENT:
+                continue
+            own, row = size + i, modes.rows[k, g, :size]
+            value, _ = guard_value(modes, k, g, z, later)
+            signals[r, 0, i], signals[r, 1, i] = value, guard_rate(modes, k, g, f, omega[r], later)
+            residuals[r, own] = value - modes.ends[k, g, plan[leg, END]]
+            for e in range(own + 1):
+                tangents[r, own, e] = product(row, W[e], 0)
+            tangents[r, own, own] += signals[r, 1, i]
+            W[own] += f
+            alive = own + 1
+            act_on(elements, r, act, g, z, W[:alive])
+            right_hand_side(modes, plan[leg + 1, MODE], z, later, late)
+            W[own] -= late
+            signals[r, 2, i] = guard_rate(modes, k, g, late, omega[r], later)
+        for j in range(size):
+            residuals[r, j], shifts[r, j, j] = sign * z[j] - start[r, j], 1.0
+            if m > 0:
+                shifts[r, j, size] = -sign * f[j]
+            for e in range(M):
+                tangents[r, j, e] = sign * W[e, j]
+    return signals, states, residuals, tangents, shifts
+
+
+@kernel
+def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, s):
+    """States (N, K, 2n) at times s (N, K), and a signal there, its rate and its ends (4, N, K), in the mode there.
+
+    begins (N, L) of the legs of a turn and their states; an event at such a time counts as past.
+    """
+    (N, K), legs, size = s.shape, len(plan), states.shape[2]
+    found, values = np.empty((N, K, size)), np.empty((4, N, K))
+    h, V, f, none = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty(size), np.empty((0, size))
+    for r, i in np.ndindex(N, K):
+        modes = of_machine(pieces, r)
+        turn = math.floor((s[r, i] - begins[r, 0]) / span[r])
+        here, leg = s[r, i] - turn * span[r], 0
+        while leg + 1 < legs and begins[r, leg + 1] <= here:
+            leg += 1
+        z, k, later = states[r, leg].copy(), plan[leg, MODE], tau[r] + omega[r] * here
+        fly_leg(modes, k, here - begins[r, leg], tau[r] + omega[r] * begins[r, leg], later, z, none, h, V)
+        right_hand_side(modes, k, z, later, f)
+        values[0, r, i], _ = guard_value(modes, k, signal, z, later)
+        values[1, r, i] = guard_rate(modes, k, signal, f, omega[r], later)
+        values[2, r, i], values[3, r, i] = modes.ends[k, signal, 0], modes.ends[k, signal, 1]
+        found[r, i] = z if turn % 2 == 0 else sign * z
+    return found, values
+
+
+@kernel
+def event_of_leg(pieces, r, k, z, phase, begun, H):
+    """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
+    where that cannot be told."""
+    modes, n = of_machine(pieces, r), len(z) // 2
+    h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
+    tally[WORK] = WORK_OF_A_TRIAL
+    enter(modes, k, z, none, phase, h, V)
+    s, hit, side = first_event(modes, k, h, phase, begun, H, np.empty((n, 2)), tally)
+    return s, hit if tally[STATUS] == RUNNING else -2, side
+
+
+@kernel
+def beyond_range(pieces, r, k, begun, z, phase, share):
+    """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
+    modes = of_machine(pieces, r)
+    for g in range(modes.ends.shape[1]):
+        value, size = guard_value(modes, k, g, z, phase)
+        if begun[g] == 0 and value > modes.ends[k, g, 1] + share * size:
+            return g, 1
+        if begun[g] == 0 and value < modes.ends[k, g, 0] - share * size:
+            return g, -1
+    return -1, 0

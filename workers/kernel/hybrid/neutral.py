@@ -1,0 +1,88 @@
+"""Directions in which nothing pulls back: a coordinate that drifts, and what sticks for good wherever it is."""
+
+import numpy as np
+
+from workers.kernel.hybrid.state import from_vectors, into_vectors, product, read_number, slot_of
+from workers.kernel.jit import inline_always, kernel
+from workers.kernel.motion import LOST, NEUTRAL, PROGRESS, SLID
+from workers.model.hybrid import FIRST_NUMBER
+from workers.model.hybrid_modes import ON
+
+
+@inline_always
+def keep_neighbours(elements, states, lost, V):
+    """Take off tangent vectors V (m, n, 2) what would move what is held or sticks: neighbours come to do so at once.
+
+    The last blocks are those of what is held, then of what sticks, see hybrid_modes.
+    """
+    held = 0
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            held += 1
+    first = V.shape[1] - (int(lost) - held)
+    for e in range(V.shape[0]):
+        for i in range(first, V.shape[1]):
+            V[e, i, 1] = 0.0
+            if i < first + held:
+                V[e, i, 0] = 0.0
+
+
+@inline_always
+def note_slips(slips, tally):
+    """Note which frictions slide: that of number e by the binary digit 2^e."""
+    slid = int(tally[SLID])
+    for e in range(len(slips)):
+        if slips[e] != 0:
+            slid |= 1 << e
+    tally[SLID] = slid
+
+
+@kernel
+def freeze(osc, motion):
+    """Take what has never slid on a motion's way as a parameter of it: of tangent vectors, what would move its place.
+
+    It could rest anywhere near as well: that direction is neutral, its multiplier 1. It counts as lost besides.
+    """
+    table, elements = osc.table, osc.table.elements
+    n, m = motion.h.shape[0], motion.V.shape[0]
+    states, slips = np.zeros(elements.row.shape[0], dtype=np.int64), np.zeros(elements.slide.shape[0], dtype=np.int64)
+    number = motion.contact[0] - FIRST_NUMBER
+    read_number(number, states, slips)
+    k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
+    W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
+    from_vectors(osc.to_physical, motion.V, W)
+    into_vectors(table.pieces.to_blocks[k], W, V)
+    place, neutral = n, 0
+    for e in range(len(slips) - 1, -1, -1):
+        if slips[e] != 0 or rests_on_stop(elements, e, states):
+            continue
+        place -= 1
+        drifts = table.drifts > 0.0 and product(elements.slide[e], osc.to_physical[:n, 2 * n - 1], 0) != 0.0
+        if not drifts and (slid >> e) & 1 == 0 and elements.belt[e] == 0.0:
+            neutral += 1
+            for i in range(m):
+                V[i, place, 0] = 0.0
+    if neutral > 0:
+        from_vectors(table.pieces.to_physical[k], V, W)
+        into_vectors(osc.to_blocks, W, motion.V)
+        motion.tally[NEUTRAL] = neutral
+        motion.tally[LOST] += neutral
+
+
+@inline_always
+def rests_on_stop(elements, e, states):
+    """Whether friction e sticks on the row of a rigid contact that is held, which decides of it."""
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
+            return True
+    return False
+
+
+@inline_always
+def count_progress(motion, h, omega):
+    """Reset the coordinate that drifts, of a motion that a period took to block state h (n, 2): see model.Hybrid."""
+    last = h.shape[0] - 1
+    motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega
+    h[last, 1] = 0.0
+    for e in range(motion.V.shape[0]):
+        motion.V[e, last, 1] = 0.0
