@@ -131,7 +131,7 @@ def test_contacts_are_counted_one_by_one_and_by_side(name: str) -> None:
 @each_orbit
 def test_half_a_turn_later_a_symmetric_orbit_is_its_mirror_image_and_no_other_one_is(name: str) -> None:
     _, readings, _ = readings_of(name)
-    away = np.abs(readings.middle[0] + RECORDS[name]["state"]).max()
+    away = np.abs(readings.halves[0].sum(axis=0)).max()
     assert (away < 1e-12) == RECORDS[name]["symmetric"] or not RECORDS[name]["periods"] % 2
 
 
@@ -303,6 +303,25 @@ def test_a_cell_of_a_machine_with_modes_tells_contacts_losses_range_and_symmetry
     assert cell["wall_loss"] == pytest.approx(0.0, abs=1e-12)
     assert cell["damper_loss"] == near(wanted["damper_loss"], 100.0)
     assert cell["peak_to_peak"] == near(2.0 * (1.0 + wanted["max_penetration"]), 100.0)
+
+
+@pytest.mark.parametrize("law", [{"stiffness": 10.0}, {"restitution": 0.6}], ids=["soft", "rigid"])
+@pytest.mark.parametrize("late", [1e-12, -1e-12, 1e-10, -1e-10, 1e-9, -1e-9])
+def test_a_contact_at_the_section_counts_once_in_a_turn(law: dict[str, float], late: float) -> None:
+    """The same orbit with its section at the upper contact, a little more than rounding off it."""
+    wall = {"name": "wall", "gap": [1.0], "upper": 1.0, "lower": -1.0, **law}
+    rub = {"name": "ground", "row": [1.0], "kinetic": 0.01}
+    definition = SOFT | {"contacts": [wall], "friction": [rub]}
+    cell = cell_of(definition)
+    x, v = cell["state"]  # type: ignore[misc]
+    impacts = trace(System.from_mapping(definition), {"x": x, "v": v}, 1).impacts
+    hit = impacts[impacts[:, 1] > 0.0][0, 0]
+    there = cell_of(definition, tau=1.4 * hit + late)
+    for name in ("regime", "period", "wall_upper", "wall_lower", "symmetric"):
+        assert there[name] == cell[name], name
+    assert (cell["wall_upper"], cell["wall_lower"], cell["symmetric"]) == (1, 1, True)
+    for name in ("wall_loss", "wall_fraction", "ground_loss", "damper_loss", "peak_to_peak"):
+        assert there[name] == pytest.approx(cell[name], rel=1e-11, abs=1e-12), name
 
 
 def test_beyond_its_symmetry_breaking_an_orbit_is_not_marked_symmetric() -> None:

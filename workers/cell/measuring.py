@@ -55,7 +55,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
         span = periods * machines.period
         found = _of_measures(definition, definition.outputs(values)[2], readings, span)
         if hybrid:
-            found |= _of_machine(machines, readings, states, closes, periods)
+            found |= _of_machine(machines, readings, closes, periods)
             found |= _of_elements(definition, machines.machines, readings, closes, periods)
             counted, lost = cells.found["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             found["impact_energy"] = np.where(np.isnan(counted), lost, counted)
@@ -127,7 +127,7 @@ def _nothing_read(machines: Hybrid, meters: Meters) -> Readings:
         first=outputs[0], square=outputs[1], low=outputs[2], high=outputs[3],
         hits=np.zeros((N, C, 2)), endless=contacts[0], touching=contacts[1], stop=contacts[2], depth=contacts[3],
         force=contacts[4], stuck=frictions[0], rubbed=frictions[1], damped=np.zeros((N, 1)),
-        middle=np.full((N, 2 * meters.rows.shape[2]), np.nan),
+        halves=np.full((N, 2, 2 * meters.rows.shape[2]), np.nan),
     )  # fmt: skip
 
 
@@ -146,12 +146,11 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
     return found
 
 
-def _of_machine(
-    machines: Hybrid, readings: Readings, states: Array, closes: Mask, periods: Rows
-) -> dict[str, NDArray[Any]]:
-    """The variables of a whole machine with modes, of motions from physical states (N, 2n) on."""
-    away = np.linalg.norm(states + readings.middle, axis=1)
-    size = np.linalg.norm(states, axis=1) + np.linalg.norm(readings.middle, axis=1)
+def _of_machine(machines: Hybrid, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
+    """The variables of a whole machine with modes."""
+    early, late = readings.halves[:, 0], readings.halves[:, 1]
+    away = np.linalg.norm(early + late, axis=1)
+    size = np.linalg.norm(early, axis=1) + np.linalg.norm(late, axis=1)
     return {
         "symmetric": mirrors(machines.machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
         "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],

@@ -32,6 +32,10 @@ from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 
 Array = NDArray[np.float64]
 
+EARLY = 0.3819660112501051
+"""Share of a period after a section, by the golden ratio, at which a state and that half a turn later are compared: at
+the section itself orbits may impact, as many closed forms do."""
+
 LEGS = 64
 """Legs of one period that there is room for at first; four times as many each time that there are more."""
 
@@ -64,7 +68,7 @@ class Readings(NamedTuple):
     depth, force (N, C)   greatest depth and force of a soft contact
     stuck    (N, F)       time that the friction sticks, rubbed (N, F) energy that it has taken
     damped   (N, 1)       energy that the dampers have taken
-    middle   (N, 2n)      state half a period after the section in the middle of the periods
+    halves   (N, 2, 2n)   states EARLY after the section, and half of all periods later, of an odd number of them
     """
 
     first: Array
@@ -80,7 +84,7 @@ class Readings(NamedTuple):
     stuck: Array
     rubbed: Array
     damped: Array
-    middle: Array
+    halves: Array
 
 
 @inline_always
@@ -96,7 +100,7 @@ def readings_of(readings, r):
     o = readings
     return borrowed(Readings(
         o.first[r], o.square[r], o.low[r], o.high[r], o.hits[r], o.endless[r], o.touching[r], o.stop[r], o.depth[r],
-        o.force[r], o.stuck[r], o.rubbed[r], o.damped[r], o.middle[r],
+        o.force[r], o.stuck[r], o.rubbed[r], o.damped[r], o.halves[r],
     ))  # fmt: skip
 
 
@@ -180,11 +184,11 @@ def read_impact(elements, reading, c, end, following, counts):
 
 
 @kernel
-def read_leg(table, meter, reading, leg, following, begins, middle, flies, tally):
+def read_leg(table, meter, reading, leg, following, begins, marks, flies, tally):
     """Add what a leg shows, the next of which starts from state ``following`` (2n,).
 
-    What happens before the time ``begins`` does not count. middle: write the state half a period after the section
-    down, if it is on this leg. Where it does not fly, contacts alone are counted.
+    What happens before the time ``begins`` does not count. marks (2,): when the states of ``halves`` are to be written
+    down, NaN for not in this period. Where it does not fly, contacts alone are counted.
     """
     pieces, elements = table.pieces, table.elements
     n, z = len(following) // 2, leg[LEG_STATE:]
@@ -192,13 +196,14 @@ def read_leg(table, meter, reading, leg, following, begins, middle, flies, tally
     states = np.zeros(len(elements.row), dtype=np.int64)
     slips = np.zeros(len(elements.slide), dtype=np.int64)
     where = read_number(table.codes[k], states, slips)
-    phase, half = table.tau + table.omega * t, math.pi / table.omega
+    phase = table.tau + table.omega * t
     h, nothing, flat, end = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), np.empty(2 * n)
     enter(pieces, k, z, flat, phase, h, nothing)
-    if middle and t <= half <= t + s:
-        there = h.copy()
-        flow(pieces.blocks[k, 0], half - t, there)
-        leave(pieces, k, there, nothing, phase + table.omega * (half - t), reading.middle, flat)
+    for m in range(2):
+        if t <= marks[m] <= t + s:
+            there = h.copy()
+            flow(pieces.blocks[k, 0], marks[m] - t, there)
+            leave(pieces, k, there, nothing, table.tau + table.omega * marks[m], reading.halves[m], flat)
     there = h.copy()
     flow(pieces.blocks[k, 0], s, there)
     leave(pieces, k, there, nothing, phase + table.omega * s, end, flat)
@@ -226,7 +231,7 @@ def read_leg(table, meter, reading, leg, following, begins, middle, flies, tally
 
 
 @kernel
-def read_period(table, meter, reading, z, code, tally, duration, begins, middle, flies):
+def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
     """Take a motion from state z (2n,) and its mode in code (1,) through a period, or a part of it, and add its legs.
 
     In place; see read_leg. Where a mode is missing it stays where it was, and nothing is added.
@@ -248,7 +253,7 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, middle,
             break
         last = i + 1 == room or math.isnan(legs[i + 1, 0])
         following = there if last else legs[i + 1, LEG_STATE:]
-        read_leg(table, meter, reading, legs[i], following, begins, middle, flies, tally)
+        read_leg(table, meter, reading, legs[i], following, begins, marks, flies, tally)
     z[:], code[0] = there, number[0]
 
 
@@ -265,14 +270,14 @@ def read_motions(oscillators, meters, readings, states, codes, done, periods, cl
         table = lend(hybrid_of(oscillators, r)).table
         meter, reading = lend(meters_of(meters, r)), lend(readings_of(readings, r))
         period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
-        tally = NOTHING_COUNTED.copy()
+        tally, marks = NOTHING_COUNTED.copy(), np.empty(2)
         while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
             flies, begins = done[r] < periods[r], AROUND * period if turn and done[r] == 0 else -1.0
+            marks[0] = EARLY * period if done[r] == 0 else np.nan
+            marks[1] = (EARLY + 0.5) * period if done[r] == periods[r] // 2 else np.nan
             tally[WORK] = allowance[r] - OVERDRAFT
-            read_period(
-                table, meter, reading, states[r], codes[r], tally, period if flies else AROUND * period, begins,
-                done[r] == periods[r] // 2, flies,
-            )  # fmt: skip
+            duration = period if flies else AROUND * period
+            read_period(table, meter, reading, states[r], codes[r], tally, duration, begins, marks, flies)
             allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
             done[r] += 1 if status[r] == RUNNING else 0
     return status
