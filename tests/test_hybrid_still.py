@@ -42,6 +42,11 @@ name = "wall"
 gap = [0, 1]
 upper = 0.5
 restitution = 0.6
+[[system.contacts]]
+name = "far"
+gap = [1, 0]
+upper = 50
+stiffness = 1
 """
 PARAMETERS = """
 [system.parameters]

@@ -42,7 +42,7 @@ from atlas.store.store import (
     restore_coordinates,
 )
 from atlas.store.tally import Entries, tile_entry
-from atlas.store.tiles import covered_variables, digest_faults, drop_tile, read_tile
+from atlas.store.tiles import covered_variables, digest_faults, drop_tile, is_blank, read_tile
 from atlas.store.tiling import Tiling
 from atlas.store.zoom import drop_zoom, plane_faults, sheet_place, sheets
 from atlas.text import plural
@@ -251,8 +251,8 @@ def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: I
         cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
         one = tuple(slice(i, i + 1) for i in inner)
         samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
-    absent = [v.name for v in (*header.variables, *header.unknown) if v.sparse and v.name in values]
-    chunks = len(stored) - sum(1 for name in absent if not values[name].any())
+    sparse = [v for v in (*header.variables, *header.unknown) if v.sparse and v.name in values]
+    chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
     # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
     kept = tuple(one for one in samples if one.regime != FAILED)
     entry = tile_entry(header.spec, tile.slices, header.leading(values))

@@ -99,7 +99,7 @@ def read_tile(
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
-        elif not variable.sparse and _is_blank(found, variable) and not header.place.exists(key):
+        elif not variable.sparse and is_blank(found, variable) and not header.place.exists(key):
             faults[key] = "is missing"
         else:
             values[variable.name] = found
@@ -190,6 +190,7 @@ def _read(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
         return f"is damaged ({message_of(error)})"
 
 
-def _is_blank(values: np.ndarray, variable: Variable) -> bool:
+def is_blank(values: np.ndarray, variable: Variable) -> bool:
+    """Whether there is nothing but fill values."""
     blank = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
     return bool(np.all(blank))

@@ -20,8 +20,8 @@ RETURNS = 64
 """Returns of a motion that are known of each cell at least, whatever ``max_period``."""
 
 STEPS, SAME_STEP = 16, 1e-7
-"""Periods over which what runs away gets faster by one step, and how far steps may differ for that, as a share; they
-are at least such a share of what they add up to."""
+"""Periods over which what runs away gets faster by one step; and the share by which steps may differ for that, and that
+they are at least of what they add up to."""
 
 WORK_PER_PERIOD, LEAST_WORK = 200, 1_000_000
 """Evaluations allowed to a cell for each period of its budget, and the least for all of them together.
