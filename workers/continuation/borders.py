@@ -72,7 +72,8 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 def _of_holding(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """Where the force that would hold friction at an event is its static level."""
     motion = step.equations.motion(X)
-    if isinstance(motion, ImpactMotion) or why.impact < 0:
+    contacts = 0 if isinstance(motion, ImpactMotion) else SIGNALS * motion.lin.sizes[1]
+    if isinstance(motion, ImpactMotion) or why.impact < 0 or why.signal < contacts:
         return None
     turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.turning)
     condition = Condition(ONSET if turns else ENDS, side=why.side, impact=why.impact, signal=why.signal)
