@@ -16,6 +16,7 @@ from workers.continuation.events import (
     solved_on,
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition
+from workers.continuation.legs import ACT, EVENT, SLOWS
 from workers.continuation.oscillator import Array
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
@@ -83,6 +84,8 @@ def _of_holding(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 def _of_loss(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """Where an event of a machine with modes is lost: the graze of the orbit without it."""
     eq, motion = step.equations, step.equations.motion(X)
+    if not isinstance(motion, ImpactMotion) and SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
+        return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
     shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
     if shorter is None or isinstance(motion, ImpactMotion):
         return None

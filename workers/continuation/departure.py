@@ -28,15 +28,15 @@ NEAR_TOUCH = 1e-3
 """Share of a period about a graze in which its signal is known to turn back there."""
 
 
-def first_departure(motion: SwitchingMotion, touches: Sequence[Touch] = ()) -> Fault | None:
+def first_departure(motion: SwitchingMotion, touches: Sequence[Touch] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
-    ``touches`` are allowed: where signals graze ends of their ranges and turn back.
+    ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate.
     """
     rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
     period = 2.0 * math.pi / float(motion.lin.omega[0])
     for k, (_, event) in enumerate(motion.legs):
-        if event != NO_EVENT and motion.legs[k + 1][0].side * rates[event] <= 0.0:
+        if event not in (NO_EVENT, lost) and motion.legs[k + 1][0].side * rates[event] <= 0.0:
             return Fault(LOST, event)
         if durations[k] < -1e-9 * period:
             return _not_in_range(motion, k) or Fault(ORDER, event)
