@@ -221,12 +221,8 @@ class SwitchingMotion:
         )
         if not self.itinerary.sides:
             return V
-        U, Hz, Ht, before = (
-            U.copy(),
-            Hz.copy(),
-            Ht.copy(),
-            -turn.shifts[:, :size, size, None],
-        )  # perturbed at a time, not at event 0
+        before = -turn.shifts[:, :size, size, None]  # f-: what is perturbed is the state at a time, not at event 0
+        U, Hz, Ht = U.copy(), Hz.copy(), Ht.copy()
         U[:, :, :1] += V @ before
         Ht[:, :, :1] += Hz @ before
         for r, i in zip(*np.nonzero(self._touching), strict=True):  # its time does not matter
@@ -237,9 +233,8 @@ class SwitchingMotion:
     def _touching(self) -> Mask:
         """At which events (N, m) friction begins to stick at no rate: f+ = R f- there, which leaves S = R."""
         sticks = self.plan[self.plan[:, EVENT] != NO_EVENT, ACT] == SLOWS
-        return np.asarray(
-            sticks & (np.abs(self.turn.signals[:, 1]) < NO_RATE * self.scale()[1] * self.lin.omega[:, None])
-        )
+        sizes = self.scale()[1] * self.lin.omega[:, None]
+        return np.asarray(sticks & (np.abs(self.turn.signals[:, 1]) < NO_RATE * sizes))
 
     @cached_property
     def lost(self) -> int:
