@@ -86,6 +86,8 @@ def _of_loss(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     eq, motion = step.equations, step.equations.motion(X)
     if not isinstance(motion, ImpactMotion) and SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
         return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
+    if any(condition.kind in (ONSET, ENDS, SPEED) for condition in eq.conditions):
+        return None  # of an event that may have another place in the orbit without this one
     shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
     if shorter is None or isinstance(motion, ImpactMotion):
         return None
