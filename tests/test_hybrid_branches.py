@@ -132,6 +132,20 @@ def test_a_branch_goes_on_where_contacts_are_lost_and_doublings_leave() -> None:
 
 
 @pytest.mark.slow
+def test_a_stick_that_begins_at_no_rate_ends_its_branch_without_events_that_are_none() -> None:
+    """The equations are singular there, and no multiplier is 1 or -1: it goes on as before up to the end."""
+    found = atlas.branch({"omega": 1.0}, along="omega", window=(0.3, 3.0), system="stick-slip").traced[0].run
+    assert found.ends == ("grazing_sliding", "grazing_sliding")
+    assert {event.kind for event in found.events} == {"grazing_sliding", "fold"}
+    for event in found.events:
+        near = 1.0 if event.kind == "fold" else event.point.multipliers[0]
+        assert event.point.multipliers[0] == pytest.approx(near, abs=1e-8)
+        assert event.point.multipliers[1] == 0.0
+    last = [point.multipliers[0].real for point in found.points[-3:]]
+    assert last[2] == pytest.approx(2.0 * last[1] - last[0], abs=0.02)
+
+
+@pytest.mark.slow
 def test_a_cell_that_sticks_is_followed() -> None:
     found = atlas.branch({"omega": 0.4}, along="omega", window=(0.35, 0.45), system="friction-oscillator")
     assert found.branches.symmetric.tolist() == [True]

@@ -10,16 +10,20 @@ import pytest
 
 from tests.hybrids import machines_of
 from tests.test_hybrid_orbits import RECORDS, TOUCHES, machine_in
+from workers import Settings
 from workers.continuation.departure import first_departure
 from workers.continuation.equations import motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.orbits import refined
-from workers.continuation.oscillator import Family
+from workers.continuation.orbits import orbit_from_state, refined
+from workers.continuation.oscillator import Family, family_of
 from workers.continuation.recording import recorded_modes
 from workers.continuation.stability import multipliers
 from workers.continuation.switching import SwitchingMotion
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import code_of
+from workers.model.system import find_system
+from workers.results import NO_IMPACT, PERIODIC
+from workers.tile import solve_tile
 
 SINGULAR = ("row 1, omega 0.782", "row 10, fold")
 """A graze that rounding makes a contact, or none, and a fold: there Newton's method alone finds no orbit."""
@@ -168,3 +172,27 @@ def test_the_state_at_a_section_is_on_the_orbit_whatever_its_first_event() -> No
     motion = solved("row 3")
     states, _ = motion.at(2.0 * math.pi / motion.lin.omega[:, None] * np.arange(2.0))
     assert states[0, 0] == pytest.approx(RECORDS["row 3"]["state"], abs=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["gear-mesh", "soft-suspension", "two-stops", "stick-slip", "soft-impact", "friction-oscillator"]
+)
+def test_orbits_of_cells_are_admissible_and_have_the_exponents_of_the_cells(name: str) -> None:
+    """Truth: the kernel's own Floquet exponents, of frames carried through the motion."""
+    system, rng, found = find_system(name), np.random.default_rng(1), 0
+    values = {p.name: np.full(12, p.default) for p in system.parameters}
+    values |= {axis: rng.uniform(low, high, 12) for axis, low, high in system.axes}
+    cells = solve_tile(system, values, Settings(exponents="spectrum", survival=0))
+    for k in np.flatnonzero(np.isin(cells["regime"], (PERIODIC, NO_IMPACT))):
+        given = {name: float(column[k]) for name, column in values.items()}
+        orbit = orbit_from_state(system, given, cells["state"][k], max(1, int(cells["period"][k])))
+        motion = motion_of(family_of(system, given, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
+        assert isinstance(motion, SwitchingMotion)
+        assert first_departure(motion) is None
+        turn = orbit.itinerary.periods * (0.5 if orbit.itinerary.symmetric else 1.0)
+        with np.errstate(divide="ignore"):
+            exponents = np.log(np.abs(multipliers(motion)[0])) / turn
+        np.testing.assert_allclose(exponents, cells["spectrum"][k], rtol=0.0, atol=1e-8)
+        found += 1
+    assert found >= 8

@@ -53,7 +53,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     if low == high:
         raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: Tree | None = None
-    for cell in (cell for each in sweeps for cell in _cells(each, along)):
+    for cell in (cell for each in sweeps for cell in _cells(each, along, system.has_modes)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
             continue
@@ -68,12 +68,16 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     return tree
 
 
-def _cells(ds: "xr.Dataset", along: str) -> Iterator[dict[str, Any]]:
-    """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first."""
+def _cells(ds: "xr.Dataset", along: str, with_modes: bool) -> Iterator[dict[str, Any]]:
+    """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
+
+    Of machines with modes, whose cells are not told to be symmetric, those without impacts and those that stick too.
+    """
     read = ds[list(_STORED)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *_STORED)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
-    fits = (columns[REGIME.name] == PERIODIC) & ~columns["sticks"].astype(bool) & (impacts > 0) & (impacts <= LONGEST)
+    moves = ~columns["sticks"].astype(bool) & (impacts > 0) | with_modes
+    fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= LONGEST)
     classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
     runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda each: each[1])]
     for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):
@@ -85,8 +89,10 @@ def _cells(ds: "xr.Dataset", along: str) -> Iterator[dict[str, Any]]:
 def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
     """Whether a cell's orbit, or its mirror image, is on a branch of a tree."""
     n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
-    state = np.asarray(cell["state"], dtype=np.float64)
-    same = [each for each in tree.branches if pattern(each.itinerary) in {(n, p, q, symmetric), (n, q, p, symmetric)}]
+    state, halves = np.asarray(cell["state"], dtype=np.float64), {symmetric, int(tree.system.has_modes)}
+    alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in halves}
+    uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that sticks are not
+    same = [each for each in tree.branches if uncounted or pattern(each.itinerary) in alike]
     return any(_is_near(each, state, value) for each in same) or any(
         tree.is_orbit(state, Point(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))
         for each in same

@@ -83,8 +83,8 @@ store keeps. On a sweep: the branches of its orbits.
 """
 
 CURVES = (
-    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
-    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "codimension_two",
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
+    "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "codimension_two",
 )  # fmt: skip
 """What of the curves of a store can be drawn alone: each kind, and the points of codimension two."""
 

@@ -16,6 +16,7 @@ from workers.continuation.events import (
     solved_on,
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition
+from workers.continuation.legs import ACT, EVENT, SLOWS
 from workers.continuation.oscillator import Array
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
@@ -72,7 +73,8 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 def _of_holding(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """Where the force that would hold friction at an event is its static level."""
     motion = step.equations.motion(X)
-    if isinstance(motion, ImpactMotion) or why.impact < 0:
+    contacts = 0 if isinstance(motion, ImpactMotion) else SIGNALS * motion.lin.sizes[1]
+    if isinstance(motion, ImpactMotion) or why.impact < 0 or why.signal < contacts:
         return None
     turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.turning)
     condition = Condition(ONSET if turns else ENDS, side=why.side, impact=why.impact, signal=why.signal)
@@ -82,6 +84,10 @@ def _of_holding(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 def _of_loss(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
     """Where an event of a machine with modes is lost: the graze of the orbit without it."""
     eq, motion = step.equations, step.equations.motion(X)
+    if not isinstance(motion, ImpactMotion) and SLOWS in motion.plan[motion.plan[:, EVENT] == why.impact, ACT]:
+        return solved_on(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
+    if any(condition.kind in (ONSET, ENDS, SPEED) for condition in eq.conditions):
+        return None  # of an event that may have another place in the orbit without this one
     shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
     if shorter is None or isinstance(motion, ImpactMotion):
         return None

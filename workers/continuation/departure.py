@@ -10,12 +10,16 @@ import numpy as np
 
 from workers.continuation.admissible import CONTACT, HELD, LOST, ORDER, Fault, Touch
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
-from workers.continuation.legs import MODE, NO_EVENT, beyond_range, event_of_leg
+from workers.continuation.legs import ACT, MODE, NO_EVENT, RESTS, beyond_range, event_of_leg
 from workers.continuation.switching import SwitchingMotion
+from workers.kernel.contact import COMPLETION, chatter_time
 from workers.model.hybrid_modes import OPEN, SIGNALS
 
 AT_ONCE = 1e-6
 """Share of a period by which a certified event may be off that of the orbit and be the same; a leg as short is none."""
+
+HOPS = 10.0 * COMPLETION
+"""Change of the load during a chatter that is left out, as a share of it: ten times what cells leave out."""
 
 LOST_AT_ONCE = 3
 """Events that an orbit may lose together: a soft contact is reached, pushes no more, and opens."""
@@ -24,20 +28,20 @@ NEAR_TOUCH = 1e-3
 """Share of a period about a graze in which its signal is known to turn back there."""
 
 
-def first_departure(motion: SwitchingMotion, touches: Sequence[Touch] = ()) -> Fault | None:
+def first_departure(motion: SwitchingMotion, touches: Sequence[Touch] = (), lost: int = -1) -> Fault | None:
     """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
 
-    ``touches`` are allowed: where signals graze ends of their ranges and turn back.
+    ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate.
     """
     rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
     period = 2.0 * math.pi / float(motion.lin.omega[0])
     for k, (_, event) in enumerate(motion.legs):
-        if event != NO_EVENT and motion.legs[k + 1][0].side * rates[event] <= 0.0:
+        if event not in (NO_EVENT, lost) and motion.legs[k + 1][0].side * rates[event] <= 0.0:
             return Fault(LOST, event)
         if durations[k] < -1e-9 * period:
             return _not_in_range(motion, k) or Fault(ORDER, event)
-    turned = _would_stick(motion)
-    return turned or next(
+    wrong = _would_stick(motion) or _would_hop(motion)
+    return wrong or next(
         (fault for k in range(len(motion.legs)) if (fault := _of_leg(motion, k, period, touches))), None
     )
 
@@ -48,6 +52,25 @@ def _would_stick(motion: SwitchingMotion) -> Fault | None:
         low, high = (float(motion.holding(event, signal, side)[0]) for side in (-1, 1))
         if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
             return Fault(HELD, event, signal=signal, side=1 if -high < low else -1)
+    return None
+
+
+def _would_hop(motion: SwitchingMotion) -> Fault | None:
+    """A rest that takes the place of chatter whose hops are too long for that, as the load on the stop now changes.
+
+    The load must change by a share of itself of HOPS at most while they last.
+    """
+    for k, (_, event) in enumerate(motion.legs):
+        if motion.plan[k, ACT] != RESTS:
+            continue
+        signal, side = motion.legs[k + 1][0].signal, motion.legs[k + 1][0].side
+        c, start = signal // SIGNALS, motion.begins[:, k + 1 : k + 2]
+        R, weight = float(motion.lin.R[0, c]), float(motion.elements.weight[0, c])
+        _, (force, rate, _, _) = motion.at(start, signal)
+        load = -side * float(force[0, 0]) / weight
+        speed = abs(float(motion.turn.signals[0, 1, event]))
+        if R > 0.0 and not chatter_time(load, R * speed, R) * abs(float(rate[0, 0])) / weight <= HOPS * load:
+            return Fault(ORDER, event)
     return None
 
 

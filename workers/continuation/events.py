@@ -38,7 +38,7 @@ FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
 )  # fmt: skip
 GRAZING, IMPACT_LOST, CONTACT_LOST = "graze", "impact_lost", "contact_lost"
 LOST = IMPACT_LOST, CONTACT_LOST
-STICK_ONSET, STICK_END = "stick_onset", "stick_end"
+STICK_ONSET, STICK_END, GRAZING_SLIDING = "stick_onset", "stick_end", "grazing_sliding"
 """Kinds of events with one condition."""
 
 ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
@@ -47,6 +47,9 @@ ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.
 NEAR_HALVES = 1e-2
 """Difference of both halves, in radians of the force and relative speeds, below which a branch that stalls meets the
 orbit of half the turn."""
+
+SURE = 1e-3
+"""Distance of a multiplier from 1 or -1 within which it is the one of a fold or of a doubling."""
 
 TRIES = 4
 """Halvings of a step that help to locate where a test function is zero."""
@@ -131,10 +134,10 @@ def fault(equations: Extended, X: Array) -> Fault | None:
     if not equations.family.certified:
         return None
     motion, times = equations.motion(X), equations.contacts(X)
+    lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
     if isinstance(motion, ImpactMotion):
-        lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
         return first_fault(motion, times, lost)
-    return first_departure(motion, touches(equations, X))
+    return first_departure(motion, touches(equations, X), lost)
 
 
 def touches(equations: Extended, X: Array) -> list[Touch]:
@@ -274,9 +277,22 @@ def solved_on(
         return None
     if (exists or conditions[-1].kind in BORDERS) and fault(*found):
         return None
+    if conditions[-1].kind in (UNIT, MINUS_ONE) and not _has_multiplier(*found):
+        return None
     event = event_of(*found)
     kappa = abs(event.kappa)
     return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else LocatedEvent(share, event)
+
+
+def _has_multiplier(square: Extended, X: Array) -> bool:
+    """Whether 1 or -1, as the last condition of a solution has it, is a multiplier of its orbit.
+
+    Where friction begins to stick at no rate the equations are singular too, and no multiplier is.
+    """
+    motion, value = square.motion(X), 1.0 if square.conditions[-1].kind == UNIT else -1.0
+    if isinstance(motion, ImpactMotion):
+        return True
+    return bool(np.min(np.abs(multipliers(motion)[0] - value)) < SURE)
 
 
 def solution(
@@ -298,6 +314,8 @@ def event_of(square: Extended, X: Array) -> Event:
     """The event that unknowns X of a square system are."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     kind, motion = name_of(square.conditions, square.itinerary.symmetric), square.motion(X)
+    if kind == IMPACT_LOST and not isinstance(motion, ImpactMotion):
+        kind = GRAZING_SLIDING  # what has no rate is friction that begins to stick
     if kind == GRAZING and not isinstance(motion, ImpactMotion):
         (touch,) = touches(square, X)
         kind = name_of_touch(motion, touch)

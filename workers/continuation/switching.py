@@ -32,10 +32,14 @@ from workers.continuation.legs import (
 )
 from workers.continuation.oscillator import Array, NoOscillatorError
 from workers.continuation.turn import Table, Turn
+from workers.model.free import Mask
 from workers.model.hybrid import Elements, elements_of
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code, Pieces, pieces_of
 from workers.model.modes import stacked
+
+NO_RATE = 1e-9
+"""Share of its size over one radian below which the rate of a signal is none."""
 
 
 def check_machines(machines: HybridMachines, itinerary: Itinerary) -> None:
@@ -217,10 +221,20 @@ class SwitchingMotion:
         )
         if not self.itinerary.sides:
             return V
-        U, Ht, before = U.copy(), Ht.copy(), -turn.shifts[:, :size, size, None]  # perturbed at a time, not at event 0
+        before = -turn.shifts[:, :size, size, None]  # f-: what is perturbed is the state at a time, not at event 0
+        U, Hz, Ht = U.copy(), Hz.copy(), Ht.copy()
         U[:, :, :1] += V @ before
         Ht[:, :, :1] += Hz @ before
+        for r, i in zip(*np.nonzero(self._touching), strict=True):  # its time does not matter
+            Hz[r, i], Ht[r, i] = 0.0, np.eye(1, len(Ht[r]), i)[0]
         return np.asarray(V - U @ stacked(np.linalg.solve, Hz.shape, Ht, Hz))
+
+    @property
+    def _touching(self) -> Mask:
+        """At which events (N, m) friction begins to stick at no rate: f+ = R f- there, which leaves S = R."""
+        sticks = self.plan[self.plan[:, EVENT] != NO_EVENT, ACT] == SLOWS
+        sizes = self.scale()[1] * self.lin.omega[:, None]
+        return np.asarray(sticks & (np.abs(self.turn.signals[:, 1]) < NO_RATE * sizes))
 
     @cached_property
     def lost(self) -> int:
