@@ -13,6 +13,8 @@ from tests.test_hybrid_orbits import RECORDS, machine_in, number_in
 from workers import Settings, System, solve_tile, trace
 from workers.cell.cells import Cells, Results
 from workers.cell.solve import solve
+from workers.continuation.oscillator import family_of
+from workers.model.entries import DefinitionError
 from workers.model.hybrid import build_hybrid
 from workers.model.system import find_system
 from workers.results import (
@@ -203,8 +205,22 @@ def test_a_block_that_sticks_on_its_way_loses_its_only_direction() -> None:
     np.testing.assert_array_equal(found["spectrum"], [-np.inf])
 
 
+def test_branches_of_what_drifts_are_refused_in_one_line() -> None:
+    with pytest.raises(
+        ValueError, match="branches and curves are not there where a coordinate drifts"
+    ):
+        family_of(find_system("capsule"), {}, ("omega",))
+
+
+def test_a_measure_of_the_displacement_that_drifts_is_refused() -> None:
+    table = find_system("capsule").table() | {"name": "measured"}
+    table |= {"measures": {"way": {"displacement": [0, 1], "report": ["rms"]}}}
+    with pytest.raises(DefinitionError, match=r"way\.displacement: sees x2, which drifts"):
+        System.from_mapping(table)
+
+
 def test_nothing_drifts_where_none_is_declared() -> None:
-    assert np.isnan(solve_tile("stick-slip", {}, SPECTRUM)["progress"])
+    assert "progress" not in solve_tile("stick-slip", {}, SPECTRUM)
 
 
 def test_parameters_that_tie_down_what_drifts_make_no_machine() -> None:

@@ -107,14 +107,14 @@ def test_leftovers_of_a_killed_write_are_no_tile(header: store.Header) -> None:
     assert store.done_tiles(header) == {(1, 2)}
 
 
-def test_a_finished_tile_has_a_chunk_in_every_array_but_of_reasons_and_progress_that_it_has_none_of(
+def test_a_finished_tile_has_a_chunk_in_every_array_but_of_reasons_that_it_has_none_of(
     header: store.Header, plane: atlas.Spec
 ) -> None:
     solve(header, (0, 0))
     for variable in result_variables(plane.settings):
         tail = ["0"] * len(variable.extra)
         exists = (header.path.joinpath(variable.name, "c", "0", "0", *tail)).exists()
-        assert exists != (variable.name in ("reason", "progress"))
+        assert exists != (variable.name == "reason")
 
 
 def test_regime_is_written_last(header: store.Header, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,6 +131,7 @@ AVERAGE = _number("average", "mean growth of tangent vectors per forcing period 
 _ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
 KAPLAN_YORKE = _number("kaplan_yorke", "Kaplan-Yorke dimension of the attractor of the stroboscopic map")
 SUM_LAW_DEFECT = _number("sum_law_defect", "sum of the exponents minus its exact value", _PER_PERIOD)
+PROGRESS = _number("progress", "mean advance of what drifts", _PER_PERIOD)
 SECTION = _number("section", "last section states", "1", "sample", "state")
 _ALWAYS = (
     _count("period", "forcing periods per orbit; 0 unless periodic or without impact"),
@@ -147,7 +148,6 @@ _ALWAYS = (
     _number(
         "peak_to_peak", "peak to peak of the gap coordinate; outside orbits over 64 periods, unless both stops are hit"
     ),
-    replace(_number("progress", "mean advance of what drifts", _PER_PERIOD), sparse=True),
     _count("periods_used", "forcing periods simulated"),
     _count("survived", "forcing periods seen chaotic, or aperiodic, after the transient"),
     _number("state", "physical section state on the attractor", "1", "state"),

@@ -12,6 +12,7 @@ from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
 from atlas.errors import InputError
 from atlas.query.window import axis_names, axis_values, columns
+from atlas.spec.system import refuse_drift
 from workers.continuation import Orbit, Point
 from workers.continuation.orbits import refined
 from workers.results import PERIODIC, REGIME
@@ -39,6 +40,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds), axis_names(ds)
+    refuse_drift(system, "branches")
     for other in sweeps[1:]:
         if axis_names(other) != (along,):
             raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")

@@ -13,6 +13,7 @@ from atlas.errors import InputError, check_names
 from atlas.query.attractors import leading
 from atlas.query.open import open_atlas
 from atlas.spec.cells import edges_of
+from atlas.spec.system import refuse_drift
 from atlas.store.store import Header, done_tiles
 from atlas.text import plural
 from workers.model.parameter import TAU
@@ -179,6 +180,7 @@ def plane_of(header: Header) -> Plane:
         found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
         raise InputError(f"{header.place}: found {found}; curves are those of a plane, which has two axes")
     system = spec.record
+    refuse_drift(system, "curves")
     for axis in spec.axes:
         if axis.name in (*system.states, TAU):
             raise InputError(

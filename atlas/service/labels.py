@@ -10,6 +10,7 @@ from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place
+from atlas.spec.system import refuse_drift
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of, waiting
 from atlas.store.store import read_header
@@ -56,6 +57,7 @@ def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAUL
         if stored is not None:
             return LabelSummary(str(header.place), stored)
         refuse_packed(header.place)
+        refuse_drift(header.spec.record, "labels")
         begin = time.monotonic()
         with claimed_place(header.place, options) as claim:
             prepare_kernels(options.report, *kernels_for(header.spec.record, ORBITS))

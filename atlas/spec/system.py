@@ -1,7 +1,7 @@
 """The system of a spec, of a store, or of a command: by its name, by its file, or in full."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,16 @@ def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
 
 def refuse_modes(record: System, what: str) -> None:
     """InputError, in one line, that ``what`` is not there for machines like this one, where it has modes."""
+    _refused(record.refuse_modes, what)
+
+
+def refuse_drift(record: System, what: str) -> None:
+    """InputError, in one line, that ``what`` is not there where a coordinate drifts, if one may."""
+    _refused(record.refuse_drift, what)
+
+
+def _refused(refuse: Callable[[str], None], what: str) -> None:
     try:
-        record.refuse_modes(what)
+        refuse(what)
     except ValueError as error:
         raise InputError(str(error)) from None

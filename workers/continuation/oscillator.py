@@ -70,10 +70,12 @@ def modal(oscillators: Oscillator) -> ModalOscillator:
 def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Family:
     """A system over some of its parameters, the others fixed at ``values`` or at their defaults.
 
-    Raises KeyError for unknown names; its model raises NoOscillatorError where there is none.
+    Raises KeyError for unknown names, ValueError where a coordinate drifts; its model raises NoOscillatorError where
+    there is none.
     """
     for name in (*values, *free):
         system.parameter(name)
+    system.refuse_drift("branches and curves")
     machines = _with_modes(system, values, free) if system.has_modes else _with_impacts(system, values, free)
 
     def model(rows: Array) -> Machine:

@@ -121,6 +121,10 @@ def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array])
                 raise DefinitionError(
                     f"system.measures.{name}.{key}: found {_shown(found)} at the defaults, must be finite numbers"
                 )
+        if definition.drift and measure.displacement and row[definition.coordinates.index(definition.drift)] != 0.0:
+            raise DefinitionError(
+                f"system.measures.{name}.displacement: sees {definition.drift}, which drifts; its advance is progress"
+            )
         if not row.any():
             raise DefinitionError(
                 f"system.measures.{name}.{measure.kind}: found zeros only; give the row that makes what is measured"

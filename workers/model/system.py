@@ -22,7 +22,7 @@ from workers.model.parameter import Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
 from workers.model.toml_text import parse_toml, read_toml
-from workers.results import NO_REASON, OUT_OF_RANGE, InvalidError, Variable, result_variables
+from workers.results import NO_REASON, OUT_OF_RANGE, PROGRESS, InvalidError, Variable, result_variables
 from workers.settings import Settings
 
 DEFAULT = "two-mass"
@@ -103,7 +103,8 @@ class System:
     def _own(self) -> list[tuple[str, Variable]]:
         """``own_variables``, each with the entry that it comes from."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
-        return [*measure_variables(self.definition.measures), *elements]
+        drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
+        return [*measure_variables(self.definition.measures), *elements, *drifts]
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:
@@ -120,6 +121,11 @@ class System:
             raise DefinitionError(
                 f"system {self.name!r}: {what} are there for machines with one rigid contact alone, which this is not"
             )
+
+    def refuse_drift(self, what: str) -> None:
+        """DefinitionError, in one line, that ``what`` is not there where a coordinate drifts, if one may."""
+        if self.definition.drift:
+            raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
 
     def build(self, values: Mapping[str, float]) -> Any:
         """The oscillator of one value of each parameter; InvalidError, a ValueError, where there is none."""
