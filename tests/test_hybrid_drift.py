@@ -29,6 +29,7 @@ from workers.results import (
     RUNS_AWAY,
     result_variables,
 )
+from workers.results import PROGRESS as ADVANCE
 from workers.tile import result_arrays
 
 SPECTRUM = Settings(exponents="spectrum", survival=0, max_periods=3000)
@@ -63,7 +64,8 @@ def cell_of_row(off: float) -> Results:
     """The cell of row 29, from a start so far off the oracle's orbit."""
     machine, state = machine_in(ROW), np.array(ROW["state"])
     oscillators, reasons = build_hybrid(machines_of([machine], DRIFTS))
-    found = result_arrays(result_variables(SPECTRUM), SPECTRUM, 1, len(state), exponents=len(state) - 1)
+    variables = (*result_variables(SPECTRUM), ADVANCE)
+    found = result_arrays(variables, SPECTRUM, 1, len(state), exponents=len(state) - 1)
     solve(Cells(oscillators, reasons, (state - off)[None], SPECTRUM, found))  # type: ignore[arg-type]
     return found
 
@@ -136,7 +138,7 @@ def test_its_mirror_image_goes_the_other_way() -> None:
     (stop,) = machine.contacts
     other = replace(machine, contacts=(replace(stop, row=tuple(-g for g in stop.row)),))
     oscillators, reasons = build_hybrid(machines_of([other], DRIFTS))
-    found = result_arrays(result_variables(SPECTRUM), SPECTRUM, 1, 4, exponents=3)
+    found = result_arrays((*result_variables(SPECTRUM), ADVANCE), SPECTRUM, 1, 4, exponents=3)
     solve(Cells(oscillators, reasons, np.zeros((1, 4)), SPECTRUM, found))  # type: ignore[arg-type]
     assert found["progress"][0] == pytest.approx(-PROGRESS, abs=1e-12)
 
@@ -206,9 +208,7 @@ def test_a_block_that_sticks_on_its_way_loses_its_only_direction() -> None:
 
 
 def test_branches_of_what_drifts_are_refused_in_one_line() -> None:
-    with pytest.raises(
-        ValueError, match="branches and curves are not there where a coordinate drifts"
-    ):
+    with pytest.raises(ValueError, match="branches and curves are not there where a coordinate drifts"):
         family_of(find_system("capsule"), {}, ("omega",))
 
 
