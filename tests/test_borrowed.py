@@ -18,7 +18,7 @@ from workers.kernel.borrow import borrowed
 from workers.kernel.jit import kernel
 from workers.model.system import System
 
-LENT = {"linear_of", "hybrid_of", "motion_of", "linear_later"}
+LENT = {"linear_of", "hybrid_of", "motion_of", "linear_later", "meters_of", "readings_of"}
 """Kernels that return what they borrow: parts of others, which nothing in workers calls from Python."""
 
 BORROWING = ("borrowed(", "lend(", "whole(")

@@ -29,6 +29,8 @@ _CHAOS = {f"chaos {i}": tuple(combined.COLORMAP(i / 4)[:3]) for i in range(5)}
 
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(impacts.UNLISTED)}
 
+OF_A_COLOR = {"impact_lost", "contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
+"""Kinds of events with the colour of another: grazes of some kind, and those of what sticks or slides."""
 PALETTES = {
     "period": _REGIMES | {f"period {first}": color for first, _, color in period.CLASSES},
     "combined": _COLD | _PERIODS,
@@ -39,7 +41,7 @@ PALETTES = {
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
     },
-    "events": {kind: look.color for kind, look in events.LOOKS.items() if kind != "impact_lost"},  # a graze too
+    "events": {kind: look.color for kind, look in events.LOOKS.items() if kind not in OF_A_COLOR},
     "hysteresis": dict(zip("ab", hysteresis.COLORS, strict=True)),
 }
 
@@ -62,6 +64,13 @@ def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str)
     seen = {name: lab(color, SIGHT[sight]) for name, color in PALETTES[palette].items()}
     closest = min((float(np.linalg.norm(seen[a] - seen[b])), a, b) for a, b in itertools.combinations(seen, 2))
     assert closest[0] > 14.0, closest
+
+
+def test_events_of_one_colour_differ_in_line_and_marker() -> None:
+    looks = events.LOOKS.values()
+    for one, other in itertools.combinations(looks, 2):
+        assert one.marker != other.marker
+        assert one.dashes != other.dashes
 
 
 def ciede2000(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:

@@ -27,10 +27,10 @@ LOOKS = {
     "impact_lost": Look("impact lost", "#8a1c7c", (0, (1.3, 3.0)), "<"),
     "contact_lost": Look("contact lost", "#8a1c7c", (0, (1.3, 4.5)), "p"),
     "lift_off": Look("lift-off", "#8a1c7c", (0, (3.0, 1.3)), ">"),
-    "stick_onset": Look("onset of stick", "#6b4c00", (0, (5, 1.5, 1.2, 1.5)), "P"),
-    "stick_end": Look("end of stick", "#6b4c00", (0, (2.5, 2.5)), "X"),
-    "grazing_sliding": Look("grazing–sliding", "#6b4c00", (0, (1, 1, 1, 4)), "d"),
-    "adding_sliding": Look("adding–sliding", "#6b4c00", (0, (6, 4)), "h"),
+    "stick_onset": Look("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
+    "stick_end": Look("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
+    "grazing_sliding": Look("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
+    "adding_sliding": Look("adding–sliding", "#642810", (0, (6, 4)), "h"),
 }
 """The kinds with one condition, in the order of legends."""
 
