@@ -2,15 +2,16 @@
 what goes wrong.
 
 A random system is any linear machine with one gap, given as a definition: 1, 2, 3 or 8 masses, damping of any kind,
-rigid modes, loads, up to four harmonics, one stop or two. Every cell's results are checked for NaN and infinity where
+rigid modes, loads, up to four harmonics, one stop or two. Others are machines with soft and several contacts, friction
+and phases (stress_modes.py). Every cell's results are checked for NaN and infinity where
 none belongs, for contradictions, for positions beyond a stop and against the law of the exponents' sum. Some cells are
 re-evaluated by the independent simulator of the tests: their first flights by dense sampling (no crossing missed),
 their orbit over up to 20 periods in multiprecision.
 
 Cells depend on the seed and their number alone. The work is spread over local processes by Dask. What the report lists
 can be solved again alone: it gives the parameters, and a random system's whole definition.
-Usage: .venv/bin/python -m scripts.stress [--cells N] [--systems SHARE] [--seed S] [--workers W] [--light] [--json]
-    [--report FILE]
+Usage: .venv/bin/python -m scripts.stress [--cells N] [--systems SHARE] [--modes SHARE] [--seed S] [--workers W]
+    [--light] [--json] [--report FILE]
 """
 
 import argparse
@@ -23,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scripts import stress_modes
 from scripts.stress_checks import recheck
 from scripts.stress_findings import Findings
 from scripts.stress_report import report, summary
@@ -36,13 +38,16 @@ TILE, RECHECKED = 5 * CELLS, 4
 SYSTEMS = 1 / 3
 """Share of the cells that are of random systems."""
 
+MODES = 1 / 6
+"""Share of the cells that are of machines with modes."""
+
 
 @dataclass(frozen=True)
 class Task:
-    """Cells of a seed by number, of random systems or of the two-mass oscillator, to be solved or re-evaluated."""
+    """Cells of a seed by number, of one kind, see stress_results.cells_of, to be solved or re-evaluated."""
 
     seed: int
-    of_systems: bool
+    kind: str
     numbers: tuple[int, ...]
     max_periods: int
     recheck: bool
@@ -50,23 +55,27 @@ class Task:
 
 def perform(task: Task) -> Findings:
     """The findings over a task's cells."""
-    cells = cells_of(task.seed, task.of_systems, task.numbers)
+    settings = Settings(
+        exponents="spectrum", max_periods=task.max_periods, survival=0, tolerance=0.05, section_samples=4
+    )
+    with_modes = task.kind == stress_modes.KIND
+    if with_modes:
+        cells = [stress_modes.draw_of_modes(task.seed, number) for number in task.numbers]
+    else:
+        cells = cells_of(task.seed, task.kind == "systems", task.numbers)
     if not task.recheck:
-        settings = Settings(
-            exponents="spectrum", max_periods=task.max_periods, survival=0, tolerance=0.05, section_samples=4
-        )
-        return solve(cells, settings)
+        return stress_modes.solve(cells, settings) if with_modes else solve(cells, settings)
     found = Findings()
     for cell in cells:
-        found.add(recheck(cell, orbit=True))
+        found.add(stress_modes.recheck(cell, settings) if with_modes else recheck(cell, orbit=True))
     return found
 
 
-def tasks(seed: int, cells: int, share: float, rechecked: int, max_periods: int) -> list[Task]:
-    """All tasks, the slow ones first; the share of the systems holds for cells solved and re-evaluated."""
+def tasks(seed: int, cells: int, systems: float, modes: float, rechecked: int, max_periods: int) -> list[Task]:
+    """All tasks, the slow ones first; shares of kinds hold for cells solved and re-evaluated."""
     slow: list[Task] = []
     quick: list[Task] = []
-    for of_systems, part in ((True, share), (False, 1.0 - share)):
+    for kind, part in (("systems", systems), (stress_modes.KIND, modes), ("two-mass", 1.0 - systems - modes)):
         count, checked = round(cells * part), round(rechecked * part)
         # Re-evaluated cells are spread over all, so that they are of many systems.
         spread_out = [k * count // checked for k in range(checked)]
@@ -74,8 +83,7 @@ def tasks(seed: int, cells: int, share: float, rechecked: int, max_periods: int)
             (spread_out, RECHECKED, True, slow), (range(count), TILE, False, quick),
         ):  # fmt: skip
             into += [
-                Task(seed, of_systems, tuple(numbers[k : k + size]), max_periods, again)
-                for k in range(0, len(numbers), size)
+                Task(seed, kind, tuple(numbers[k : k + size]), max_periods, again) for k in range(0, len(numbers), size)
             ]
     return slow + quick
 
@@ -102,18 +110,20 @@ def run(
     max_periods: int,
     workers: int,
     systems: float = SYSTEMS,
+    modes: float = MODES,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Solve and check; the summary."""
     begun = time.perf_counter()
-    work = tasks(seed, cells, systems, rechecked, max_periods)
+    work = tasks(seed, cells, systems, modes, rechecked, max_periods)
     found = Findings()
     for done, findings in enumerate(spread(work, workers), start=1):
         found.add(findings)
         if progress and (done % 20 == 0 or done == len(work)):
             print(f"{done} of {len(work)} tasks, {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
     arguments = {
-        "seed": seed, "systems": systems, "rechecked": rechecked, "max_periods": max_periods, "workers": workers
+        "seed": seed, "systems": systems, "modes": modes, "rechecked": rechecked, "max_periods": max_periods,
+        "workers": workers,
     }  # fmt: skip
     return summary(found, time.perf_counter() - begun, arguments)
 
@@ -130,6 +140,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--systems", type=float, default=SYSTEMS, metavar="SHARE", help="share that is of random systems"
     )
+    parser.add_argument(
+        "--modes", type=float, default=MODES, metavar="SHARE", help="share that is of machines with modes"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--recheck", type=int, default=1000, help="cells re-evaluated by the independent simulator")
     parser.add_argument("--max-periods", type=int, default=400)
@@ -138,13 +151,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report there as well")
     options = parser.parse_args(argv)
-    if not 0.0 <= options.systems <= 1.0:
-        parser.error(f"--systems: found {options.systems:g}, must be 0 to 1")
+    for name in ("systems", "modes"):
+        share = getattr(options, name)
+        if not 0.0 <= share <= 1.0:
+            parser.error(f"--{name}: found {share:g}, must be 0 to 1")
+    if options.systems + options.modes > 1.0:
+        parser.error(f"--systems and --modes: found {options.systems + options.modes:g} together, must be 0 to 1")
     if options.light:
         options.cells, options.recheck, options.workers = 240, 12, 0
     facts = run(
         options.cells, options.seed, options.recheck, options.max_periods, options.workers, options.systems,
-        progress=not (options.light or options.json),
+        options.modes, progress=not (options.light or options.json),
     )  # fmt: skip
     if options.report:
         options.report.write_text(report(facts), encoding="utf-8")

@@ -15,6 +15,7 @@ NEVER = (
     "position beyond a stop",
     "crossing missed",
     "a state beyond a stop not recognised",
+    "an orbit that the simulator does not close",
 )
 """What must not happen to a single cell."""
 

@@ -91,7 +91,7 @@ class Event(NamedTuple):
 
     t: float
     element: str
-    index: int
+    index: int  # type: ignore[assignment]
     side: int
     rate: float
     force: bool

@@ -27,7 +27,7 @@ def test_the_light_mode_finds_nothing_that_must_not_happen(capsys: pytest.Captur
     code = stress.main(["--light", "--json"])
     facts = json.loads(capsys.readouterr().out)
     assert facts["cells"] == sum(facts["regimes"].values()) == 240
-    assert facts["kinds"] == {"systems": 80, "two-mass": 160}
+    assert facts["kinds"] == {"modes": 40, "systems": 80, "two-mass": 120}
     assert facts["never"] == dict.fromkeys(NEVER, 0)
     assert facts["sum_law_broken"] == 0
     assert facts["failed"] == {}
@@ -36,10 +36,11 @@ def test_the_light_mode_finds_nothing_that_must_not_happen(capsys: pytest.Captur
     assert facts["sticking"] > 20
     assert facts["checked"]["flights sampled densely, two-mass"] > 10
     assert facts["checked"]["flights sampled densely, systems"] > 10
+    assert facts["checked"]["sum law, periodic, modes"] > 10
 
 
 def test_the_report_says_what_was_counted() -> None:
-    facts = stress.run(cells=30, seed=3, rechecked=0, max_periods=100, workers=0, systems=0.0)
+    facts = stress.run(cells=30, seed=3, rechecked=0, max_periods=100, workers=0, systems=0.0, modes=0.0)
     text = report(facts)
     assert "Stress report: 30 random cells, seed 3" in text
     for kind in NEVER:
