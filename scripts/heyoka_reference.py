@@ -42,7 +42,7 @@ def rebound(state: Array, p: Array, R: float, t: float) -> None:
 
 @njit()
 def orthonormalise(flat: Array, growth: Array, size: int = 4) -> None:
-    """Modified Gram-Schmidt of tangent vectors of so many numbers each, in place; adds the logs of their lengths."""
+    """Modified Gram-Schmidt of tangent vectors of ``size`` numbers each, in place; adds the logs of their lengths."""
     for i in range(growth.size):
         a = flat[size * i : size * i + size]
         norm = math.sqrt(np.sum(a**2))
@@ -138,7 +138,7 @@ class SoftTaylor:
         self.state, self.pars = self.integrator.state, self.integrator.pars
 
     def run(self, params: dict[str, float], periods: int) -> tuple[float, Array]:
-        """Processor seconds of the second half of so many periods from rest, and its exponents."""
+        """Processor seconds of the second half of ``periods`` periods from rest, and the exponents of that half."""
         self.pars[:] = [*(params[name] for name in ("omega", "a", "beta", "e", "zeta")), 0.0]
         self.state[:] = 0.0
         self.state[2:] = np.eye(2)[: self.vectors].ravel()

@@ -95,8 +95,8 @@ def initial_state(record: System, params: Mapping[str, Array]) -> Array:
 def result_arrays(
     variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0, exponents: int = 0
 ) -> Results:
-    """Arrays of cells without a result, with states of ``size`` components and as many exponents unless told otherwise,
-    and room for some attractors each.
+    """Arrays of cells without a result, with states of ``size`` components and as many exponents, or ``exponents``, and
+    room for some attractors each.
     """
     sizes = {ATTRACTOR: attractors, "exponent": exponents or size, "state": size, "sample": settings.section_samples}
     return empty_results(variables, (count,), sizes)

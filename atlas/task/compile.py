@@ -38,13 +38,16 @@ ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 AN_ORBIT = {"omega": 3.5, "b": 0.15}
 """A cell of the default system whose orbit has impacts."""
 
-WITH_MODES: dict[str, Any] = {
+_ONE_MASS: dict[str, Any] = {
     "name": "warm-up",
     "coordinates": ["x"],
     "mass": [[1.0]],
     "damping": [[0.1]],
     "stiffness": [[1.0]],
     "force": [1.0],
+}
+
+WITH_MODES: dict[str, Any] = _ONE_MASS | {
     "contacts": [{"name": "stop", "gap": [1.0], "upper": 1.0, "stiffness": 10.0}],
     "friction": [{"name": "ground", "row": [1.0], "kinetic": 0.1}],
     "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": [[2.0]]}],
@@ -52,13 +55,7 @@ WITH_MODES: dict[str, Any] = {
 }
 """A machine whose law changes in every way."""
 
-WITH_MEASURES: dict[str, Any] = {
-    "name": "warm-up",
-    "coordinates": ["x"],
-    "mass": [[1.0]],
-    "damping": [[0.1]],
-    "stiffness": [[1.0]],
-    "force": [1.0],
+WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
     "gap": [1.0],
     "upper": 1000.0,
     "restitution": 0.5,

@@ -25,7 +25,7 @@ FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
 the square of y', time at rest; evaluations, evaluations still allowed, directions lost, spread of the frame since it
 was last orthonormal, impacts recorded, status; of machines with modes the log of how volume has changed, where no
 direction is lost; how far a coordinate has drifted, which is reset at each section, so that this direction is lost;
-which frictions have slid, a binary digit each; of turns of an orbit neutral directions, see hybrid.motion.freeze. An
+which frictions have slid, a binary digit each; of turns of an orbit neutral directions, see hybrid.neutral.freeze. An
 impact that completes a chatter to rest is the fastest and takes speed off like any other, but is neither counted at its
 stop nor summed: their number is infinite."""
 

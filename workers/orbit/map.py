@@ -36,7 +36,7 @@ def nothing_frozen(osc, motion):
 
 @by_record(HybridCell, freeze, nothing_frozen)
 def freeze_where_stuck(osc, motion):
-    """See hybrid.motion.freeze."""
+    """See kernel.hybrid.neutral.freeze."""
 
 
 @kernel
