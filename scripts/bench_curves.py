@@ -19,7 +19,7 @@ import numpy as np
 
 import atlas
 from atlas.service.options import RunOptions
-from atlas.spec.spec import example_text
+from atlas.spec.examples import example_text
 from scripts.bench_kernel import one_core, processor_seconds
 from workers.continuation import BranchRun, Condition, Event, Itinerary, Orbit, Point, curve, family_of
 from workers.model.system import DEFAULT, find_system

@@ -23,8 +23,8 @@ import numpy as np
 
 from atlas.overview.upkeep import Overviews
 from atlas.spec.spec import Spec
+from atlas.store.records import put_together
 from atlas.store.store import create, done_tiles, find
-from atlas.store.tally import TallyKeeper, tile_entry
 from atlas.store.tiles import write_tile
 from atlas.store.tiling import Tile
 from workers.results import CHAOTIC, FAILED, GAVE_UP, PERIODIC, UNDETERMINED, empty_results, result_variables
@@ -67,18 +67,17 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
     done = done_tiles(header)
     missing = [each for each in header.tiling.tiles() if each.index not in done]
     begin = time.perf_counter()
-    with Overviews(header) as overviews, TallyKeeper(header) as tallies:
-        for count, each in enumerate(missing):
-            if count % 100 == 0:
-                print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
-            arrays = synthetic(spec, each)
-            write_tile(header, each.index, arrays)
-            tallies.add(each.index, tile_entry(spec, each.slices, arrays))
-        middle = time.perf_counter()
-        for each in missing:
-            overviews.add(each.index)
-        print("writing overviews", file=sys.stderr)
-        overviews.finish()
+    overviews = Overviews(header)
+    for count, each in enumerate(missing):
+        if count % 100 == 0:
+            print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
+        write_tile(header, each.index, synthetic(spec, each))
+    put_together(header)
+    middle = time.perf_counter()
+    for each in missing:
+        overviews.add(each.index)
+    print("writing overviews", file=sys.stderr)
+    overviews.finish()
     return {"tiles": middle - begin, "overviews": time.perf_counter() - middle}
 
 

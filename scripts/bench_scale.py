@@ -1,246 +1,293 @@
-"""What the service itself costs: time a tile, memory by the number of tiles, and the order of tiles on a large cluster.
+"""What the service costs on a thousand workers: one atlas of 10^10 cells, through a real scheduler.
 
-overhead  An atlas of N tiles of one cell is run through a scheduler of its own process, with two workers that give a
-          receipt and do nothing else: all that is left is the service. Growth of memory is from before the run to the
-          highest under way. What grows in the scheduler is Dask's cache of the last 100,000 names of tasks.
-store     The same with real tiles of one cell, solved and written.
-order     256 workers are simulated on the costs of a real atlas, each of its cells split into smaller ones, since it
-          has too few for so many: share of the workers' time spent solving, for each order of tiles. The bound is that
-          of the costliest tile. The plane is taken as it is and turned, since the order by rows depends on which
-          corner is costly. "probe" solves some cells of each tile beforehand, and pays for it.
+cluster   The atlas is run on pretended workers (``scripts.pretended``): real Dask workers whose tiles are sleep. Share
+          of their time that they are busy; processor time of the coordinator, from the first tile on, and of the
+          scheduler, a tile; their most memory. Each is a process of its own. Several numbers of workers show the law:
+          they are busy as long as neither process needs more than a tile's time divided by their number.
+store     The store lies on a server of objects whose every request takes 25 ms. Its tiles up to half, and then all,
+          are put there in the form in which workers leave them: seconds and requests of a status of it, of a second
+          look at it, of a resume up to the first tile handed out, of the end of its run.
 
-Usage: .venv/bin/python -m scripts.bench_scale [--tiles N ...] [--real N] [--atlas STORE] [--workers W]
+What is replaced is printed. Nothing is in the path of the coordinator.
+
+Usage: .venv/bin/python -m scripts.bench_scale [--workers N ...] [--seconds S] [--side CELLS] [--no-store]
 """
 
 import argparse
-import heapq
+import json
 import math
 import os
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
-import numpy as np
+import psutil
 
 import atlas
-from atlas.overview.pyramid import Pyramid
-from atlas.service import dispatch as fanout
-from atlas.service.schedule import Order
-from atlas.service.summary import Summary
-from atlas.task.task import Job, Receipt
+from atlas.service.plan import make_plan
+from atlas.service.progress import Progress
+from atlas.service.status import Census
+from atlas.store.location import place_of
+from atlas.store.record import record_key
+from atlas.store.schema import extra_sizes
+from atlas.store.store import Header, chunk_key, create, read_header
+from atlas.store.tiles import write_tile
+from atlas.task.task import peak_memory
+from tests.loopback import ObjectStore, object_store
+from workers.results import PERIODIC, REGIME, empty_results
 
-SIZES = (100, 1000, 10_000, 50_000)
 ROOT = Path(__file__).parent.parent
-SPLIT = 4
-"""Along each axis, into how many cells one cell of the real atlas is split."""
-SIDES = (16, 10, 8)
-"""Cells along each side of a tile, after the split."""
-PROBED = 4
-"""Cells of each tile that the probe solves."""
+TILE = 512
+SIDE = 196 * TILE
+"""Cells along each side: 1.007e10 in all, in whole tiles."""
+ROUNDS = 40
+"""Tiles of each worker."""
+WORKERS = (125, 250, 500, 1000)
+PER_PROCESS = 500
+"""Pretended workers in one process: more, and its interpreter is what is measured."""
+REPLACED = """\
+replaced: what a worker does for a run and for a tile (it sleeps, solves nothing, writes nothing); workers are many to a
+process; scheduler, coordinator, workers and the server of objects share the processors of this machine"""
+
+
+def spec_of(side: int) -> atlas.Spec:
+    """The plane that is run."""
+    axes = {"omega": {"start": 2.0, "stop": 4.0, "num": side}, "b": {"start": 0.2, "stop": 0.5, "num": side}}
+    return atlas.Spec("two-mass", axes=axes, solve={"exponents": "largest"}, store={"tile": (TILE, TILE)})
+
+
+def side_for(workers: int) -> int:
+    """Cells along each side of the plane that gives each worker ROUNDS tiles, 10^10 cells at most."""
+    return min(SIDE, TILE * math.isqrt(ROUNDS * workers))
 
 
 @dataclass(frozen=True)
-class Scale:
-    """What a run of some size took: its summary, and the growth of two processes in bytes."""
+class Load:
+    """What a process took: processor seconds, and its most resident bytes."""
 
-    summary: Summary
-    coordinator: int
-    scheduler: int
+    seconds: float
+    peak_bytes: int
 
-    def __str__(self) -> str:
-        each = 1e3 * self.summary.seconds / self.summary.tiles
-        return f"{self.summary.tiles:>6} {each:>8.2f} {self.coordinator / 1e6:>16.1f} {self.scheduler / 1e6:>14.1f}"
-
-
-def nothing(act: Callable[[Job], Receipt], job: Job) -> fanout.Done[Receipt]:
-    """A worker's work without the work; it stores nothing, so that there is nothing to make overviews of."""
-    return fanout.Done("", Receipt(job.index, 1, {"periodic": 1}, {}, 0.0, 0.0, 1, 0))
+    @classmethod
+    def of(cls, pid: int) -> "Load":
+        """Of a process so far; of its memory now."""
+        process = psutil.Process(pid)
+        times = process.cpu_times()
+        return cls(times.user + times.system, process.memory_info().rss)
 
 
-def no_overview(*_: object) -> None:
-    """In place of making an overview."""
+@dataclass(frozen=True)
+class Cluster:
+    """A scheduler, and how to reach it."""
 
-
-def measure(tiles: int, work: Callable[..., object] = fanout.work) -> Scale:
-    """Run an atlas of about that many tiles of one cell."""
-    side = math.isqrt(tiles)
-    spec = atlas.Spec(
-        "two-mass",
-        axes={"omega": {"start": 2.0, "stop": 4.0, "num": side}, "b": {"start": 0.2, "stop": 0.5, "num": side}},
-        solve={"exponents": "none", "max_periods": 50},
-        store={"tile": (1, 1)},
-    )
-    with (
-        tempfile.TemporaryDirectory(prefix="bench-scale-") as folder,
-        _cluster(Path(folder)) as (address, scheduler),
-        mock.patch.object(fanout, "work", work),
-        mock.patch.object(Pyramid, "make", no_overview if work is nothing else Pyramid.make),
-        _growth(os.getpid()) as ours,
-        _growth(scheduler) as theirs,
-    ):
-        summary = atlas.run(spec, Path(folder) / "out.zarr", options=atlas.RunOptions(scheduler=address))
-    return Scale(summary, ours[0], theirs[0])
+    address: str
+    pid: int
 
 
 @contextmanager
-def _cluster(folder: Path) -> Iterator[tuple[str, int]]:
-    """A scheduler and two workers of one thread, each a process: address, and the scheduler's process id."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    common = {"env": env, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    serve = ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"]
-    labour = ["distributed.cli.dask_worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1", "--no-nanny"]
-    labour += ["--no-dashboard", "--local-directory", str(folder)]
-    processes = [subprocess.Popen([sys.executable, "-m", *args], **common) for args in (serve, labour, labour)]  # type: ignore[call-overload]
-    try:
-        _wait_for(port)
-        yield f"tcp://127.0.0.1:{port}", processes[0].pid
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-
-
-def _wait_for(port: str) -> None:
+def cluster(folder: Path, workers: int, seconds: float) -> Iterator[Cluster]:
+    """A scheduler and its pretended workers, once all of them are there."""
     from distributed import Client
 
-    with Client(f"tcp://127.0.0.1:{port}", timeout=60, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=60)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    scheduler = ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2]]
+    commands = [[*scheduler, "--no-dashboard"]]
+    for first in range(0, workers, PER_PROCESS):
+        here = min(PER_PROCESS, workers - first)
+        commands.append(["scripts.pretended", address, str(here), str(seconds), str(folder), str(first)])
+    with ExitStack() as stack:
+        started = [stack.enter_context(_process(command, folder)) for command in commands]
+        with Client(address, timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=60 + workers / 5)
+        yield Cluster(address, started[0].pid)
 
 
 @contextmanager
-def _growth(pid: int) -> Iterator[list[int]]:
-    """By how many bytes of resident memory a process grows, at its highest, while the block runs."""
-    grown, stop = [0], threading.Event()
-    before = _resident(pid)
-
-    def look() -> None:
-        while not stop.wait(0.05):
-            grown[0] = max(grown[0], _resident(pid) - before)
-
-    thread = threading.Thread(target=look)
-    thread.start()
+def _process(command: list[str], folder: Path, out: int | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """A module of Python in a process of its own, killed afterwards; it prints into the folder's log, or ``out``."""
+    env = os.environ | {"PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "error"}
+    with (folder / "log").open("ab") as log:
+        process = subprocess.Popen([sys.executable, "-m", *command], env=env, stdout=out or log, stderr=log)
     try:
-        yield grown
+        yield process
     finally:
-        stop.set()
-        thread.join()
+        process.kill()
+        process.communicate()
 
 
-def _resident(pid: int) -> int:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+def coordinate(store: str, address: str, side: int) -> None:
+    """Run the atlas in this process; a line of JSON when the first tiles are out, and one at the end."""
+    begin, before, first = time.perf_counter(), 0.0, True
 
+    def look(progress: Progress) -> None:
+        nonlocal before, first
+        if progress.stage == "solving" and first:
+            before, first = time.process_time(), False
+            print(json.dumps({"first": time.perf_counter() - begin}), flush=True)
 
-def costs_of(store: Path) -> np.ndarray:
-    """Cost of every cell of an atlas, in impacts and periods, each cell split into smaller ones of its cost."""
-    ds = atlas.open(store)
-    impacts = np.nan_to_num(ds.impacts_per_period.values, nan=10.0)
-    cells = ds.periods_used.values * (0.3 + impacts) + 20.0
-    return np.kron(cells, np.ones((SPLIT, SPLIT)))
-
-
-def tile_costs(cells: np.ndarray, side: int) -> np.ndarray:
-    """Costs of tiles of that side."""
-    rows, columns = (np.arange(n) // side for n in cells.shape)
-    costs = np.zeros((rows[-1] + 1, columns[-1] + 1))
-    np.add.at(costs, (rows[:, None], columns[None]), cells)
-    return costs
-
-
-def simulate(
-    costs: np.ndarray,
-    order: Iterable[tuple[int, ...]],
-    workers: int,
-    note: Callable[[tuple[int, ...], float], None] = lambda *_: None,
-) -> float:
-    """Time to the end of the last tile; the window is that of fanout.py, and a free worker takes what is queued."""
-    waiting, queue = iter(order), deque[tuple[int, ...]]()
-    busy: list[tuple[float, tuple[int, ...]]] = []
-    now = 0.0
-    while True:
-        for _, index in zip(range(fanout.IN_FLIGHT * workers - len(queue) - len(busy)), waiting, strict=False):
-            queue.append(index)
-        while queue and len(busy) < workers:
-            index = queue.popleft()
-            heapq.heappush(busy, (now + float(costs[index]), index))
-        if not busy:
-            return now
-        now, index = heapq.heappop(busy)
-        note(index, float(costs[index]))
-
-
-def efficiencies(cells: np.ndarray, side: int, workers: int) -> dict[str, float]:
-    """Share of the workers' time spent solving, for each order of the tiles."""
-    costs = tile_costs(cells, side)
-    ideal = costs.sum() / workers
-    learned = Order(np.ones(costs.shape, dtype=bool))
-    guess = _probed(cells, costs.shape, side)
-    return {
-        "rows": ideal / simulate(costs, np.ndindex(costs.shape), workers),
-        "lattice": ideal / simulate(costs, learned, workers, learned.note),
-        "probe": ideal / (simulate(costs, _descending(guess), workers) + guess.sum() / workers),
-        "oracle": ideal / simulate(costs, _descending(costs), workers),
-        "bound": min(1.0, ideal / costs.max()),
+    options = atlas.RunOptions(scheduler=address, on_progress=look)
+    summary = atlas.run(spec_of(side), store, options=options)
+    made = {
+        "workers": summary.workers,
+        "tiles": summary.tiles_solved,
+        "busy": summary.efficiency,
+        "solving": summary.solve_seconds,
+        "seconds": time.perf_counter() - begin,
+        "processor": time.process_time() - before,
+        "peak": peak_memory(),
     }
+    print(json.dumps(made), flush=True)
 
 
-def _probed(cells: np.ndarray, shape: tuple[int, ...], side: int) -> np.ndarray:
-    draw = np.random.default_rng(1)
-    guess = np.zeros(shape)
-    for _ in range(PROBED):
-        places = (
-            np.minimum(side * np.arange(n).reshape(along) + draw.integers(0, side, shape), top - 1)
-            for n, top, along in zip(shape, cells.shape, ((-1, 1), (1, -1)), strict=True)
-        )
-        guess += cells[tuple(places)]
-    return guess
+@contextmanager
+def coordinator(found: Cluster, store: str, side: int, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A coordinator in a process of its own; its lines come from its stdout."""
+    command = ["scripts.bench_scale", "coordinate", store, found.address, str(side)]
+    with _process(command, folder, subprocess.PIPE) as process:
+        yield process
 
 
-def _descending(costs: np.ndarray) -> Iterator[tuple[int, ...]]:
-    for place in np.argsort(-costs, axis=None, kind="stable"):
-        yield tuple(map(int, np.unravel_index(place, costs.shape)))
+def line_of(process: subprocess.Popen[bytes], folder: Path) -> dict[str, Any]:
+    """The next line that a coordinator prints."""
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line:
+        raise RuntimeError((folder / "log").read_text()[-2000:])
+    found: dict[str, Any] = json.loads(line)
+    return found
+
+
+def run_on(found: Cluster, store: str, side: int, folder: Path) -> tuple[dict[str, Any], Load]:
+    """What a coordinator reports of a whole run, and what the scheduler took for it."""
+    before = Load.of(found.pid)
+    with coordinator(found, store, side, folder) as process:
+        made = line_of(process, folder)
+        if "first" in made:
+            made = line_of(process, folder)
+    after = Load.of(found.pid)
+    return made, Load(after.seconds - before.seconds, after.peak_bytes)
+
+
+def row(made: dict[str, Any], scheduler: Load) -> str:
+    """A line of the table of the cluster. The last number is how many workers the busier process could serve."""
+    each, seconds = 1e3 / made["tiles"], made["solving"] / made["tiles"]
+    ours, between = each * made["processor"], each * scheduler.seconds
+    shown = f"{made['workers']:>7} {made['tiles']:>7} {seconds:>7.2f} {100 * made['busy']:>6.1f} %"
+    memory = f"{made['peak'] / 1e6:>12.0f} {scheduler.peak_bytes / 1e6:>10.0f}"
+    return f"{shown} {ours:>12.2f} {between:>10.2f} {memory} {1e3 * seconds / max(ours, between):>10.0f}"
+
+
+HEADING = (
+    "                                  coordinator  scheduler  coordinator  scheduler       most\n"
+    "workers   tiles  s/tile     busy      ms/tile    ms/tile           MB         MB    workers"
+)
+
+
+def left_by_workers(header: Header, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
+    """The objects by which tiles are done, as workers leave them: regime and record, all those of the first tile."""
+    first = (0,) * len(header.spec.shape)
+    states = extra_sizes(header.spec)
+    arrays = empty_results(header.spec.variables, header.tiling.at(first).shape, states)
+    arrays[REGIME.name][...] = PERIODIC
+    write_tile(header, first, arrays)
+    kept: dict[str, bytes] = {}
+    for key_of in (partial(chunk_key, header.regime), record_key):
+        data = header.place.get(key_of(first))
+        assert data is not None
+        kept |= {key_of(index): data for index in indices}
+    return kept
+
+
+class Counted:
+    """Seconds, and the requests of a server, from one call to the next."""
+
+    def __init__(self, server: ObjectStore) -> None:
+        self._server, self._begin = server, time.perf_counter()
+        server.forget()
+
+    def __str__(self) -> str:
+        counts = self._server.counts
+        each = ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
+        return f"{time.perf_counter() - self._begin:7.2f} s, {counts.total():>6} requests ({each})"
+
+
+def measure_store(side: int, delay: float, folder: Path) -> None:
+    """Print what it takes to look at and to resume an atlas on a slow store, half done and finished."""
+    with object_store() as server, mock.patch.dict(os.environ, server.environment):
+        url = "s3://scale/plane.zarr"
+        plan = make_plan(spec_of(side), 1000)
+        header = create(place_of(url), spec_of(side), plan.tiling.tile)
+        tiles = [tile.index for tile in plan.tiling.tiles()]
+        half, bucket = tiles[: len(tiles) // 2], "scale/plane.zarr/"
+        objects = {bucket + key: data for key, data in left_by_workers(header, tiles).items()}
+        done = {bucket + key for index in half for key in (chunk_key(header.regime, index), record_key(index))}
+        server.put({key: data for key, data in objects.items() if key in done})
+        server.delay(delay)
+        print(f"store: {plan.tiling.count} tiles, {1e3 * delay:.0f} ms a request, half of them done")
+        with cluster(folder, 50, 1000.0) as found:
+            for what in ("a resume, to the first tiles handed out", "the same after a kill of the coordinator"):
+                counted = Counted(server)
+                with coordinator(found, url, side, folder) as process:
+                    line_of(process, folder)
+                    print(f"{what:<45} {counted}", flush=True)
+                    time.sleep(3.0)
+                    if "kill" in what:
+                        _print_status(url, server, "of the running atlas")
+        server.put(objects)
+        with cluster(folder, 50, 0.0) as found:
+            counted = Counted(server)
+            made, _ = run_on(found, url, side, folder)
+            print(f"{'the end of a run whose tiles are all done':<45} {counted}")
+            print(f"{'':<45} {made['processor']:.1f} s of the coordinator, {made['peak'] / 1e6:.0f} MB")
+        _print_status(url, server, "of the finished atlas")
+
+
+def _print_status(url: str, server: ObjectStore, whose: str) -> None:
+    counted = Counted(server)
+    census = Census(read_header(place_of(url)))
+    first = census.take(settled=True)
+    print(f"{'status ' + whose:<45} {counted}; {first.tiles_done} tiles", flush=True)
+    counted = Counted(server)
+    second = census.take()
+    print(f"{'the next status ' + whose:<45} {counted}; {second.tiles_done} tiles", flush=True)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print the three tables."""
+    """Print both parts."""
+    given = sys.argv[1:] if argv is None else argv
+    if given[:1] == ["coordinate"]:
+        store, address, side = given[1:]
+        coordinate(store, address, int(side))
+        return 0
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tiles", type=int, nargs="*", default=SIZES)
-    parser.add_argument("--real", type=int, default=1000, help="tiles of the run that solves and writes")
-    parser.add_argument("--atlas", type=Path, help="a store whose costs are taken; default: none, no simulation")
-    parser.add_argument("--workers", type=int, default=256)
-    given = parser.parse_args(argv)
-    if given.tiles:
-        measure(64, nothing)  # what is imported at first is no part of it
-        print(" tiles  ms/tile  coordinator, MB  scheduler, MB", flush=True)
-    for tiles in given.tiles:
-        print(measure(tiles, nothing), flush=True)
-    if given.real:
-        made = measure(given.real).summary
-        wall = 1e3 * made.seconds * made.workers / made.tiles
-        solve, write = (1e3 * s / made.tiles for s in (made.solve_seconds, made.write_seconds))
-        print(f"real tiles: {wall:.1f} ms of a worker each; {solve:.1f} solving, {write:.1f} writing", flush=True)
-    if given.atlas:
-        started = time.perf_counter()
-        cells = costs_of(given.atlas)
-        turned = {"as it is": cells, "upside down": cells[::-1], "transposed": cells.T, "both": cells.T[::-1]}
-        print(f"order of tiles, {given.workers} workers, {cells.size} cells: share of the time spent solving")
-        for side in SIDES:
-            for name, plane in turned.items():
-                shares = efficiencies(plane, side, given.workers)
-                shown = "  ".join(f"{order} {100 * share:3.0f} %" for order, share in shares.items())
-                print(f"tiles of {side:>2} x {side:<2} {name:<12} {shown}", flush=True)
-        print(f"(simulated in {time.perf_counter() - started:.0f} s)")
+    parser.add_argument("--workers", type=int, nargs="*", default=WORKERS)
+    parser.add_argument("--seconds", type=float, default=3.0, help="of a tile, on average")
+    parser.add_argument("--side", type=int, default=SIDE, help="cells along each side of the plane of the second part")
+    parser.add_argument("--delay", type=float, default=0.025, help="seconds of a request")
+    parser.add_argument("--no-store", action="store_true", help="leave out the second part")
+    asked = parser.parse_args(given)
+    print(REPLACED)
+    if asked.workers:
+        print(HEADING, flush=True)
+    for workers in asked.workers:
+        with tempfile.TemporaryDirectory(prefix="bench-scale-") as name, object_store() as server:
+            server.delay(asked.delay)
+            with mock.patch.dict(os.environ, server.environment), cluster(Path(name), workers, asked.seconds) as found:
+                print(row(*run_on(found, "s3://scale/plane.zarr", side_for(workers), Path(name))), flush=True)
+    if not asked.no_store:
+        with tempfile.TemporaryDirectory(prefix="bench-scale-") as name:
+            measure_store(asked.side, asked.delay, Path(name))
     return 0
 
 

@@ -40,6 +40,14 @@ def results(header: store.Header, index: Index, seed: int = 0) -> dict[str, np.n
     return made
 
 
+def as_version_1(path: Path) -> None:
+    """Make a store one of format version 1: with all values of its axes in its attributes."""
+    root = json.loads((path / "zarr.json").read_text())
+    resolved = json.dumps(store.read_header(path).spec.resolved())
+    root["attributes"] |= {"format_version": 1, "spec": resolved}
+    (path / "zarr.json").write_text(json.dumps(root))
+
+
 def indices(header: store.Header) -> list[Index]:
     return [tile.index for tile in header.tiling.tiles()]
 
@@ -65,8 +73,8 @@ def overviews_of(header: store.Header, pending: tuple[Index, ...] = (), side: in
 
 def keep(header: store.Header, side: int = 8, least: int = 8) -> int:
     """Make all overviews that can be made; the number of chunks made."""
-    with overviews_of(header, side=side, least=least) as overviews:
-        return overviews.finish()
+    overviews = overviews_of(header, side=side, least=least)
+    return overviews.finish()
 
 
 def complete(

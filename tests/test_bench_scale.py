@@ -1,49 +1,18 @@
-"""The scale benchmark's light mode, and that its simulated cluster adds up."""
+"""The benchmark of the service on pretended workers, at its smallest."""
 
-from pathlib import Path
-
-import numpy as np
 import pytest
-from distributed import Client
 
-import atlas
-from scripts.bench_scale import efficiencies, main, simulate, tile_costs
-from tests.planes import plane_of
+from scripts.bench_scale import main
 
 pytestmark = pytest.mark.slow
 
 
-def test_the_light_mode_prints_overhead_and_orders(
-    tmp_path: Path, client: Client, capsys: pytest.CaptureFixture[str]
-) -> None:
-    atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
-    assert main(["--tiles", "9", "--real", "0", "--atlas", str(tmp_path / "out.zarr"), "--workers", "4"]) == 0
-    shown = capsys.readouterr().out.splitlines()
-    assert shown[1].split()[0] == "9"
-    assert sum("lattice" in line for line in shown) == 12
-
-
-def test_simulated_workers_share_equal_tiles_evenly() -> None:
-    assert simulate(np.ones((6, 4)), np.ndindex(6, 4), workers=8) == 3.0
-
-
-def test_a_costly_tile_begun_last_keeps_the_others_waiting() -> None:
-    costs = np.array([1.0] * 9 + [9.0])
-    assert simulate(costs, np.ndindex(10), workers=2) == 4 + 9
-    assert simulate(costs, reversed(list(np.ndindex(10))), workers=2) == 9
-
-
-def test_tiles_cost_what_their_cells_cost() -> None:
-    cells = np.arange(35.0).reshape(5, 7)
-    costs = tile_costs(cells, 3)
-    assert costs.shape == (2, 3)
-    assert costs.sum() == cells.sum()
-    assert costs[1, 2] == cells[3:, 6:].sum()
-
-
-def test_the_lattice_does_better_than_rows_where_the_last_rows_are_costly() -> None:
-    y, x = np.mgrid[:128, :128]
-    cells = 1 + 30 * np.exp(-((y - 127) ** 2 + (x - 20) ** 2) / 450)
-    shares = efficiencies(cells, side=4, workers=64)
-    assert shares["lattice"] > shares["rows"] + 0.2
-    assert max(shares.values()) <= shares["bound"] <= 1
+def test_the_light_mode_prints_the_cluster_and_each_look_at_the_store(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--workers", "2", "--seconds", "0.05", "--side", "2048", "--delay", "0.001"]) == 0
+    shown = capsys.readouterr().out
+    table = [line.split() for line in shown.splitlines()]
+    assert ["2", "64"] in [words[:2] for words in table]
+    assert "status of the running atlas" in shown
+    assert "status of the finished atlas" in shown
+    assert shown.count("; 16 tiles") == 2
+    assert shown.count("; 8 tiles") == 2

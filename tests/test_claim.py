@@ -4,16 +4,17 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from atlas.errors import InputError, RunError
-from atlas.service.lease import Observer, Record, cancel, claimed, remove_half_made
+from atlas.service.lease import Observer, Record, cancel, claimed
 from atlas.service.process import this_process
 from atlas.service.timing import Timing
+from atlas.store.making import remove_half_made
 from atlas.store.sidecar import CLAIM, Folder, notes_of
 
 QUICK = Timing(beat=0.02)
@@ -209,6 +210,79 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
     assert notes.read(CLAIM) is None  # the store is free again
 
 
+@pytest.fixture
+def away(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
+    """A disk that lets nothing be written until it is told to be back."""
+    whole, back = Folder.put, threading.Event()
+
+    def put(notes: Folder, name: str, data: bytes, expected: bytes | None) -> bool:
+        if name == CLAIM and expected is not None and not back.is_set() and Record.unpack(data).token != "theirs":  # type: ignore[union-attr]
+            raise OSError(5, "Input/output error")
+        return whole(notes, name, data, expected)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Folder, "put", put)
+        yield back.set
+
+
+def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_claim(
+    notes: Folder, away: Callable[[], None]
+) -> None:
+    """Others may have replaced the claim by then, long before the run's patience ends."""
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
+        seen, waited = notes.read(CLAIM), []
+
+        def waiting() -> None:
+            assert notes.read(CLAIM) == seen
+            waited.append(time.monotonic())
+            if len(waited) == 5:
+                away()
+
+        begin = time.monotonic()
+        while not waited:
+            claim.check(waiting)
+        assert len(waited) >= 5
+        assert waited[0] - begin >= IMPATIENT.dead - 2 * IMPATIENT.beat
+        assert notes.read(CLAIM) != seen
+
+
+def test_a_run_that_waits_for_its_store_stops_where_another_has_replaced_its_claim(
+    notes: Folder, away: Callable[[], None]
+) -> None:
+    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
+
+        def waiting() -> None:
+            notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM))
+            away()
+
+        with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
+            while True:
+                claim.check(waiting)
+    assert notes.read(CLAIM) == elsewhere().pack()
+
+
+def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its holder could not move it meanwhile; it does as soon as the store is back."""
+    holder = elsewhere()
+    notes.put(CLAIM, holder.pack(), expected=None)
+    whole, reads = Folder.read, []
+
+    def read(folder: Folder, name: str) -> bytes | None:
+        reads.append(name)
+        if len(reads) == 3:
+            time.sleep(2 * IMPATIENT.dead)
+            return whole(folder, name)
+        if len(reads) == 5:
+            notes.put(CLAIM, replace(holder, beat=8).pack(), expected=holder.pack())
+        return whole(folder, name)
+
+    monkeypatch.setattr(Folder, "read", read)
+    with pytest.raises(InputError, match="another run is at work on it"), claimed(notes, "out.zarr", timing=IMPATIENT):
+        pass
+
+
 def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
     with claimed(notes, "out.zarr", timing=QUICK) as claim:
         claim.report({"workers": 3})
@@ -357,3 +431,11 @@ def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
 def test_notes_are_next_to_the_store(tmp_path: Path) -> None:
     notes = notes_of(tmp_path / "out.zarr")
     assert notes == Folder(tmp_path / ".out.zarr.run")
+
+
+def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: Folder) -> None:
+    with claimed(notes, "out.zarr", timing=Timing(beat=60.0)) as claim:
+        claim.report({"tiles": 3})
+        assert json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"tiles": 3}
+        claim.report({"tiles": 4})
+        assert json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"tiles": 3}

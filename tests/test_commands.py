@@ -53,21 +53,21 @@ num = 20
 section_samples = 16
 max_periods = 2000
 """
-SYSTEM = """
-system = "{name}"
-[axes.{x}]
-start = {start}
-stop = {stop}
-num = 4
-[axes.R]
-start = 0.5
-stop = 0.8
-num = 3
-[solve]
-tolerance = 0.1
-max_periods = 500
-survival = 0
+
+
+def coarse(example: str) -> str:
+    """An example of the package on 4 x 3 cells, each with a small budget."""
+    text = (ROOT / "atlas" / "examples" / f"{example}.toml").read_text()
+    for num in ("4", "3"):
+        text = re.sub(r"num = \d\d+", f"num = {num}", text, count=1)
+    return re.sub(r"\[solve\].*", "[solve]\ntolerance = 0.1\nmax_periods = 500\nsurvival = 0\n", text, flags=re.DOTALL)
+
+
+EXAMPLES = """
+bouncing-ball capsule chain-3 energy-harvester energy-sink friction-oscillator gear-mesh impact-damper impact-pair
+single-mass soft-impact soft-suspension stick-slip two-stops
 """
+"""Of other systems, each with a plane of its own."""
 POINTS = """
 system = "two-mass"
 [points]
@@ -88,16 +88,7 @@ FILES = {
     "fig6": LINE.format(more=""),
     "up.toml": LINE.format(more='continuation = "forward"'),
     "down.toml": LINE.format(more='continuation = "backward"'),
-    **{
-        name: SYSTEM.format(name=name, x=x, start=start, stop=stop)
-        for name, x, start, stop in (
-            ("single-mass", "omega", 0.8, 1.2),
-            ("bouncing-ball", "omega", 0.8, 1.2),
-            ("impact-pair", "nu", 2.0, 3.0),
-            ("impact-damper", "omega", 0.8, 1.2),
-            ("chain-3", "omega", 0.4, 0.6),
-        )
-    },
+    **{name: coarse(name) for name in EXAMPLES.split()},
 }
 STORES = {"other.zarr": 0.7, "R7.zarr": 0.7, "R8.zarr": 0.8, "R9.zarr": 0.9}
 """Stores of the same plane at another R, made for the pages that name them."""

@@ -116,7 +116,8 @@ def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(wh
     flip(whole.path / "overviews/1/largest/c/1/1")
     report = verify(whole.path, sample=0, repair=True)
     assert (report.repaired, report.dropped) == ((), 3)
-    assert keep(whole) == 3
+    assert "3 chunks of overviews written" in report.mended
+    assert keep(whole) == 0
     assert verify(whole.path, sample=0).fine
     for level in (1, 2, 3):
         before, after = (xr.open_zarr(path, group=f"overviews/{level}") for path in (made, whole.path))
@@ -174,16 +175,17 @@ def test_an_overview_is_not_made_of_a_lost_chunk(whole: store.Header) -> None:
     for level, place in ((1, "2/2"), (2, "1/1"), (3, "0/0")):
         for name in ("regime", "regime_shown"):
             (whole.path / f"overviews/{level}/{name}/c/{place}").unlink()
-    with pytest.raises(ChunkError, match="largest/c/4/5 is missing"), Overviews(whole) as overviews:
+    with pytest.raises(ChunkError, match="largest/c/4/5 is missing"):
+        overviews = Overviews(whole)
         overviews.finish()
 
 
 def test_a_run_drops_an_overview_whose_marks_are_damaged(whole: store.Header) -> None:
     for name in ("regime", "regime_shown"):
         flip(whole.path / f"overviews/1/{name}/c/0/0")
-    with Overviews(whole, [(0, 0)]) as overviews:
-        overviews.add((0, 0))
-        assert overviews.finish() == 3
+    overviews = Overviews(whole, [(0, 0)])
+    overviews.add((0, 0))
+    assert overviews.finish() == 3
     assert_view_is_true(whole)
 
 

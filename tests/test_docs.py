@@ -73,8 +73,8 @@ def script_calls(page: Path) -> list[list[str]]:
     return calls
 
 
-def test_the_readme_is_at_most_150_lines() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+def test_the_readme_is_at_most_100_lines() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 
 
 def test_the_readme_says_how_the_command_is_found_before_it_uses_it() -> None:

@@ -9,7 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import zarr
 from distributed import Client
 
 import atlas
@@ -20,10 +22,11 @@ from atlas.service.extend import refined
 from atlas.service.lease import Claim, Record
 from atlas.service.progress import Progress
 from atlas.store.location import LocalPlace
+from atlas.store.record import RECORDS
+from atlas.store.records import Records, write_compaction
 from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, Folder, notes_of
 from atlas.store.store import create, done_tiles, read_header
-from atlas.store.tally import TallyKeeper
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job
@@ -139,7 +142,52 @@ def test_a_tile_that_kills_its_process_is_not_marked_after_the_claim_is_lost(
     assert contents(Path(job.store)) == before
 
 
-def test_the_look_at_the_claim_costs_one_read_a_tile(
+@pytest.mark.parametrize("kind", JOBS)
+@pytest.mark.parametrize("after", ["largest", "periods_used"])
+def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str, after: str
+) -> None:
+    job = JOBS[kind](tmp_path, finished)
+    store, whole = Path(job.store), zarr.Array.__setitem__
+    before: dict[str, bytes] = {}
+
+    def stopped(array: zarr.Array[Any], key: Any, value: Any) -> None:
+        whole(array, key, value)
+        if array.basename == after:
+            take_over(store)
+            before.update(contents(store))
+
+    monkeypatch.setattr(zarr.Array, "__setitem__", stopped)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    assert job.index not in done_tiles(read_header(store))
+    written = {key.partition("/")[0] for key, data in contents(store).items() if before.get(key) != data}
+    assert "regime" not in written
+    if kind == "of a retry":
+        assert written == set()
+
+
+def test_a_retry_that_loses_the_claim_before_it_drops_the_old_tile_leaves_it(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = retried_store(tmp_path, finished)
+    before, whole = read_tile(read_header(finished), job.index), LocalPlace.put
+
+    def put(place: LocalPlace, key: str, data: bytes) -> None:
+        whole(place, key, data)
+        if "replaced" in key:
+            take_over(finished)
+
+    monkeypatch.setattr(LocalPlace, "put", put)
+    with pytest.raises(RefusedError, match=LOST):
+        run_job(job)
+    after = read_tile(read_header(finished), job.index)
+    assert all(
+        np.array_equal(after[name], values, equal_nan=values.dtype.kind == "f") for name, values in before.items()
+    )
+
+
+def test_the_looks_at_the_claim_cost_two_reads_a_tile(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job, whole, reads = new_store(tmp_path, finished), Folder.read, []
@@ -150,7 +198,7 @@ def test_the_look_at_the_claim_costs_one_read_a_tile(
 
     monkeypatch.setattr(Folder, "read", read)
     run_job(job)
-    assert reads == [CLAIM]
+    assert reads == [CLAIM, CLAIM]  # before the first write and before the last
 
 
 def test_every_job_of_a_run_has_the_token_of_its_claim(
@@ -158,14 +206,10 @@ def test_every_job_of_a_run_has_the_token_of_its_claim(
 ) -> None:
     whole, tokens = running.tile_outcomes, set()
 
-    def looking(cluster: Client, jobs: Any, *given: Any) -> Any:
-        def noted() -> Any:
-            for job in jobs:
-                record = Record.unpack(notes_of(job.store).read(CLAIM) or b"")
-                tokens.add((job.claim, record and record.token))
-                yield job
-
-        return whole(cluster, noted(), *given)
+    def looking(cluster: Client, job: Job, *given: Any) -> Any:
+        record = Record.unpack(notes_of(job.store).read(CLAIM) or b"")
+        tokens.add((job.claim, record and record.token))
+        return whole(cluster, job, *given)
 
     monkeypatch.setattr(running, "tile_outcomes", looking)
     atlas.run(plane, tmp_path / "out.zarr", client=client)
@@ -187,17 +231,24 @@ def lost() -> None:
 def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
     header = read_header(finished)
-    with pytest.raises(LostError), Overviews(header, held=lost, side=2, least=1) as overviews:
+    with pytest.raises(LostError):
+        Overviews(header, held=lost, side=2, least=1)
+    assert not header.place.exists("overviews/zarr.json")
+    claims = [lambda: None]
+    overviews = Overviews(header, held=lambda: claims[-1](), side=2, least=1)
+    claims.append(lost)
+    with pytest.raises(LostError):
         overviews.finish()
     assert not any("/regime/c/" in key for key in header.place.list_keys("overviews/"))
 
 
-def test_the_tally_is_not_written_after_the_claim_is_lost(finished: Path) -> None:
-    shutil.rmtree(finished / "tally")
+def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) -> None:
     header = read_header(finished)
-    with pytest.raises(LostError), TallyKeeper(header, held=lost) as tally:
-        tally.finish()
-    assert not any("/c/" in key for key in header.place.list_keys("tally/"))
+    before = (finished / RECORDS / "c.0.0.0").read_bytes()
+    records = Records(header, [])
+    with pytest.raises(LostError):
+        write_compaction(header, records.rows, records.done, lost)
+    assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
 
 
 def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves_the_notes_of_the_other_run(

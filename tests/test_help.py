@@ -12,7 +12,8 @@ from atlas.cli.main import main
 from atlas.cli.options import SETTING_MEANINGS
 from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.meanings import KIND_MEANINGS, OVERLAY_MEANINGS
-from atlas.spec.spec import Spec, example_names
+from atlas.spec.examples import example_names
+from atlas.spec.spec import Spec
 from tests.test_docs import parse
 from workers import Settings
 

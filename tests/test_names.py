@@ -17,17 +17,16 @@ from atlas.curves.table import Curves, as_arrays
 from atlas.errors import InputError
 from atlas.labels.table import _MEANINGS, BRANCH
 from atlas.overview.coarsen import SHARE, level_variables
-from atlas.overview.pyramid import bounds_name
+from atlas.overview.coordinates import bounds_name
 from atlas.render import figure, machine
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
 from atlas.store import store
 from atlas.store.curves import GROUP as CURVES
-from atlas.store.digests import TILES
 from atlas.store.machine import MACHINES
+from atlas.store.record import TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from atlas.store.tables import ATTRACTORS, LABELS
-from atlas.store.tally import GROUP as TALLY
 from tests.test_systems import table
 from workers import Settings, System
 from workers.model.entries import DefinitionError
@@ -39,7 +38,7 @@ EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 def own_names() -> Iterator[str]:
     """What the package calls its own things."""
-    yield from (CURVES, TILES, MACHINES, OVERVIEWS, ATTRACTORS, LABELS, TALLY, store.ZOOM, BRANCH, POINT, "component")
+    yield from (CURVES, TILES, MACHINES, OVERVIEWS, ATTRACTORS, LABELS, store.ZOOM, BRANCH, POINT, "component")
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):

@@ -5,6 +5,7 @@ Truth is the definition applied to the cells of the store, block by block.
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,9 @@ from distributed import Client
 
 import atlas
 from atlas.check.overviews import check_overviews
-from atlas.errors import RunError
+from atlas.errors import ChunkError, RunError
 from atlas.overview.coarsen import CODES, coarsen, from_cells
-from atlas.overview.pyramid import Pyramid, levels_of
+from atlas.overview.pyramid import Pyramid, drop, levels_of
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
@@ -25,7 +26,10 @@ from atlas.query.resample import view
 from atlas.service.progress import Progress
 from atlas.store import store
 from atlas.store.location import LocalPlace
-from atlas.store.tiles import write_tile
+from atlas.store.tiles import drop_tile, read_tile, write_tile
+from atlas.task import attempt
+from atlas.task.attempt import do_job
+from atlas.task.task import Job, MadeChunk, RefusedError, commit, make_chunk
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -254,13 +258,13 @@ def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_siz
 
 
 def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None:
-    with Overviews(whole) as overviews:
-        assert overviews.finish() == 0
+    overviews = Overviews(whole)
+    assert overviews.finish() == 0
     assert levels_of(whole).count == 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"version": 2}])
+@pytest.mark.parametrize("attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"version": 3}])
 def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     whole: store.Header, attributes: dict[str, object]
 ) -> None:
@@ -324,11 +328,11 @@ def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, clien
 def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header) -> None:
     keep(header)
     first = [tile for tile in indices(header) if levels_of(header).over(tile) == (0, 0)]
-    with overviews_of(header) as overviews:
-        for tile in first:
-            write_tile(header, tile, results(header, tile))
-            overviews.add(tile)
-        overviews.finish()
+    overviews = overviews_of(header)
+    for tile in first:
+        write_tile(header, tile, results(header, tile))
+        overviews.add(tile)
+    overviews.finish()
     coarse = xr.open_zarr(header.path, group="overviews/1").regime.values
     assert np.array_equal(np.argwhere(coarse != PENDING), np.argwhere(np.ones((8, 8))))
     assert_view_is_true(header)
@@ -348,10 +352,10 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(begun: Path, tmp
 
 def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Header) -> None:
     before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
-    with Overviews(whole, [(4, 5)]) as overviews:
-        write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
-        overviews.add((4, 5))
-        assert overviews.finish() == 3
+    overviews = Overviews(whole, [(4, 5)])
+    write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
+    overviews.add((4, 5))
+    assert overviews.finish() == 3
     changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
     over = {1: "2/2", 2: "1/1", 3: "0/0"}
     for level, place in over.items():
@@ -361,12 +365,17 @@ def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(wh
     assert_view_is_true(whole)
 
 
-def test_a_tile_written_once_more_than_was_said_refreshes_too(whole: store.Header) -> None:
-    with Overviews(whole, []) as overviews:
-        write_tile(whole, (0, 0), results(whole, (0, 0), seed=1))
-        overviews.add((0, 0))
-        overviews.finish()
+def test_the_end_of_a_tile_cut_short_by_a_kill_refreshes_what_lies_over_it(whole: store.Header, client: Client) -> None:
+    """Written again by hand, where no run drops what lies over it; the run that finishes it does."""
+    made = results(whole, (0, 0), seed=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LocalPlace, "remove", lambda *_: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            write_tile(whole, (0, 0), made)
+    atlas.run(whole.spec, whole.path, client=client)
+    np.testing.assert_array_equal(read_tile(whole, (0, 0))["largest"], made["largest"])
     assert_view_is_true(whole)
+    assert (xr.open_zarr(whole.path, group="overviews/1").regime.values != PENDING).all()
 
 
 def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -377,6 +386,130 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeyp
     monkeypatch.setattr(Pyramid, "make", full)
     with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*No space"):
         keep(filled)
+
+
+# By workers
+
+
+def job_of(header: store.Header, index: tuple[int, ...]) -> Job:
+    return Job(index, str(header.path), header.run_id, header.solver_version)
+
+
+def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.Header, whole: store.Header) -> None:
+    due = overviews_of(filled)
+    order = []
+    while due:
+        level, index = next(due)
+        assert do_job(job_of(filled, (-level, *index))) == MadeChunk((-level, *index))
+        due.made((level, index))
+        order.append(level)
+    assert due.finish() == len(order) == 14
+    assert sorted(order) == order
+    for level in (1, 2, 3):
+        group = f"overviews/{level}"
+        assert arrays_of(filled.path, group) == arrays_of(whole.path, group)
+
+
+def test_a_chunk_is_given_once_and_when_all_below_it_is_done(header: store.Header) -> None:
+    fill(header, skip=((0, 0), (4, 5)))
+    overviews = overviews_of(header)
+    given = [*overviews]
+    assert given == [(1, index) for index in levels_of(header).chunks(1) if index not in ((0, 0), (2, 2))]
+    overviews.add((0, 0))
+    assert [*overviews] == [(1, (0, 0))]
+    overviews.add((0, 0))
+    assert [*overviews] == []
+    for index in ((0, 0), (0, 1), (1, 0)):
+        overviews.made((1, index))
+    assert [*overviews] == []
+    overviews.made((1, (1, 1)))
+    assert [*overviews] == [(2, (0, 0))]
+
+
+def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.Header:
+    """A store without a tile, of tiles larger than a chunk, each with a chunk of level 1 of its own."""
+    header = store.create(path, spec_of(), tile)
+    overviews_of(header)
+    return header
+
+
+def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_arrays_to_the_bit(tmp_path: Path) -> None:
+    header, other = large(tmp_path / "a.zarr"), large(tmp_path / "b.zarr")
+    assert levels_of(header).chunk == (8, 8)
+    for index in indices(header):
+        made = results(header, index)
+        write_tile(other, index, made)
+        assert commit(header, job_of(header, index), made)[1]
+    assert [level for level, _ in overviews_of(header)] == [2, 2, 2, 2]
+    assert keep(other) == 9 + 4 + 1
+    assert keep(header) == 4 + 1
+    for level in (1, 2, 3):
+        group = f"overviews/{level}"
+        assert arrays_of(header.path, group) == arrays_of(other.path, group)
+    assert_view_is_true(header)
+    assert check_overviews(header, set(), lambda level: None).faults == ()
+
+
+def test_overviews_of_chunks_of_whole_tiles_stay_as_they_are(tmp_path: Path) -> None:
+    header = large(tmp_path / "a.zarr")
+    top = zarr.open_group(header.path / "overviews", mode="r+", use_consolidated=False)
+    assert top.attrs["version"] == 2
+    top.attrs["version"] = 1
+    assert levels_of(header).chunk == (16, 16)
+    assert not commit(header, job_of(header, (0, 0)), results(header, (0, 0)))[1]
+
+
+@pytest.mark.parametrize("tile", [(8, 8), (7, 9), (17, 16), (16, 8)])
+def test_a_tile_whose_chunk_lies_over_others_too_is_left_to_a_job(tmp_path: Path, tile: tuple[int, int]) -> None:
+    header = large(tmp_path / "a.zarr", tile)
+    assert not commit(header, job_of(header, (0, 0)), results(header, (0, 0)))[1]
+    fill(header)
+    keep(header)
+    assert_view_is_true(header)
+
+
+def test_a_run_has_its_workers_make_the_overviews(begun: Path, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[int, ...]] = []
+    monkeypatch.setattr(attempt, "make_chunk", lambda job: (made.append(job.index), make_chunk(job))[1])
+    monkeypatch.setattr(Overviews, "again", lambda *_: pytest.fail("a chunk was not made"))
+    atlas.run(plane_of(), begun, client=client)
+    levels = levels_of(store.read_header(begun))
+    assert sorted(made) == sorted(
+        (-level, *index) for level in range(1, levels.count + 1) for index in levels.chunks(level)
+    )
+    assert_view_is_true(store.read_header(begun))
+
+
+def test_chunks_that_no_worker_can_make_are_told_and_the_tiles_are_kept(
+    begun: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(Pyramid, "make", full)
+    with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*Input"):
+        atlas.run(plane_of(), begun, client=client)
+    assert len(store.done_tiles(store.read_header(begun))) == store.read_header(begun).tiling.count
+
+
+def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: Path, client: Client) -> None:
+    atlas.run(plane_of(), begun, client=client)
+    header = store.read_header(begun)
+    (begun / "largest" / "c" / "0" / "0").unlink()
+    drop(header, [(0, 0), (2, 2)])
+    drop_tile(header, (2, 2))
+    job = job_of(header, (-1, 0, 0))
+    assert "largest/c/0/0 is missing" in getattr(do_job(job), "fault", "")
+    with pytest.raises(ChunkError, match="largest/c/0/0 is missing"):
+        atlas.run(plane_of(), begun, client=client)
+    assert len(store.done_tiles(header)) == 9
+
+
+def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.Header) -> None:
+    overviews_of(filled)
+    with pytest.raises(RefusedError, match="has lost its claim"):
+        do_job(replace(job_of(filled, (-1, 0, 0)), claim="another"))
+    assert not list(filled.place.list_keys("overviews/1/largest/c/"))
 
 
 # Killed at any step
@@ -407,10 +540,10 @@ def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, 
     with monkeypatch.context() as patch:
         killed_after(patch, writes)
         try:
-            with Overviews(header, [tile]) as overviews:  # as a run does, which goes by what the store has
-                write_tile(header, tile, results(header, tile, seed=1))
-                overviews.add(tile)
-                overviews.finish()
+            overviews = Overviews(header, [tile])  # as a run does, which goes by what the store has
+            write_tile(header, tile, results(header, tile, seed=1))
+            overviews.add(tile)
+            overviews.finish()
         except Killed:
             return False
     return True

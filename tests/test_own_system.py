@@ -16,7 +16,8 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main as cli
 from atlas.errors import InputError
-from atlas.spec.spec import Spec, resolved_digest
+from atlas.spec.resolved import resolved_digest
+from atlas.spec.spec import Spec
 from atlas.store.store import read_header
 from tests.test_systems import MACHINE, table
 from workers import System, solve_tile, trace

@@ -19,10 +19,12 @@ from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.extend import extend
+from atlas.service.status import read_status
 from atlas.store import location as placing
 from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
 from atlas.store.notes import notes_at_url
+from atlas.store.remote import RemoteStore
 from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
@@ -75,6 +77,16 @@ def test_what_is_put_can_be_got_listed_and_removed(place: Place) -> None:
     place.remove("a/d")
     place.remove("a/d")
     assert list(place.list_keys("a/")) == ["a/b/c"]
+
+
+def test_many_objects_are_got_and_removed_together(place: Place) -> None:
+    for name in "abc":
+        place.put(f"x/{name}", name.encode())
+    assert place.get_all(["x/b", "x/none", "x/a"]) == {"x/b": b"b", "x/a": b"a"}
+    place.remove_all(["x/c", "x/none", "x/a"])
+    assert list(place.list_keys()) == ["x/b"]
+    place.remove_all([])
+    assert (list(place.list_keys()), place.get_all([])) == (["x/b"], {})
 
 
 def test_an_object_is_put_new_only_once(place: Place) -> None:
@@ -240,6 +252,31 @@ def test_the_ledger_is_one_listing(bucket: str, client: Client, monkeypatch: pyt
     monkeypatch.setattr(ObjectPlace, "exists", lambda *_: pytest.fail("a question for each tile"))
     assert len(store.done_tiles(header)) == 9
     assert asked == ["regime/c/"]
+
+
+def test_a_status_of_a_finished_atlas_takes_ten_requests_at_most(
+    bucket: str, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    atlas.run(plane_of(), f"{bucket}/few", client=client)
+    asked: list[str] = []
+
+    def count(owner: Any, name: str) -> None:
+        whole = getattr(owner, name)
+
+        def counted(*args: Any, **named: Any) -> Any:
+            asked.append(name)
+            return whole(*args, **named)
+
+        monkeypatch.setattr(owner, name, counted)
+
+    for name in ("get_tagged", "exists", "list_keys"):
+        count(ObjectPlace, name)
+    for name in ("get", "exists", "list_prefix", "list_dir"):
+        count(RemoteStore, name)
+    status = read_status(store.read_header(f"{bucket}/few"))
+    assert (status.tiles_done, status.cells_done) == (9, 35)
+    assert len(asked) <= 10, asked
+    assert not status.run
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,17 @@ def wide(nx: int, ny: int) -> Spec:
     return Spec("two-mass", axes=axes)
 
 
-def test_the_default_tile_of_a_large_plane_is_64_by_64() -> None:
-    assert plan.make_plan(wide(1000, 1000), workers=4).tiling.tile == (64, 64)
+@pytest.mark.parametrize(
+    ("side", "workers", "tile"),
+    [(1000, 4, 64), (3900, 4, 64), (4096, 4, 128), (4096, 65, 64), (8192, 4, 256), (50_000, 4, 256), (100_000, 4, 512)],
+)
+def test_the_default_tile_grows_with_the_plane_where_enough_are_left(side: int, workers: int, tile: int) -> None:
+    assert plan.make_plan(wide(side, side), workers).tiling.tile == (tile, tile)
+
+
+@pytest.mark.parametrize("side", [60_000, 100_000, 300_000])
+def test_no_plane_has_more_than_50000_tiles_by_default(side: int) -> None:
+    assert plan.make_plan(wide(side, side), workers=1000).tiling.count <= 50_000
 
 
 @pytest.mark.parametrize(("size", "workers"), list(itertools.product([(40, 30), (280, 220), (7, 1000)], [1, 2, 16])))

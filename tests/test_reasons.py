@@ -20,6 +20,7 @@ from atlas.query import queries as query
 from atlas.service.extend import extend
 from atlas.service.status import read_status
 from atlas.store.store import read_header
+from atlas.store.tiles import put_record, read_tile, record_of
 from atlas.task.retry import Retry
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
@@ -62,11 +63,18 @@ def store(solved: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def older(store: Path) -> Path:
-    """A store as it was made before there were reasons, digests and a tally."""
-    for name in ("reason", "tiles", "tally"):
+    """A store as it was made before there were reasons and records."""
+    for name in ("reason", "tiles"):
         shutil.rmtree(store / name)
     zarr.consolidate_metadata(store)
     return store
+
+
+def record(store: Path, cell: tuple[int, int]) -> None:
+    """Write the record of a cell's tile anew."""
+    header = read_header(store)
+    index = tuple(i // n for i, n in zip(cell, header.tile, strict=True))
+    put_record(header, index, record_of(header, index, read_tile(header, index)))
 
 
 def call(*args: object) -> Result:
@@ -156,7 +164,7 @@ def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
 def test_query_counts_chaotic_cells_whose_averages_differ(store: Path) -> None:
     group, cell = zarr.open_group(store, mode="r+"), (4, 0)
     group["regime"][cell], group["reason"][cell] = CHAOTIC, NOT_STATIONARY
-    shutil.rmtree(store / "tally")
+    shutil.rmtree(store / "tiles" / "records")
     text = REASONS[NOT_STATIONARY].text
     assert f"1 chaotic cell: {text}" in call("query", store).stdout.splitlines()
     assert f"  1 chaotic cell: {text}" in call("status", store).stdout.splitlines()
@@ -180,8 +188,8 @@ def test_an_export_names_the_reason_of_every_cell(store: Path, tmp_path: Path) -
 
 def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) -> None:
     (store / "reason" / "c" / "0" / "1").unlink()
-    fault, digest, tally = verify(store, sample=0).faults
-    assert tally.what.startswith("tally/tiles contradicts the cells of tile")
+    fault, digest, record = verify(store, sample=0).faults
+    assert record.what.startswith("the record of tile")
     assert digest.what.startswith("its chunks are not those that were written here together")
     assert fault.what.startswith("reason is missing in an invalid or failed cell: 6 cells")
 
@@ -189,8 +197,8 @@ def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) ->
 @pytest.mark.parametrize(("cell", "code"), [((0, 0), WORK_SPENT), ((0, 0), 99), ((4, 0), BEYOND_STOP)])
 def test_a_reason_of_another_regime_is_a_fault(store: Path, cell: tuple[int, int], code: int) -> None:
     zarr.open_group(store, mode="r+")["reason"][cell] = code
-    fault, digest, tally = verify(store, sample=0).faults
-    assert tally.what.startswith("tally/tiles contradicts the cells of tile")
+    fault, digest, record = verify(store, sample=0).faults
+    assert record.what.startswith("the record of tile")
     assert digest.what.startswith("its chunks are not those that were written here together")
     assert fault.what.startswith("reason is not one for this regime: 1 cell,")
 
@@ -199,6 +207,7 @@ def test_a_retry_that_solves_a_failed_cell_takes_its_reason_away(store: Path, cl
     group = zarr.open_group(store, mode="r+")
     for name, value in {"regime": FAILED, "reason": 1}.items():
         group[name][4, 0] = value
+    record(store, (4, 0))
     atlas.run(plane_of(x1=0.25), store, client=client, options=atlas.RunOptions(retry=Retry((FAILED,))))
     assert zarr.open_group(store, mode="r")["reason"][4, 0] == NO_REASON
     assert verify(store, sample=35).fine
@@ -219,6 +228,7 @@ def test_a_store_from_before_there_were_reasons_can_be_gone_on_with(older: Path,
     summary = atlas.run(plane_of(x1=0.25), older, client=client)
     assert (summary.tiles_solved, summary.reasons) == (1, {BEYOND: 6})
     zarr.open_group(older, mode="r+")["regime"][4, 0] = FAILED
+    record(older, (4, 0))
     assert atlas.run(plane_of(x1=0.25), older, client, atlas.RunOptions(retry=Retry((FAILED,)))).cells_solved == 1
     assert not (older / "reason").exists()
     assert read_status(read_header(older)).reasons == {}

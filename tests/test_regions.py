@@ -14,7 +14,6 @@ from atlas.query.connected import labels, windows
 from atlas.query.extremes import extremes
 from atlas.query.reads import counted
 from atlas.store import store
-from atlas.store.tally import TallyKeeper, tile_entry
 from atlas.store.tiles import write_tile
 from tests.synthetic import complete, results, spec_of
 from tests.test_cli import call
@@ -201,36 +200,33 @@ def test_windows_in_a_part_read_the_tiles_of_that_part_alone(header: store.Heade
     assert reads.chunks == 2 * 2  # of two tiles, the regimes and the periods
 
 
-def tallied(path: Path) -> store.Header:
-    """Three tiles in a row, tallied: all chaotic, all periodic, mixed; and one that is pending."""
+def recorded(path: Path) -> store.Header:
+    """Three tiles in a row: all chaotic, all periodic, mixed; and one that is pending."""
     header = store.create(path, spec_of(nx=32, ny=8), (8, 8))
-    with TallyKeeper(header) as tally:
-        for column, code in enumerate((CHAOTIC, PERIODIC, None)):
-            made = results(header, (0, column))
-            if code is not None:
-                made["regime"][...] = code
-            made["period"] = np.where(made["regime"] == PERIODIC, 2, 0).astype(np.int32)
-            write_tile(header, (0, column), made)
-            tally.add((0, column), tile_entry(header.spec, header.tiling.at((0, column)).slices, made))
-        tally.finish()
+    for column, code in enumerate((CHAOTIC, PERIODIC, None)):
+        made = results(header, (0, column))
+        if code is not None:
+            made["regime"][...] = code
+        made["period"] = np.where(made["regime"] == PERIODIC, 2, 0).astype(np.int32)
+        write_tile(header, (0, column), made)
     return header
 
 
-def test_tiles_that_the_tally_knows_enough_of_are_not_read(tmp_path: Path) -> None:
-    ds = atlas.open(tallied(tmp_path / "a.zarr").path)
+def test_tiles_that_records_say_enough_of_are_not_read(tmp_path: Path) -> None:
+    ds = atlas.open(recorded(tmp_path / "a.zarr").path)
     with counted() as reads:
         windows(ds, "regime")
-    assert reads.chunks == 1 + 1  # the tally, and the regimes of the mixed tile
+    assert reads.chunks == 1  # the regimes of the mixed tile
     with counted() as reads:
         windows(ds, "period", 2)
-    assert reads.chunks == 1 + 1 + 2  # nothing of the chaotic tile, periods of the periodic one, both of the mixed
+    assert reads.chunks == 1 + 2  # nothing of the chaotic tile, periods of the periodic one, both of the mixed
     with counted() as reads:
         extremes(ds, "periods_used", "regime")
-    assert reads.chunks == 1 + 1 + 3
+    assert reads.chunks == 1 + 3
 
 
-def test_windows_by_the_tally_are_those_of_the_cells(tmp_path: Path) -> None:
-    ds = atlas.open(tallied(tmp_path / "a.zarr").path)
+def test_windows_by_records_are_those_of_the_cells(tmp_path: Path) -> None:
+    ds = atlas.open(recorded(tmp_path / "a.zarr").path)
     assert windows(ds, "regime") == windows(ds.copy(deep=True).load(), "regime")
     assert any("pending cells" in each["cut"] for each in windows(ds, "regime"))
 

@@ -1,8 +1,10 @@
 """A finished tile that is solved again: it stays until its replacement is stored, and a kill loses neither."""
 
 import errno
+import itertools
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,11 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
+from atlas.store.added import add_allowances
 from atlas.store.location import LocalPlace
 from atlas.store.schema import BUDGET
-from atlas.store.store import Header, add_allowances, done_tiles, read_header
-from atlas.store.tiles import drop_tile, read_tile, replacements
+from atlas.store.store import Header, done_tiles, read_header
+from atlas.store.tiles import drop_tile, listed_tiles, read_tile
 from atlas.task.attempt import run_job
 from atlas.task.retry import Retry
 from atlas.task.task import Job, StoreFullError
@@ -80,7 +83,7 @@ def test_a_retry_killed_while_it_writes_a_tile_is_finished_by_the_next_run(
     summary = atlas.run(plane_of_few(), store, client=client)
     assert (summary.tiles_solved, done_tiles(header)) == (0, everything)
     assert_solved_again(header, index, before)
-    assert replacements(header) == set()
+    assert listed_tiles(header)[1] == set()
     assert verify(store, sample=0).fine
 
 
@@ -140,4 +143,62 @@ def test_a_replacement_that_is_damaged_is_left_and_the_tile_solved(
     assert atlas.run(plane_of_few(), store, client=client).tiles_solved == 1
     after = read_tile(header, index)
     assert all(same(after[name], values).all() for name, values in before.items())
-    assert replacements(header) == set()
+    assert listed_tiles(header)[1] == set()
+
+
+class Dying:
+    """Counts what is written into a store, by Zarr or as whole objects, and dies before one of these writes."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.count = at, 0
+
+    def patched(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for kind, name in ((zarr.Array, "__setitem__"), (LocalPlace, "put"), (LocalPlace, "remove")):
+            monkeypatch.setattr(kind, name, self.dying(getattr(kind, name)))
+
+    def dying(self, whole: Callable[..., None]) -> Callable[..., None]:
+        def write(*given: Any) -> None:
+            self.count += 1
+            if self.count >= self.at:
+                raise KeyboardInterrupt
+            whole(*given)
+
+        return write
+
+
+@pytest.mark.slow
+def test_a_retry_killed_at_any_of_its_writes_leaves_the_old_tile_or_is_finished(
+    solved: Path, tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the next attempt, by a plain run, by the same retry in turn, so that each meets a kill at every stage.
+
+    Truth: the tile of before to the bit, and cells solved apart. No kill leaves a mixture.
+    """
+    store, retry = tmp_path / "out.zarr", atlas.RunOptions(retry=Retry((UNDETERMINED,), MORE))
+    for at in itertools.count(1):
+        shutil.rmtree(store, ignore_errors=True)
+        header = read_header(shutil.copytree(solved, store))
+        index, everything = due(header), done_tiles(header)
+        before, job, death = read_tile(header, index), retry_by_hand(header, index), Dying(at)
+        with monkeypatch.context() as patch:
+            death.patched(patch)
+            try:
+                run_job(job)
+            except KeyboardInterrupt:
+                pass
+            else:
+                break
+        finished = index in done_tiles(header)
+        old = finished and all(same(read_tile(header, index)[name], values).all() for name, values in before.items())
+        assert finished or listed_tiles(header)[1] == {index}
+        if at % 3 == 0:
+            run_job(job)
+        else:
+            begun = bool(listed_tiles(header)[1])
+            atlas.run(plane_of_few(), store, client, retry if at % 3 == 1 else atlas.RunOptions())
+            assert done_tiles(header) == everything
+            assert listed_tiles(header)[1] == set()
+            if at % 3 == 2 and old and not begun:
+                continue
+        assert_solved_again(header, index, before)
+    assert at > len(header.variables)

@@ -15,9 +15,10 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.store.added import add_allowances
 from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
-from atlas.store.store import add_allowances, done_tiles, read_header
+from atlas.store.store import done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job

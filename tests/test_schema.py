@@ -16,10 +16,10 @@ import atlas
 from atlas.check.verify import verify
 from atlas.errors import InputError
 from atlas.service.extend import extend
-from atlas.spec.spec import resolved_digest
-from atlas.store.digests import COVERED, DIGESTS, TILES
+from atlas.spec.resolved import resolved_digest, with_values
+from atlas.store.record import COVERED, RECORD, TILES
 from atlas.store.store import find, read_header
-from atlas.store.tiles import read_tile, write_digest
+from atlas.store.tiles import put_record, read_tile, record_of
 from tests.planes import plane_of
 from workers import Settings
 
@@ -44,7 +44,7 @@ def change_root(store: Path, change: Any) -> None:
 
 
 def remove_arrays(store: Path, *names: str) -> None:
-    """Make the store one from before there were these arrays, and before there were digests."""
+    """Make the store one from before there were these arrays, and before there were records."""
     for name in (*names, TILES):
         shutil.rmtree(store / name)
 
@@ -60,10 +60,13 @@ def remove_arrays(store: Path, *names: str) -> None:
 def remove_from_spec(store: Path, table: str, name: str) -> None:
     """Make the store one from before there was that setting or parameter."""
 
+    values = read_header(store).values
+
     def change(root: dict[str, Any]) -> None:
-        resolved = json.loads(root["attributes"]["spec"])
-        del resolved[table][name]
-        root["attributes"] |= {"spec": json.dumps(resolved), "digest": resolved_digest(resolved)}
+        outline = json.loads(root["attributes"]["spec"])
+        del outline[table][name]
+        digest = resolved_digest(with_values(outline, values))
+        root["attributes"] |= {"spec": json.dumps(outline), "digest": digest}
 
     change_root(store, change)
 
@@ -142,13 +145,13 @@ def newer(store: Path) -> Path:
         "later", shape=like.shape, chunks=like.chunks, dtype="float32", dimension_names=("b", "omega")
     )
     added[...] = 1.5
-    group[DIGESTS].attrs[COVERED] = [*group[DIGESTS].attrs[COVERED], "later"]
+    group[RECORD].attrs[COVERED] = [*group[RECORD].attrs[COVERED], "later"]
     with warnings.catch_warnings(action="ignore"):  # Zarr's, that consolidated metadata are an extension
         zarr.consolidate_metadata(store)
     header = read_header(store)
     for tile in header.tiling.tiles():
         later = {"later": np.full(tile.shape, 1.5, "float32")}
-        write_digest(header, tile.index, read_tile(header, tile.index) | later)
+        put_record(header, tile.index, record_of(header, tile.index, read_tile(header, tile.index) | later))
     return store
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from atlas import Spec
 from atlas.errors import InputError
-from atlas.spec.spec import example_names, resolved_digest
+from atlas.spec.examples import example_names
+from atlas.spec.resolved import resolved_digest
 from workers import Settings
 from workers.model.system import system_names
 

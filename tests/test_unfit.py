@@ -19,7 +19,7 @@ from atlas.service.status import read_status
 from atlas.service.timing import Timing
 from atlas.store.store import find
 from atlas.task import task as jobs
-from atlas.task.attempt import run_job
+from atlas.task.attempt import do_job
 from atlas.task.task import Job, RefusedError
 from tests.planes import plane_of
 from tests.test_faults import noted, two_workers
@@ -65,7 +65,7 @@ def test_a_run_in_which_every_tile_fails_at_every_worker_ends_with_worker_tile_a
         noted(str(tmp_path)).append(job.index)
         raise ImportError("no numba")
 
-    monkeypatch.setattr(fanout, "run_job", fail)
+    monkeypatch.setattr(fanout, "do_job", fail)
     words = r"^no worker can do this run: inproc://\S+: \d tiles in a row failed there, the first being .*: ImportError"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
@@ -87,7 +87,7 @@ def test_a_tile_given_to_a_worker_that_is_gone_is_given_to_another(
             if get_worker().address == unfit:
                 raise RefusedError("sees no store")
             noted(name).append(get_worker().address)
-            return run_job(job)
+            return do_job(job)
 
         left: list[str] = []
 
@@ -96,7 +96,7 @@ def test_a_tile_given_to_a_worker_that_is_gone_is_given_to_another(
                 left.append(leaving)
                 client.retire_workers([leaving], close_workers=True)
 
-        monkeypatch.setattr(fanout, "run_job", picky)
+        monkeypatch.setattr(fanout, "do_job", picky)
         timing = Timing(tick=0.05)
         options = atlas.RunOptions(on_progress=leave, timing=timing)
         summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=client, options=options)

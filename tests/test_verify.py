@@ -22,10 +22,10 @@ from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
 from atlas.store import store
-from atlas.store.digests import DIGESTS, TILES
 from atlas.store.machine import machine_of, this_machine
 from atlas.store.machines import machines, record_machine
-from atlas.store.tiles import read_tile, write_digest
+from atlas.store.record import RECORD, RECORDS, TILES, record_key
+from atlas.store.tiles import drop_tile, put_record, read_tile, record_of
 from tests.synthetic import set_attribute
 from workers import solve_tile
 from workers.cell.exponents import sum_of_exponents
@@ -78,7 +78,7 @@ def flip(path: Path, byte: int) -> None:
 
 
 def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], value: Any) -> tuple[int, ...]:
-    """Another value, with a right checksum and digest, in the first cell that ``where`` picks by its regime."""
+    """Another value, with a right checksum and record, in the first cell that ``where`` picks by its regime."""
     group = zarr.open_group(path, mode="r+", use_consolidated=False)
     cell = tuple(int(i[0]) for i in np.nonzero(where(group["regime"][...])))
     values = group[name][...]
@@ -86,7 +86,7 @@ def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], val
     group[name].with_config({"write_empty_chunks": True})[...] = values
     tile = (cell[0] // 2, cell[1] // 2)
     header = store.read_header(path)
-    write_digest(header, tile, read_tile(header, tile))
+    put_record(header, tile, record_of(header, tile, read_tile(header, tile)))
     return cell
 
 
@@ -294,7 +294,7 @@ def test_the_law_of_a_tile_is_that_of_each_of_its_cells(axes: dict[str, list[flo
 
 
 def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) -> None:
-    chunk(whole, "regime").unlink()
+    drop_tile(store.read_header(whole), (0, 1))
     report = verify(whole, repair=True)
     assert (report.faults, report.tiles_done, report.fine, report.repaired) == ((), 3, False, ())
 
@@ -343,7 +343,6 @@ def test_failed_cells_are_not_solved_again(whole: Path) -> None:
     values = {v.name: v.fill for v in result_variables(SPEC.settings)} | {"regime": FAILED, "reason": GAVE_UP}
     for name, value in values.items():
         change(whole, name, lambda regime: np.arange(regime.size).reshape(regime.shape) == 0, value)
-    shutil.rmtree(whole / "tally")  # it is of the cells as they were solved
     report = verify(whole, sample=12)
     assert (report.fine, report.cells_solved) == (True, 11)
 
@@ -364,8 +363,8 @@ def test_metadata_that_are_damaged_are_bad_input(whole: Path) -> None:
         verify(whole)
 
 
-def test_status_of_a_store_without_a_tally_names_a_damaged_chunk(whole: Path) -> None:
-    shutil.rmtree(whole / "tally")
+def test_status_of_a_store_without_records_names_a_damaged_chunk(whole: Path) -> None:
+    (whole / RECORDS / "c.0.0.0").unlink()
     flip(chunk(whole, "regime"), 3)
     result = CliRunner().invoke(main, ["status", str(whole)])
     assert result.exit_code == 1
@@ -411,19 +410,28 @@ def test_names_that_are_no_chunks_are_no_tiles(whole: Path, client: Client) -> N
     assert atlas.run(SPEC, whole, client=client).tiles_done == 4
 
 
+def records_of(path: Path) -> Any:
+    return zarr.open_array(path / RECORDS, mode="r+")
+
+
 def exchange(path: Path, one: str, other: str, names: list[str]) -> None:
     for name in names:
+        if name == RECORD:
+            rows = records_of(path)
+            rows[...] = rows[...][:, ::-1]
+            continue
         files = [chunk(path, name, tile) for tile in (one, other)]
         contents = [file.read_bytes() for file in files]
         for file, content in zip(files, reversed(contents), strict=True):
             file.write_bytes(content)
 
 
-@pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, DIGESTS], ["largest"], [DIGESTS]])
+@pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, RECORD], ["largest"], [RECORD]])
 def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, names: list[str]) -> None:
     exchange(whole, "0/0", "1/1", names)
     exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "exchanged with another" in fault.what]
-    assert exchanged == [(0, 0), (1, 1)]
+    assert {(0, 0), (1, 1)} <= {*exchanged}
+    assert RECORD in names or exchanged == [(0, 0), (1, 1)]  # exchanged are the records of all four
 
 
 def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) -> None:
@@ -435,15 +443,49 @@ def test_a_store_without_digests_is_verified_and_said_to_have_none(whole: Path) 
     assert "digests  none" in str(report)
 
 
-def test_digests_that_are_gone_are_found(whole: Path) -> None:
+def test_records_that_are_gone_are_found_and_a_repair_makes_them_anew(whole: Path) -> None:
     shutil.rmtree(whole / TILES)
+    assert f"{RECORD}/zarr.json is damaged, or its copy is" in message(verify(whole, sample=0))
+    verify(whole, sample=0, repair=True)
+    report = verify(whole, sample=0)
+    assert (report.fine, report.digests) == (True, True)
+
+
+@pytest.mark.parametrize("byte", [0, -1])
+def test_a_damaged_record_of_all_tiles_is_found_and_a_repair_makes_it_anew(whole: Path, byte: int) -> None:
+    flip(whole / RECORDS / "c.0.0.0", byte)
     (fault,) = message(verify(whole, sample=0))
-    assert fault == "zarr.json: its consolidated metadata are not those of tiles/digest/zarr.json"
+    assert fault.startswith("tiles/records is damaged (")
+    assert verify(whole, sample=0, repair=True).repaired == ()
+    assert verify(whole, sample=0).fine
 
 
-def test_a_digest_that_is_missing_is_found(whole: Path) -> None:
-    (whole / DIGESTS / "c" / "0" / "1").unlink()
-    assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/digest/c/0/1 is missing"]
+@pytest.mark.parametrize("byte", [0, -1])
+def test_a_damaged_record_of_a_tile_is_found_and_a_repair_has_the_tile_solved_again(
+    whole: Path, client: Client, byte: int
+) -> None:
+    header = store.read_header(whole)
+    put_record(header, (0, 1), record_of(header, (0, 1), read_tile(header, (0, 1))))
+    assert message(verify(whole, sample=0)) == []
+    flip(whole / record_key((0, 1)), byte)
+    assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/record/c.0.1.0 is damaged"]
+    assert verify(whole, sample=0, repair=True).repaired == ((0, 1),)
+    assert atlas.run(SPEC, whole, client=client).tiles_solved == 1
+    assert verify(whole, sample=0).fine
+
+
+def test_a_record_that_is_missing_is_found(whole: Path) -> None:
+    records_of(whole)[0, 1] = 0.0
+    assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/record/c.0.1.0 is missing"]
+
+
+def test_a_tile_that_the_records_say_is_done_and_is_not_is_found(whole: Path, client: Client) -> None:
+    chunk(whole, "regime").unlink()
+    assert message(verify(whole, sample=0)) == ["tile (0, 1): regime/c/0/1 is missing"]
+    assert verify(whole, sample=0, repair=True).repaired == ((0, 1),)
+    assert message(verify(whole, sample=0)) == []
+    atlas.run(SPEC, whole, client=client)
+    assert verify(whole, sample=0).fine
 
 
 def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -452,7 +494,7 @@ def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pyte
 
     header = store.read_header(whole)
     arrays: dict[str, Any] = dict.fromkeys(
-        VARIABLES, type("Array", (), {"__getitem__": gone, "chunks": (), "shape": ()})()
+        VARIABLES, type("Array", (), {"__getitem__": gone, "shards": None, "chunks": (), "shape": ()})()
     )
     with pytest.raises(OSError, match="the network is gone"):
         read_tile(header, (0, 0), arrays=arrays)

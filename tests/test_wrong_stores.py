@@ -20,9 +20,10 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.query.attractors import one
-from atlas.service.lease import CLAIM, claimed, remove_half_made
+from atlas.service.lease import CLAIM, claimed
 from atlas.service.pack import pack
 from atlas.store import store
+from atlas.store.making import remove_half_made
 from atlas.store.sidecar import notes_of
 from tests.synthetic import complete, spec_of
 

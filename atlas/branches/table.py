@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from atlas.spec.spec import digest_of
+from atlas.spec.resolved import digest_of
 from atlas.text import plural
 from workers.model.system import System, identity
 

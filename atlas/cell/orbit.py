@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.spec.spec import checked_parameters, digest_of
+from atlas.spec.resolved import digest_of
+from atlas.spec.spec import checked_parameters
 from atlas.spec.system import checked_system, impacts_of
 from atlas.text import plural
 from workers import Settings

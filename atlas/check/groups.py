@@ -1,6 +1,5 @@
-"""What a store has beside its cells and overviews: tables, curves, the tally, records of machines, zoom levels."""
+"""What a store has beside its cells and overviews: tables, curves, records of machines, zoom levels."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from atlas.check.metadata import copy_faults, restore
@@ -13,8 +12,6 @@ from atlas.store.machines import damaged_machines, forget_machine
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import Header
 from atlas.store.tables import ATTRACTORS, LABELS
-from atlas.store.tally import GROUP as TALLY
-from atlas.store.tally import Entries, Index, drop_tally, tally_faults
 
 
 @dataclass(frozen=True)
@@ -31,23 +28,21 @@ class GroupReport:
     copies: tuple[str, ...]
 
 
-def check_groups(header: Header, counted: Mapping[Index, Entries]) -> GroupReport:
-    """Read all groups; ``counted`` are the entries of the tally that sound tiles have by their cells."""
+def check_groups(header: Header) -> GroupReport:
+    """Read all groups."""
     found: dict[str, list[str]] = {}
     for group in (CURVES, *[ATTRACTORS] * header.spec.basins, *[LABELS] * header.spec.coexistence):
         try:
             read_group(header, group)
         except ChunkError as error:
             found[group] = [f"{key} {fault}" for key, fault in error.faults.items()]
-    if tally := tally_faults(header, counted):
-        found[TALLY] = tally
     copies = copy_faults(header)
     for key in copies:
         found.setdefault(key.partition("/")[0], []).append(f"{key} is damaged, or its copy is")
     parts, machines = damaged_parts(header), damaged_machines(header)
     faults = [f"{fault}{_remedy(header, group)}" for group, several in found.items() for fault in several]
     faults += [f"{key} is damaged" for key in (*parts, *machines)]
-    groups = tuple(group for group in found if group in (CURVES, ATTRACTORS, LABELS, TALLY, OVERVIEWS))
+    groups = tuple(group for group in found if group in (CURVES, ATTRACTORS, LABELS, OVERVIEWS))
     others = tuple(key for key in copies if key.partition("/")[0] not in groups)
     return GroupReport(tuple(faults), groups, tuple(parts), tuple(machines), others)
 
@@ -56,8 +51,7 @@ def mend_groups(header: Header, report: GroupReport) -> list[str]:
     """Drop the groups that are damaged, and restore what can be; what was done, each in a line."""
     done = []
     for group in report.groups:
-        drop = {TALLY: drop_tally, OVERVIEWS: drop_all}.get(group)
-        drop(header) if drop else drop_group(header, group)
+        drop_all(header) if group == OVERVIEWS else drop_group(header, group)
         command = f"{MADE_BY[group]} {header.place}" if group in MADE_BY else "the next run"
         done.append(f"{group} dropped: {command} makes them anew")
     for key in report.parts:

@@ -8,13 +8,14 @@ import numpy as np
 
 from atlas.errors import ChunkError, message_of
 from atlas.overview.pyramid import Pyramid
-from atlas.spec.spec import resolved_digest
-from atlas.store.digests import DIGESTS, TILES
+from atlas.spec.resolved import resolved_digest
+from atlas.spec.spec import Spec
 from atlas.store.machine import MACHINES
+from atlas.store.record import DIGESTS, RECORD, TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
 from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_digests, open_group
 from atlas.store.tables import ATTRACTORS, LABELS
-from atlas.store.tiles import covered_variables
+from atlas.store.tiles import covered_variables, object_shape
 
 
 def metadata_faults(header: Header) -> list[str]:
@@ -24,8 +25,14 @@ def metadata_faults(header: Header) -> list[str]:
     """
     spec = header.spec
     faults = []
-    if resolved_digest(header.resolved) != header.digest:
-        faults.append(f"{ROOT}: the digest is not that of the spec")
+    try:
+        if resolved_digest(header.resolved) != header.digest:
+            faults.append(f"{ROOT}: the digest is not that of the spec")
+    except ChunkError as error:
+        return [_said_of_values(header, key, fault) for key, fault in error.faults.items()]
+    if header.outline["axes"] and header.format_version > 1:
+        ends = [axis.outline() for axis in Spec.from_resolved(header.resolved).axes]
+        faults += [f"{ROOT}: axis {a['name']} is not its coordinate" for a in header.outline["axes"] if a not in ends]
     try:
         own, copied = open_arrays(header), open_arrays(header, consolidated=True)
         digests = open_digests(header), open_digests(header, consolidated=True)
@@ -54,22 +61,31 @@ def metadata_faults(header: Header) -> list[str]:
             faults.append(f"{variable.name}/{ROOT} is missing")
     if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:
         faults.append(f"{ROOT}: its consolidated metadata are not those of {DIGESTS}/{ROOT}")
-    elif digests[0] is not None:
+    covering: list[tuple[str, Any]] = [(DIGESTS, digests[0].attrs)] if digests[0] is not None else []
+    covering += [(RECORD, header.record["attributes"])] if header.record is not None else []
+    for name, of_array in covering:
         try:
-            covered_variables(header, digests[0])
+            covered_variables(header, of_array)
         except KeyError as error:
-            faults.append(f"{DIGESTS}/{ROOT}: covers {error}, which the store does not have")
+            faults.append(f"{name}/{ROOT}: covers {error}, which the store does not have")
     for variable in variables:
         array = own.get(variable.name)
         if array is None:
             continue
         where = f"{variable.name}/{ROOT}"
-        if (array.dtype, array.chunks[: len(header.tile)]) != (np.dtype(variable.dtype), header.tile):
-            found = f"{array.dtype} in chunks of {array.chunks}"
+        stored = object_shape(array)
+        if (array.dtype, stored[: len(header.tile)]) != (np.dtype(variable.dtype), header.tile):
+            found = f"{array.dtype} in chunks of {stored}"
             faults.append(f"{where}: {found}, must be {variable.dtype} in tiles of {header.tile}")
         if not np.array_equal(array.fill_value, variable.fill, equal_nan=np.dtype(variable.dtype).kind == "f"):
             faults.append(f"{where}: fill value {array.fill_value}, must be {variable.fill}")
     return faults
+
+
+def _said_of_values(header: Header, key: str, fault: str) -> str:
+    if key == ROOT:
+        return f"{ROOT}: the digest is not that of the spec"
+    return f"coordinate {key} {fault}: it cannot be made again"
 
 
 def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
@@ -146,8 +162,9 @@ def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> 
 
 
 def coordinate_faults(header: Header) -> list[str]:
-    """Coordinates that cannot be read or are not the spec's to the bit; each in a few words."""
-    arrays, faults = open_arrays(header), []
+    """Coordinates and copies that cannot be read or are not the spec's to the bit; each in a few words."""
+    arrays = open_arrays(header)
+    faults = [f"{key} is damaged or missing" for key, data in header.copies.items() if header.place.get(key) != data]
     for name, coordinate in header.coordinates.items():
         try:
             values = np.asarray(arrays[name][...])

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import coarsen
+from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import Index
 from atlas.overview.pyramid import (
     GROUP,
     MARKS,
     Pyramid,
     drop_all,
-    level_coordinates,
     level_key,
 )
 from atlas.query.source import Part

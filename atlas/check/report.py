@@ -35,7 +35,7 @@ class Report:
     faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
     doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
     repaired                     tiles made unfinished, so that the next run solves them again
-    dropped                      chunks of overviews made missing, so that the next run makes them anew
+    dropped                      chunks of overviews that were wrong, and made missing
     removed                      names among the chunks that are none
     mended                       what else a repair did, each in a line
     sheets                       of the zoom levels, verified as the stores that they are
@@ -91,7 +91,7 @@ class Report:
             what = f"{plural(len(self.repaired), 'tile')} dropped: run it again to solve them"
             lines.append(what if self.repaired else "no tile to drop")
             if self.dropped:
-                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: run it again to make them")
+                lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped")
             lines += [f"removed: {key}" for key in self.removed]
             lines += self.mended
         bad = bool(self.faults or self.doubts)

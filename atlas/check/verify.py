@@ -23,26 +23,29 @@ from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, u
 from atlas.check.rules import broken_rules
 from atlas.errors import ChunkError, InputError
 from atlas.overview.pyramid import drop
+from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
+from atlas.store.added import add_records, restore_coordinates
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
+from atlas.store.record import ADDED, COVERED, WIDTH, Rows
+from atlas.store.records import Records, record_faults, tile_faults, write_compaction
 from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
 from atlas.store.store import (
     READERS,
     ZOOM,
     Header,
+    chunk_key,
     done_tiles,
     open_arrays,
     open_digests,
     read_header,
-    restore_coordinates,
 )
-from atlas.store.tally import Entries, tile_entry
-from atlas.store.tiles import covered_variables, digest_faults, drop_tile, is_blank, read_tile
+from atlas.store.tiles import digest_faults, drop_tile, is_blank, read_tile, record_of
 from atlas.store.tiling import Tiling
 from atlas.store.zoom import drop_zoom, plane_faults, sheet_place, sheets
 from atlas.text import plural
@@ -64,13 +67,14 @@ def verify(
     """Read a whole store, while no run is at work on it, and report all that is wrong in it.
 
     Metadata and coordinates are held against the spec; every chunk of every finished tile is read, which checks its
-    checksum, and all of a tile against its digest; every cell is held against ``rules``, the sum
-    law among them; every chunk of an overview is held against what it stands for. Of ``sample`` cells
-    that ``seed`` draws (failed ones left out), the solution is made again: on the kind of machine that solved them
-    it has to be the same to the bit, elsewhere within the errors. So are the tables, curves, tally, records of machines
-    and zoom levels. ``repair``, which holds the store's claim throughout, makes every tile with a fault unfinished,
-    drops overviews, tables, curves and zoom levels that are not sound, removes names among the chunks that are none,
-    and writes damaged coordinates anew; it touches no tile that is only in doubt.
+    checksum, and all of a tile against its record; every cell is held against ``rules``, the sum law among them; every
+    chunk of an overview is held against what it stands for. Of ``sample`` cells that ``seed`` draws (failed ones left
+    out), the solution is made again: on the kind of machine that solved them it has to be the same to the bit,
+    elsewhere within the errors. So are the tables, curves, records of machines and zoom levels.
+    ``repair``, which holds the store's claim throughout, makes every tile with a fault unfinished, drops overviews,
+    tables, curves and zoom levels that are not sound, removes names among the chunks that are none, writes damaged
+    coordinates and missing overviews of finished tiles anew, and puts the records of all tiles together; it touches no
+    tile that is only in doubt.
     Raises InputError where there is no store to verify, OSError where it cannot be read or repaired.
     """
     if sample < 0:
@@ -98,7 +102,9 @@ def _verified(
     if faults:  # whatever is read through wrong metadata means nothing
         report = replace(report, comparison="the metadata are damaged", faults=tuple(faults))
         return report if claim is None else _with_metadata(header, report, claim)
-    report = replace(report, digests=open_digests(header) is not None)
+    records = Records(header, done)
+    new = header.record is not None and ADDED not in header.record["attributes"]
+    report = replace(report, digests=new or open_digests(header) is not None)
     worn = coordinate_faults(header)
     faults += [Fault(None, what) for what in worn]
     foreign = tuple(foreign_keys(header))
@@ -106,12 +112,13 @@ def _verified(
 
     chunks = cells = 0
     samples: list[Sample] = []
-    counted: dict[Index, Entries] = {}
-    for tile in _read_all(header, done, draw_cells(tiling, done, sample, seed), notify):
+    counted: dict[Index, Rows] = {}
+    for tile in _read_all(header, records, done, draw_cells(tiling, done, sample, seed), notify):
         faults += [Fault(tile.index, what) for what in tile.faults]
         chunks, cells = chunks + tile.chunks, cells + tile.cells
         samples += tile.samples
-        counted |= {tile.index: tile.entry} if tile.entry is not None else {}
+        counted |= {tile.index: tile.row} if tile.row is not None else {}
+    faults += [Fault(index, f"{chunk_key(header.regime, index)} is missing") for index in records.lost]
 
     comparison = _comparison(header, sample, bool(done))
     report = replace(report, chunks=chunks, cells_checked=cells, comparison=comparison)
@@ -130,9 +137,10 @@ def _verified(
     bad = sorted({fault.tile for fault in faults if fault.tile is not None})
     overviews = check_overviews(header, set(bad), lambda level: notify(Progress(f"checking overview {level}")))
     faults += [Fault(None, what) for what in overviews.faults]
-    notify(Progress("checking tables and tally"))
-    groups = check_groups(header, counted)
-    faults += [Fault(None, what) for what in groups.faults]
+    notify(Progress("checking tables and records"))
+    groups = check_groups(header)
+    wrong = record_faults(header, records, counted)
+    faults += [Fault(None, what) for what in (*groups.faults, *wrong)]
     report = replace(report, overview_chunks=overviews.chunks)
     report = replace(report, faults=tuple(faults), doubts=tuple(doubts))
     if claim is None:
@@ -147,7 +155,23 @@ def _verified(
     for key in foreign:
         header.place.remove(key)
     mended = tuple(mend_groups(header, groups))
+    sound = {index: row for index, row in counted.items() if index not in bad}
+    loose = any(records.done[index] for index in records.single)
+    if wrong or bad or loose or not records.known[records.done].all():
+        mended += tuple(_put_together(header, sound))
+    notify(Progress("writing overviews"))
+    made = Overviews(header, held=claim.check).finish()
+    mended += (f"{plural(made, 'chunk')} of overviews written",) if made else ()
     return replace(report, repaired=tuple(bad), dropped=len(overviews.unsound), removed=foreign, mended=mended)
+
+
+def _put_together(header: Header, sound: dict[Index, Rows]) -> Iterator[str]:
+    """Write the records of sound tiles anew by their cells, all together; a line about it."""
+    rows, settled = np.zeros((*header.tiling.grid, WIDTH)), np.zeros(header.tiling.grid, dtype=bool)
+    for index, row in sound.items():
+        rows[index], settled[index] = row, True
+    write_compaction(add_records(header), rows, settled)
+    yield f"records of {plural(len(sound), 'tile')} put together"
 
 
 def _with_metadata(header: Header, report: Report, claim: Claim) -> Report:
@@ -196,7 +220,7 @@ def _with_zoom(
 class _Checked:
     """A tile read: good chunks, cells held against the rules, what is wrong, and the cells drawn from it.
 
-    ``entry`` is that of the tally, by the cells; None where they cannot be read.
+    ``row`` is its record, by the cells; None where they cannot be read.
     """
 
     index: Index
@@ -204,14 +228,19 @@ class _Checked:
     cells: int
     faults: tuple[str, ...]
     samples: tuple[Sample, ...]
-    entry: Entries | None = None
+    row: Rows | None = None
 
 
 def _read_all(
-    header: Header, done: list[Index], drawn: dict[Index, list[int]], notify: Callable[[Progress], None]
+    header: Header,
+    records: Records,
+    done: list[Index],
+    drawn: dict[Index, list[int]],
+    notify: Callable[[Progress], None],
 ) -> Iterator[_Checked]:
     """Read and check the finished tiles, several at once."""
     arrays, digests, tiling = open_arrays(header), open_digests(header), header.tiling
+    _ = records.rows  # before several threads ask for them
     sizes = [tiling.at(index).size for index in done]
     pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
@@ -219,7 +248,7 @@ def _read_all(
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
     notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check(header, arrays, digests, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check(header, arrays, records, digests, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
@@ -227,11 +256,15 @@ def _read_all(
             yield tile
 
 
-def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: Index, drawn: list[int]) -> _Checked:
+def _check(
+    header: Header, arrays: dict[str, Any], records: Records, digests: Any | None, index: Index, drawn: list[int]
+) -> _Checked:
     tile = header.tiling.at(index)
     needed = {each.name for each in (*header.variables, *ALLOWANCES)}
     if digests is not None:
-        needed |= {variable.name for variable in covered_variables(header, digests)}
+        needed |= {*digests.attrs[COVERED]}
+    if header.record is not None:
+        needed |= {*header.record["attributes"][COVERED]}
     stored = needed & arrays.keys()
     try:
         values = read_tile(header, index, needed, arrays)
@@ -243,6 +276,8 @@ def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: I
         f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(header.spec, _first(mask, tile.slices))}"
         for text, mask in broken.items()
     )
+    row = record_of(header, index, values)
+    faults += tuple(tile_faults(header, records, index, row))
     if digests is not None:
         faults += digest_faults(header, digests, index, values)
     samples = []
@@ -255,8 +290,7 @@ def _check(header: Header, arrays: dict[str, Any], digests: Any | None, index: I
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
     # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
     kept = tuple(one for one in samples if one.regime != FAILED)
-    entry = tile_entry(header.spec, tile.slices, header.leading(values))
-    return _Checked(index, chunks, tile.size, faults, kept, entry)
+    return _Checked(index, chunks, tile.size, faults, kept, row)
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:

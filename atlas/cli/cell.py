@@ -31,7 +31,8 @@ from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
 from atlas.service.progress import Progress, prepare_kernels, reporter
 from atlas.spec.equation import equation_of
-from atlas.spec.spec import checked_parameters, checked_settings, example_names, example_text
+from atlas.spec.examples import example_names, example_text
+from atlas.spec.spec import checked_parameters, checked_settings
 from atlas.spec.system import checked_system
 from atlas.task.compile import ATTRACTORS, kernels_for
 from workers.attractors.starts import MOST_STARTS, Starts

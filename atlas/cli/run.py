@@ -30,7 +30,7 @@ from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
 from atlas.service.options import RunOptions
 from atlas.service.plan import disk_shortage, make_plan
-from atlas.service.probe import probe as measure
+from atlas.service.probe import estimated, probed
 from atlas.service.run import run as run_spec
 from atlas.service.submit import submit as submit_spec
 from atlas.service.summary import Summary
@@ -39,7 +39,6 @@ from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.task.retry import RETRIABLE, checked_retry
-from atlas.task.solving import kernels_of
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
@@ -67,9 +66,7 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
         say(f"atlas run will refuse this: {shortage}")
     if probe:
         with progress.reporter(sys.stderr) as show:
-            progress.prepare_kernels(show, *kernels_of(read))
-            show(progress.Progress("probing a few cells"))
-            made = replace(made, probe=measure(read, made.tiling.tile))
+            made = probed(read, made, show)
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
@@ -109,7 +106,7 @@ def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, worke
     check_workers(scheduler, workers)
     points = given.pop("points")
     read = Spec.from_toml(spec, points)
-    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx), **_run_only(read, **given))
+    options = RunOptions(workers, scheduler, estimate=estimated, timing=timing_of(ctx), **_run_only(read, **given))
     words = {"points": points, "scheduler": scheduler, "workers": workers} | given
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in words.items() if value is not None]
     line = shlex.join(["atlas", "run", spec, "-o", out, *(word for pair in pairs for word in pair)])
@@ -139,7 +136,7 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
         raise InputError(
             f"{spec}: the axes of basins must be components of the initial state ({states}), found {names}"
         )
-    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, estimate=estimated, timing=timing_of(ctx))
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
@@ -205,7 +202,7 @@ def extend(
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    options = RunOptions(workers, scheduler, probe=True, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, estimate=estimated, timing=timing_of(ctx))
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)

@@ -49,6 +49,13 @@ class CurveReceipt:
     processor_seconds: float
 
 
+def prepare(store: str, run_id: str, solver_version: int, patience: float) -> None:
+    """Check what any task of a search needs of this worker, and see to it that its kernels are compiled."""
+    with file_errors(store):
+        header = checked_header(store, run_id, solver_version, patience)
+    compile_once(*kernels_for(header.spec.record, ORBITS))
+
+
 def do_and_keep(job: CurveJob) -> CurveReceipt:
     """Do a task and keep its result as a part of the store."""
     with file_errors(job.store):

@@ -19,7 +19,7 @@ from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, TileKey
-from atlas.service.lease import remove_half_made
+from atlas.store.making import remove_half_made
 from atlas.store.store import Header, create, done_tiles, open_arrays, read_header
 from atlas.store.zoom import make_plane, sheet_place
 from workers.model.parameter import Parameter

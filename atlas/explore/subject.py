@@ -15,7 +15,8 @@ from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
 from atlas.spec.axis import admitted
-from atlas.spec.spec import MOST_AXES, Spec, digest_of
+from atlas.spec.resolved import digest_of
+from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import place_of
 from atlas.store.store import Header, read_header
 from atlas.task.patch import Patch, packed

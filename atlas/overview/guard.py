@@ -9,9 +9,13 @@ import asyncio
 import atexit
 import errno
 import json
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import google_crc32c
+import numpy as np
+from zarr.abc.store import SuffixByteRequest
 from zarr.storage import WrapperStore
 
 from atlas.errors import ChunkError
@@ -37,7 +41,8 @@ class GuardedStore(WrapperStore[Any]):
         self.place, self.chunks_read = header.place, 0
         self._dims, self._end = len(header.spec.shape), "/0" * len(header.regime.extra)
         self._complete = {variable.name for variable in (*header.variables, *levels) if not variable.sparse}
-        self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinates}
+        self._parts = {name: parts_of(array) for name, array in header.arrays.items()}
+        self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinate_names}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """An object, None where there is none and none has to be."""
@@ -58,8 +63,10 @@ class GuardedStore(WrapperStore[Any]):
             raise self._error(key, f"cannot be read ({error.strerror})") from None
         if found is None:
             return None
-        self.chunks_read += 1
-        if byte_range is None and self._has_checksum(array) and not _is_whole(found.to_bytes()):
+        self.chunks_read += not isinstance(byte_range, SuffixByteRequest)  # the index of a shard
+        parts = self._parts.get(array, 0) if byte_range is None else 0
+        whole = _is_whole_shard(found.to_bytes(), parts) if parts else _is_whole(found.to_bytes())
+        if self._has_checksum(array) and not whole:
             raise self._error(key, "is damaged (its checksum is wrong)")
         return found
 
@@ -102,6 +109,25 @@ def _is_whole(data: bytes) -> bool:
     """Whether a chunk's last bytes are the CRC32C of those before."""
     inner, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
     return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
+
+
+def parts_of(metadata: Mapping[str, Any]) -> int:
+    """The chunks in a shard of an array, by its metadata; 0 where it has no shards."""
+    codec: Mapping[str, Any] = next(iter(metadata.get("codecs", ())), {})
+    if codec.get("name") != "sharding_indexed":
+        return 0
+    inner, whole = codec["configuration"]["chunk_shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    return math.prod(n // k for n, k in zip(whole, inner, strict=True))
+
+
+def _is_whole_shard(data: bytes, parts: int) -> bool:
+    """Whether the chunks of a shard have their checksums, and the index at its end, which says where they lie."""
+    size = 16 * parts + _CHECKSUM_BYTES
+    index, absent = data[-size:], 2**64 - 1
+    if len(index) != size or not _is_whole(index):
+        return False
+    places = np.frombuffer(index[:-_CHECKSUM_BYTES], dtype="<u8").reshape(parts, 2).tolist()
+    return all(_is_whole(data[begin : begin + length]) for begin, length in places if begin != absent)
 
 
 def abandon_reads() -> None:

@@ -2,8 +2,8 @@
 
 A cell of level L stands for a block of 2^L cells along each dimension (fewer at the far ends), but for leading ones
 that are kept as they are: the planes of a stack, the rows of a table. Every level has chunks of the same shape, a whole
-number of tiles, so that a chunk of level 1 lies over whole tiles and a chunk of any later level over two chunks of the
-one before, along each dimension.
+number of tiles or half of a large one, so that a chunk of level 1 lies over whole tiles and a chunk of any later level
+over two chunks of the one before, along each dimension.
 """
 
 import itertools
@@ -28,6 +28,7 @@ class Levels:
     shape   cells of the grid along each dimension, slowest first
     tile    cells of a tile, likewise
     side    cells along each side of a chunk, about: a whole number of tiles
+    halved  whether a chunk has half the side of a tile that is larger, so that one of level 1 lies over one such tile
     least   the length of a side from which on it is not coarsened again
     kept    leading dimensions that no level coarsens
     """
@@ -37,12 +38,17 @@ class Levels:
     side: int = SIDE
     least: int = LEAST
     kept: int = 0
+    halved: bool = True
 
     @property
     def chunk(self) -> Index:
         """Cells of a level in one chunk; the last chunks may hold fewer."""
-        whole = (max(1, self.side // t) for t in self.tile)
-        return tuple(t if dim < self.kept else t * n for dim, (t, n) in enumerate(zip(self.tile, whole, strict=True)))
+        return tuple(t if dim < self.kept else self._chunk_side(t) for dim, t in enumerate(self.tile))
+
+    def _chunk_side(self, tile: int) -> int:
+        if self.halved and tile > self.side and tile % 2 == 0:
+            return tile // 2
+        return tile * max(1, self.side // tile)
 
     @property
     def coarsened(self) -> tuple[int, ...]:
@@ -82,6 +88,11 @@ class Levels:
         """The chunk of level 1 that lies over a tile."""
         ends = zip(tile, self.tile, self.chunk, self.halvings(1), strict=True)
         return tuple(i * t // (c << times) for i, t, c, times in ends)
+
+    def over_alone(self, tile: Index) -> bool:
+        """Whether a tile is all that the chunk of level 1 over it lies over."""
+        below = self.finer(1, self.block(1, self.over(tile)))
+        return bool(self.count) and below == self.cells_of(tuple(slice(i, i + 1) for i in tile))
 
     def above(self, index: Index) -> Index:
         """The chunk of the next level that lies over a chunk of a level."""

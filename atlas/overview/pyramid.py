@@ -1,7 +1,7 @@
 """Overviews on disk: every level a group of the store, ``overviews/1`` and on, that plain xarray opens.
 
-Only the coordinator of a run writes them, because a coarse chunk lies over many tiles. They are a cache of finished
-work and never more than that:
+The workers of a run write them: a chunk of level 1 with the tile that is all that it lies over, any other as a job that
+the coordinator hands out (``upkeep``). They are a cache of finished work and never more than that:
 
 - A chunk is written when every tile below it is done, all its arrays first and ``regime`` last. Its regimes are there,
   none of them pending, if and only if the chunk is current.
@@ -12,9 +12,9 @@ it is asked for (``atlas.query.source``).
 """
 
 import time
-import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -22,15 +22,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, RunError, message_of
-from atlas.overview.coarsen import CODES, REGIME_SHOWN, SHARE, Widths, coarsen, from_cells, halved, level_variables
+from atlas.overview.coarsen import (
+    CODES,
+    REGIME_SHOWN,
+    SHARE,
+    Cells,
+    Widths,
+    coarsen,
+    from_cells,
+    halved,
+    level_variables,
+)
+from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
-from atlas.spec.cells import edges_of, widths_along
+from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.build import codecs
-from atlas.store.schema import OVERVIEWS, StoredArray
+from atlas.store.build import codecs, consolidate
+from atlas.store.making import metadata_apart
+from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, Header, chunk_key, open_group
 from atlas.store.tiling import chunk_index
-from workers.results import PENDING, REGIME, REGIMES, Variable
+from workers.results import PENDING, REGIME, Variable
 
 GROUP = OVERVIEWS
 MARKS = (REGIME, REGIME_SHOWN)
@@ -38,10 +50,15 @@ MARKS = (REGIME, REGIME_SHOWN)
 _LOOKS, _PAUSE = 10, 0.2
 """A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
 
-_VERSION = 1
-"""Of the form of the levels; those of another version are not read, and made anew by the next run."""
+_WHOLE, _HALVED = 1, 2
+"""Versions of the form of the levels: with chunks of whole tiles, and with those of half a large tile. Those of another
+version are not read, and made anew by the next run."""
+_MOST_OPEN = 4
+"""Runs whose overviews a process keeps open."""
 _UNSTATED = {"side": 256, "least": 128, "classes": 8}
 """The shapes of overviews made before they were stored with them."""
+
+_opened: dict[tuple[str, str], "Pyramid"] = {}
 
 
 def levels_of(header: Header) -> Levels:
@@ -65,11 +82,17 @@ class Pyramid:
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
-        shapes = stored or {"side": side, "least": least, "classes": CODES.size}
+        shapes = stored or {"side": side, "least": least, "classes": CODES.size, "version": _HALVED}
         self.classes = shapes["classes"]
         self.levels = Levels(
-            header.spec.shape, header.tile, side=shapes["side"], least=shapes["least"], kept=header.spec.kept
+            header.spec.shape,
+            header.tile,
+            side=shapes["side"],
+            least=shapes["least"],
+            kept=header.spec.kept,
+            halved=shapes["version"] == _HALVED,
         )
+        self._targets: dict[str, Any] = {}
 
     @property
     def chunks_read(self) -> int:
@@ -125,27 +148,27 @@ class Pyramid:
 
         Those that there are stay, unless a regime was added to the table since.
         """
-        import zarr
-
         if self.made and self.classes == CODES.size:
             return
         self.made, self.classes = False, int(CODES.size)
         self._arrays.clear()
+        self._targets.clear()
         shapes = {"side": self.levels.side, "least": self.levels.least, "classes": self.classes}
-        top = self._writable.create_group(GROUP, overwrite=True, attributes=shapes)
-        for level in range(1, self.levels.count + 1):
-            self._create_level(top, level)
-        with warnings.catch_warnings():
-            # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
-            warnings.filterwarnings("ignore", message="Consolidated metadata")
+        with metadata_apart(self.header.place, GROUP) as root:
+            top = root.create_group(GROUP, attributes=shapes)
             for level in range(1, self.levels.count + 1):
-                zarr.consolidate_metadata(self._writable.store, path=f"{GROUP}/{level}")
-            top.attrs["version"] = _VERSION
-            zarr.consolidate_metadata(self._writable.store)
+                self._create_level(top, level)
+            for level in range(1, self.levels.count + 1):
+                consolidate(root, f"{GROUP}/{level}")
+            whole = self.levels.chunk == replace(self.levels, halved=False).chunk
+            top.attrs["version"] = _WHOLE if whole else _HALVED
         self.made = True
 
-    def make(self, level: int, index: Index) -> None:
-        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending."""
+    def make(self, level: int, index: Index, held: Callable[[], None] = lambda: None) -> None:
+        """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending.
+
+        ``held`` is called before the first and the last write, and raises where another run has the store.
+        """
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
@@ -157,12 +180,31 @@ class Pyramid:
             time.sleep(_PAUSE)
         else:
             raise RunError(f"{self.header.place}: overview {level}, chunk {index}: not all that lies below it is done")
-        cells = from_cells(arrays, names) if level == 1 else arrays
+        self._write(level, index, from_cells(arrays, names) if level == 1 else arrays, held)
+
+    def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]], held: Callable[[], None]) -> bool:
+        """Write the chunk of level 1 over a tile that is written, of its arrays; False where it needs other tiles."""
+        if not (self.made and self.levels.over_alone(tile)):
+            return False
+        names = [variable.name for variable in self.variables]
+        stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.header.variables if v.name in names}
+        self._write(1, self.levels.over(tile), from_cells(self.header.leading(stored), names), held)
+        return True
+
+    def _write(self, level: int, index: Index, below: Cells, held: Callable[[], None]) -> None:
+        """Coarsen the cells of the level before that a chunk lies over, and write it, ``regime`` last."""
+        block = self.levels.block(level, index)
+        finer = self.levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
-        made = coarsen(cells, widths, self.levels.coarsened)
-        for name in names:
-            array = self._writable[f"{GROUP}/{level}/{name}"]
-            array.with_config({"write_empty_chunks": True})[block] = made[name]
+        made = coarsen(below, widths, self.levels.coarsened)
+        held()
+        for variable in self.variables:
+            path = f"{GROUP}/{level}/{variable.name}"
+            if variable.name == REGIME.name:
+                held()
+            if path not in self._targets:
+                self._targets[path] = self._writable[path].with_config({"write_empty_chunks": True})
+            self._targets[path][block] = made[variable.name]
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles: to be done before any of them is written."""
@@ -200,7 +242,7 @@ class Pyramid:
                 attributes=attributes,
             )
         results = {variable.name for variable in self.header.variables}
-        fixed = " ".join(name for name in spec.parameters if name in self.header.coordinates)
+        fixed = " ".join(name for name in spec.parameters if name in self.header.coordinate_names)
         for variable in self.variables:
             stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
             attributes = dict(self.root[stored].attrs) if stored in results else {}
@@ -228,6 +270,21 @@ class Pyramid:
         return open_group(self.header.place, "r+")
 
 
+def opened(header: Header, run: str) -> Pyramid:
+    """The overviews of a store for one run, opened once: before its first job they are there, and stay of that form.
+
+    Without the name of a run they are opened anew.
+    """
+    key = (str(header.place), run)
+    found = _opened.get(key) if run else None
+    if found is None:
+        found = Pyramid(header)
+        while len(_opened) >= _MOST_OPEN:
+            _opened.pop(next(iter(_opened)), None)
+        _opened[key] = found
+    return found
+
+
 def drop(header: Header, tiles: Iterable[Index]) -> None:
     """Drop the overviews of these tiles: to be done before any of them is written."""
     Pyramid(header).drop(tiles)
@@ -238,23 +295,13 @@ def drop_all(header: Header) -> None:
     header.place.remove(f"{GROUP}/{ROOT}")
 
 
-def level_edges(header: Header, level: int) -> list[NDArray[np.float64]]:
-    """The edges of the cells of a level along each dimension."""
-    found = []
-    for dim, axis in enumerate(reversed(header.spec.axes)):
-        edges = edges_of(np.array(axis.values), axis.scale == "log")
-        step = 1 if dim < header.spec.kept else 2**level
-        found.append(np.append(edges[:-1:step], edges[-1]))
-    return found
-
-
 def _guarded_root(header: Header) -> Any:
     """The root group for reading, on a store that lets no bad chunk pass."""
     import zarr
 
     from atlas.overview.guard import GuardedStore
 
-    return zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False)
+    return zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False, zarr_format=3)
 
 
 @contextmanager
@@ -276,39 +323,13 @@ def _stored_shapes(root: Any) -> dict[str, int] | None:
     try:
         attributes = dict(root[GROUP].attrs) if GROUP in root else {}
         shapes = {name: int(attributes.get(name, size)) for name, size in _UNSTATED.items()}
+        shapes["version"] = int(attributes.get("version", 0))
     except OSError:
         raise
     except Exception:  # what is no JSON, or no metadata, may raise anything
         return None
     known = min(shapes.values()) > 0 and shapes["classes"] <= CODES.size
-    return shapes if attributes.get("version") == _VERSION and known else None
-
-
-def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> dict[str, StoredArray]:
-    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of so many classes."""
-    spec, base, made = header.spec, header.coordinates, {}
-    for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
-        if axis.name in spec.dims[: spec.kept]:
-            made[axis.name] = base[axis.name]
-            continue
-        bounds = bounds_name(axis.name)
-        attributes = {**base[axis.name].attributes, "bounds": bounds}
-        made[axis.name] = StoredArray(centres(edges, axis.scale == "log"), (axis.name,), attributes)
-        made[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})
-    for name in (name for name in spec.parameters if name in base):
-        made[name] = StoredArray(np.asarray(base[name].values), (), base[name].attributes)
-    named = np.array([regime.name for regime in REGIMES[:classes]], dtype="T")
-    return made | {"class": StoredArray(named, ("class",), {"long_name": "regime of motion"})}
-
-
-def bounds_name(axis: str) -> str:
-    """The name of the variable that holds the edges of an axis's coarse cells."""
-    return f"{axis}_bounds"
-
-
-def centres(edges: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """The middles of cells: half way between their edges, on a log axis the geometric mean."""
-    return np.sqrt(edges[:-1] * edges[1:]) if log else 0.5 * (edges[:-1] + edges[1:])
+    return shapes if shapes["version"] in (_WHOLE, _HALVED) and known else None
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:

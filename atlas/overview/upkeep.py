@@ -1,30 +1,27 @@
-"""The overviews of a store kept up while a run writes its tiles."""
+"""The overviews of a store kept up while a run writes its tiles: which of their chunks can be made now."""
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager
-from types import TracebackType
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from atlas.errors import RunError
+from atlas.errors import ChunkError, RunError
 from atlas.overview.levels import LEAST, SIDE, Index
 from atlas.overview.pyramid import Pyramid
 from atlas.store.store import Header, done_tiles
 from workers.results import REGIME
 
-WAIT_SECONDS = 5.0
-"""Between two signs of life at the end of a run."""
+Chunk = tuple[int, Index]
+"""A chunk of a level: the level, and its index there."""
 
 
-class Overviews(AbstractContextManager["Overviews"]):
-    """The overviews of a store kept up during a run: a thread of the coordinator makes each chunk when it can.
+class Overviews(Iterator[Chunk]):
+    """The chunks of a store's overviews that can be made now, each given once; more come with ``add`` and ``made``.
 
-    On entry, what lies over unfinished tiles and over ``pending`` ones, finished but to be written again, is dropped.
-    ``add`` is called for each tile that is written; ``finish`` waits until all that can be made is made. On the way
-    out what is not yet begun is left. ``held`` is called before each write, and raises where another run has the
-    store. ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps
-    theirs.
+    At the beginning, what lies over unfinished tiles and over ``pending`` ones, finished but to be written again, is
+    dropped; what an earlier run finished and did not come to can be made at once. ``held`` is called before each write,
+    and raises where another run has the store. ``side`` and ``least`` are those of ``Levels``; a store that has
+    overviews keeps theirs.
     """
 
     def __init__(
@@ -39,11 +36,13 @@ class Overviews(AbstractContextManager["Overviews"]):
         self._header, self._held = header, held
         self._pyramid = Pyramid(header, side, least)
         self._levels = self._pyramid.levels
-        self._threads = ThreadPoolExecutor(1, thread_name_prefix="overviews")
-        self._futures: list[Future[int]] = []
         self._missing: dict[Index, int] = {}
+        self._ready: deque[Chunk] = deque()
+        self._given: set[Chunk] = set()
+        self.count = 0
         if not self._levels.count:
             return
+        held()
         self._pyramid.create()
         waiting = np.ones([-(-n // t) for n, t in zip(self._levels.shape, self._levels.tile, strict=True)], dtype=bool)
         for tile in done_tiles(header):
@@ -51,89 +50,79 @@ class Overviews(AbstractContextManager["Overviews"]):
         for tile in pending:
             waiting[tile] = True
         unfinished = [tuple(tile) for tile in np.argwhere(waiting).tolist()]
+        held()
         self._pyramid.drop(unfinished)
         for tile in unfinished:
             over = self._levels.over(tile)
             self._missing[over] = self._missing.get(over, 0) + 1
-        self._current = {n: self._pyramid.stored(n, REGIME) for n in self._numbers}
-        # What an earlier run finished and did not come to: it was killed, or knew no overviews.
-        self._submit(1, [i for i in self._levels.chunks(1) if i not in self._missing and i not in self._current[1]])
-        for level in self._numbers[1:]:
-            self._submit(level, [i for i in self._levels.chunks(level) if self._ready(level, i)])
+        self._current = {n: self._pyramid.stored(n, REGIME) for n in range(1, self._levels.count + 1)}
+        for level in self._current:
+            for index in self._levels.chunks(level):
+                self._offer(level, index)
 
-    @property
-    def _numbers(self) -> range:
-        return range(1, self._levels.count + 1)
+    def __bool__(self) -> bool:
+        """Whether a chunk can be made now that was not given yet."""
+        return bool(self._ready)
 
-    def _ready(self, level: int, index: Index) -> bool:
-        """Whether a chunk above level 1 is missing and all that it is made of is there."""
-        below = self._current[level - 1]
-        return index not in self._current[level] and all(i in below for i in self._levels.children(level, index))
+    def __next__(self) -> Chunk:
+        """The next chunk that can be made; StopIteration where there is none now."""
+        if not self._ready:
+            raise StopIteration
+        return self._ready.popleft()
 
-    def add(self, tile: Index) -> None:
-        """A tile is written."""
+    def add(self, tile: Index, made: bool = False) -> None:
+        """A tile is written; ``made`` with the chunk of level 1 that lies over it alone."""
         if not self._levels.count:
             return
         over = self._levels.over(tile)
-        left = self._missing.get(over, 0) - 1
-        self._missing[over] = max(left, 0)
-        if left < 0:  # written once more than was said
-            self._futures.append(self._threads.submit(self._again, tile))
-        elif left == 0:
-            self._submit(1, [over])
+        self._missing[over] = max(self._missing.get(over, 0) - 1, 0)
+        if made:
+            self._given.add((1, over))
+            self.made((1, over))
+        else:
+            self._offer(1, over)
+
+    def made(self, chunk: Chunk) -> None:
+        """A chunk is made."""
+        level, index = chunk
+        self._current[level].add(index)
+        self.count += 1
+        if level < self._levels.count:
+            self._offer(level + 1, self._levels.above(index))
 
     def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
-        """Wait until all that can be made is made; the number of chunks made since the beginning.
+        """Make all that can be made, here and now; the number of chunks made since the beginning, here or elsewhere.
 
-        ``report`` is called, now and every few seconds, with the parts done and all parts while there is something to
-        wait for. Raises RunError where a write failed.
+        ``report`` is called before each with the chunks made and known. Raises RunError where a write failed.
         """
-        left = set(self._futures)
-        while left and self._failure() is None:
-            if any(not future.done() for future in left):
-                report(len(self._futures) - len(left), len(self._futures))
-            _, left = wait(left, timeout=WAIT_SECONDS, return_when=FIRST_EXCEPTION)
-        if (failure := self._failure()) is not None:
-            if not isinstance(failure, OSError | ValueError):
-                raise failure
-            raise RunError(
-                f"{self._header.place}: the tiles done are kept, but the overviews could not be written ({failure}); "
-                "run again to make them"
-            ) from failure
-        return sum(future.result() for future in self._futures)
+        first = self.count
+        for level, index in self:
+            report(self.count - first, self.count - first + len(self._ready) + 1)
+            try:
+                self._pyramid.make(level, index, self._held)
+            except (RunError, ChunkError):
+                raise
+            except (OSError, ValueError) as error:
+                raise RunError(
+                    f"{self._header.place}: the tiles done are kept, but the overviews could not be written "
+                    f"({error}); run again to make them"
+                ) from error
+            self.made((level, index))
+        return self.count
 
-    def _failure(self) -> BaseException | None:
-        return next((future.exception() for future in self._futures if future.done() and future.exception()), None)
+    def again(self, chunk: Chunk) -> None:
+        """A chunk that was given is not made, and can be made all the same."""
+        self._ready.append(chunk)
 
-    def _submit(self, level: int, indices: Iterable[Index]) -> None:
-        self._futures += [self._threads.submit(self._make, level, index) for index in indices]
-
-    def _make(self, level: int, index: Index) -> int:
-        """Make a chunk, and those above it that it completes; how many."""
-        made = 0
-        while index not in self._current[level]:
-            self._held()
-            self._pyramid.make(level, index)
-            self._current[level].add(index)
-            made += 1
-            above = self._levels.above(index)
-            if level == self._levels.count or not self._ready(level + 1, above):
-                break
-            level, index = level + 1, above
-        return made
-
-    def _again(self, tile: Index) -> int:
-        """Drop what lies over a tile and make it anew as far as its tiles are done."""
-        self._held()
-        self._pyramid.drop([tile])
-        over = index = self._levels.over(tile)
-        for level in self._numbers:
-            self._current[level].discard(index)
-            index = self._levels.above(index)
-        return self._make(1, over) if not self._missing[over] else 0
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leave what is not begun; a chunk under way is finished."""
-        self._threads.shutdown(cancel_futures=True)
+    def _offer(self, level: int, index: Index) -> None:
+        """Have a chunk made that is missing, if all that it is made of is there."""
+        if index in self._current[level] or (level, index) in self._given:
+            return
+        if level == 1:
+            whole = not self._missing.get(index)
+        else:
+            below = self._current[level - 1]
+            whole = all(child in below for child in self._levels.children(level, index))
+        if whole:
+            self._given.add((level, index))
+            self._ready.append((level, index))

@@ -22,7 +22,7 @@ def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
     import xarray
 
     header = read_header(store)
-    opened = xarray.open_dataset(_guarded(header), engine="zarr", chunks=None, consolidated=True)
+    opened = xarray.open_dataset(_guarded(header), engine="zarr", chunks=None, consolidated=True, zarr_format=3)
     if header.spec.coexistence and group_attributes(header, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
     opened.encoding["source"] = str(header.place)  # by which a view finds the overviews
@@ -37,7 +37,9 @@ def open_table(header: Header, table: str) -> "xarray.Dataset":
     import xarray
 
     try:
-        return xarray.open_dataset(_guarded(header), engine="zarr", group=table, chunks=None, consolidated=False)
+        return xarray.open_dataset(
+            _guarded(header), engine="zarr", group=table, chunks=None, consolidated=False, zarr_format=3
+        )
     except (OSError, ChunkError):
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything

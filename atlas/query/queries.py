@@ -111,8 +111,8 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     counts ten times as much as the one below it, whatever the picture's scale.
     Cells that are not solved yet are the share ``pending``.
     Raises InputError, in one line, for an unknown axis and for a window without a cell.
-    Reads the regimes in the window and nothing else; of a large window the overviews and the store's tally, and cells
-    along its border.
+    Reads the regimes in the window and nothing else; of a large window the overviews and the records of tiles, and
+    cells along its border.
     """
     shown = within(ds, window)
     part = find_part(shown, [REGIME.name])
@@ -128,7 +128,7 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
 def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     """How many cells of a window have no result, or an uncertain one, by the reason in words.
 
-    Empty where the atlas is too old to say. Cells and errors as in ``fractions``. Reads the store's tally, and the
+    Empty where the atlas is too old to say. Cells and errors as in ``fractions``. Reads the records of tiles, and the
     reasons themselves along the window's border.
     """
     ds = within(ds, window)

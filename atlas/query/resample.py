@@ -19,7 +19,7 @@ from atlas.overview.coarsen import (
     coarsen,
     halved,
 )
-from atlas.overview.pyramid import bounds_name, centres
+from atlas.overview.coordinates import bounds_name, centres
 from atlas.query.reads import count_reads
 from atlas.query.source import Part, find_part
 from atlas.query.window import LOG_SPAN, Window, axis_names, axis_values, is_log, within

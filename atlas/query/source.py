@@ -15,8 +15,8 @@ from atlas.overview.pyramid import MARKS, Pyramid
 from atlas.query.window import axis_values
 from atlas.spec.axis import Axis
 from atlas.spec.spec import MOST_AXES, Slices
+from atlas.store.records import Records
 from atlas.store.store import Header, read_header
-from atlas.store.tally import done_mask
 from workers.results import PENDING, REGIME
 
 if TYPE_CHECKING:
@@ -94,9 +94,14 @@ class Part:
         return tuple(found)[1 if self.plane else 0 :]
 
     @cached_property
+    def records(self) -> Records:
+        """The records of the store's tiles."""
+        return Records(self.header)
+
+    @property
     def done(self) -> NDArray[np.bool_]:
         """Which tiles of the store are done, as an array over the tiles."""
-        return done_mask(self.header)
+        return self.records.done
 
     def closed(self, names: Iterable[str]) -> list[str]:
         """All variables that coarsening these takes."""

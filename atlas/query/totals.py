@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from atlas.overview.coarsen import CODES, SHARE
 from atlas.query.source import PENDING_SHARE, Part, inside
 from atlas.spec.spec import Slices
-from atlas.store.tally import AREAS, BY_REASON, Entries, read_tally, tile_areas
+from atlas.store.record import AREAS, BY_REASON, Rows
+from atlas.store.records import tile_areas
 from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 
@@ -19,7 +20,7 @@ class Totals:
     """The totals of a part of a store, exact, from as few chunks as they take.
 
     The inside of the part is taken from the coarsest level that fits, its border from ever finer ones; where there are
-    no overviews, whole tiles are taken from the store's tally.
+    no overviews, whole tiles are taken from their records.
     """
 
     part: Part
@@ -32,15 +33,15 @@ class Totals:
     def reasons(self) -> NDArray[np.int64]:
         """The number of cells by reason, in the order of the table.
 
-        Read are the reasons of tiles that are cut by the part's border or have no entry in the tally, unless their
-        entry has none.
+        Read are the reasons of tiles that are cut by the part's border or have no record, unless their
+        record has none.
         """
-        entries, known = self._tally
+        rows, known = self._recorded
         levels, cells = self.part.pyramid.levels, self.part.cells
         whole, met = np.zeros_like(known), np.zeros_like(known)
         within, below = levels.tiles_within(0, cells), levels.tiles_below(0, cells)
         whole[within], met[below] = known[within], self.part.done[below]
-        by_reason = entries[..., BY_REASON]
+        by_reason = rows[..., BY_REASON]
         none = known & (by_reason[..., NO_REASON] == by_reason.sum(axis=-1))
         total = by_reason[whole].sum(axis=0).astype(np.int64)
         for index in np.argwhere(met & ~whole & ~none).tolist():
@@ -51,13 +52,11 @@ class Totals:
         return total
 
     @cached_property
-    def _tally(self) -> tuple[Entries, NDArray[np.bool_]]:
-        """The tally's entries, those of tiles that are not done made up, and the mask of the tiles that have one."""
-        header, pending = self.part.header, ~self.part.done
-        entries, known = read_tally(self.part.pyramid.root, header.tiling)
-        entries[pending] = 0.0
-        entries[pending, AREAS.start + PENDING_SHARE] = tile_areas(header)[pending]
-        return entries, known | pending
+    def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
+        """The rows of records, those of tiles that are not done made up, and the mask of the tiles that have one."""
+        rows, pending = self.part.records.rows.copy(), ~self.part.done
+        rows[pending, AREAS.start + PENDING_SHARE] = tile_areas(self.part.header)[pending]
+        return rows, self.part.records.known | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
         """The part cut into pieces of whole cells of levels, as coarse as they fit."""
@@ -73,7 +72,7 @@ class Totals:
     def _areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
         """The area of each regime in a piece, in the order of CODES.
 
-        What of an overview is missing is taken from the tally, or from the level before, down to the cells.
+        What of an overview is missing is taken from records, or from the level before, down to the cells.
         """
         if level == 0:
             return self._areas_of_cells(piece)
@@ -84,28 +83,28 @@ class Totals:
         total = self._weighed(level, piece, found[SHARE.name])
         for block in missing:
             tiles = levels.tiles_below(level, block)
-            whole = tiles == levels.tiles_within(level, block) and self._tally[1][tiles].all()
-            total = total + (self._tallied(tiles) if whole else self._areas(level - 1, levels.finer(level, block)))
+            whole = tiles == levels.tiles_within(level, block) and self._recorded[1][tiles].all()
+            total = total + (self._added(tiles) if whole else self._areas(level - 1, levels.finer(level, block)))
         return total
 
     def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
-        """The areas in a piece of the cells themselves: by the tally in whole tiles that have an entry there."""
+        """The areas in a piece of the cells themselves: by records in whole tiles that have one."""
         levels = self.part.pyramid.levels
         tiles = levels.tiles_within(0, piece)
-        if any(s.start >= s.stop for s in tiles) or not self._tally[1][tiles].any():
+        if any(s.start >= s.stop for s in tiles) or not self._recorded[1][tiles].any():
             return self._read_areas(piece)
-        known = self._tally[1]
-        total = self._tallied(tiles)
+        known = self._recorded[1]
+        total = self._added(tiles)
         for side in _around(piece, levels.cells_of(tiles)):
             total = total + self._read_areas(side)
         for index in np.argwhere(~known[tiles]) + [s.start for s in tiles]:
             total = total + self._read_areas(levels.cells_of(_one(index.tolist())))
         return total
 
-    def _tallied(self, tiles: Slices) -> NDArray[np.float64]:
-        """The areas in those of some tiles that have an entry in the tally."""
-        entries, known = self._tally
-        return np.asarray(entries[tiles][known[tiles]][:, AREAS].sum(axis=0))
+    def _added(self, tiles: Slices) -> NDArray[np.float64]:
+        """The areas in those of some tiles that have a record."""
+        rows, known = self._recorded
+        return np.asarray(rows[tiles][known[tiles]][:, AREAS].sum(axis=0))
 
     def _read_areas(self, piece: Slices) -> NDArray[np.float64]:
         return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])

@@ -1,4 +1,4 @@
-"""The cells of an atlas block by block, for questions that take every cell: what the tally answers is not read."""
+"""The cells of an atlas block by block, for questions that take every cell: what records answer is not read."""
 
 import itertools
 from collections.abc import Collection, Iterable, Iterator
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from atlas.query.reads import count_reads
 from atlas.query.source import Part, find_part
 from atlas.spec.spec import Slices
-from atlas.store.tally import CELLS, read_tally
+from atlas.store.record import CELLS
 from workers.results import PENDING, REGIME, REGIMES
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ class Block:
 def walk(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iterator[Block]:
     """Blocks that together hold every cell of these regimes, with the named variables; other cells may come along.
 
-    Of a store, a block is a run of tiles along its last dimension. A tile that has no such cell by the store's tally
-    is not read, the regimes of one that has a single regime neither, and of a pending tile nothing: its block has no
+    Of a store, a block is a run of tiles along its last dimension. A tile that has no such cell by its record is
+    not read, the regimes of one that has a single regime neither, and of a pending tile nothing: its block has no
     values. Data that are not what a store holds come as one block.
     """
     wanted = list(dict.fromkeys(names))
@@ -76,13 +76,12 @@ def _walk_part(part: Part, names: list[str], codes: Collection[int]) -> Iterator
 
 def _states(part: Part, codes: Collection[int]) -> NDArray[np.int64]:
     """What is known of every tile of a store: the code of its only regime, _MIXED, or _NOTHING to read it for."""
-    entries, known = read_tally(part.pyramid.root, part.header.tiling)
-    counts = entries[..., CELLS]
+    known = part.records.known
+    counts = part.records.rows[..., CELLS]
     states = np.where(
         np.count_nonzero(counts, axis=-1) == 1, np.array([r.code for r in REGIMES])[counts.argmax(axis=-1)], _MIXED
     )
     states[~known] = _MIXED
-    asked = np.isin([regime.code for regime in REGIMES], list(codes))
-    states[known & (counts[..., asked].sum(axis=-1) == 0)] = _NOTHING
+    states[part.records.lack(codes)] = _NOTHING
     states[~part.done] = PENDING if PENDING in codes else _NOTHING
     return states

@@ -5,17 +5,18 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from atlas.curves.finish import edge_share, finished
-from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, read_part
+from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, prepare, read_part
 from atlas.curves.plane import plane_of
 from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
 from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import Workers, outcomes
+from atlas.service.dispatch import Labour, Workers, outcomes
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
@@ -27,6 +28,7 @@ from atlas.store.curves import drop_parts, get_part, part_names, put_part
 from atlas.store.location import place_of, waiting
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, kernels_for
+from atlas.task.task import forget
 from atlas.text import duration, plural
 from workers import SOLVER_VERSION
 
@@ -169,6 +171,12 @@ class _Coordinator:
         run, patience = (header.run_id, SOLVER_VERSION), self.options.patience
         return CurveJob(index, name, task, settings, self.digest, store, *run, patience, self.claim.token)
 
+    @property
+    def _labour(self) -> Labour[CurveJob, CurveReceipt]:
+        store, run_id, patience = str(self.header.place), self.header.run_id, self.options.patience
+        ready = partial(prepare, store, run_id, SOLVER_VERSION, patience)
+        return Labour(store, do_and_keep, ready, partial(forget, store, run_id, patience))
+
     def _do(self, jobs: list[CurveJob]) -> None:
         if not jobs:
             return
@@ -177,7 +185,7 @@ class _Coordinator:
             self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.workers))
             self.begin = time.monotonic()
-        for outcome in outcomes(self.client, do_and_keep, jobs, self._tick, self.options.timing):
+        for outcome in outcomes(self.client, self._labour, jobs, self._tick, self.options.timing):
             if isinstance(outcome, TileFailure):
                 raise RunError(f"a task failed: {outcome.message}; what is found is kept, and the same command resumes")
             self._count(outcome)

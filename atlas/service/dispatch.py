@@ -1,26 +1,27 @@
 """Jobs out to the workers and their outcomes back: a window of them under way, again for those that went wrong."""
 
 import math
+import random
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Generic
 
-from atlas.errors import NetworkError, RunError
-from atlas.service.cluster import LOST, loss_reported, worker_memory, worker_threads
+from atlas.errors import RunError
+from atlas.service.batches import Attempt, Batches, Done, J, R, Result
+from atlas.service.cluster import LOST, worker_memory, worker_threads
 from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
-from atlas.task.attempt import run_job
-from atlas.task.task import Job, Receipt, RefusedError, StoreFullError
+from atlas.task.attempt import do_job
+from atlas.task.task import Job, MadeChunk, Receipt, forget, prepare
 from atlas.text import byte_size, duration, plural
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 IN_FLIGHT = 2
 """Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
@@ -28,28 +29,12 @@ ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried before it is left for another run."""
 LEAST_MEMORY = 500_000_000
 """Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
+SMALL, BYTES_PER_CELL = 4096, 750
+"""Cells of a tile that this is enough for, and bytes that each further one takes: 200 MB in one of 512 x 512."""
 NAMED = 3
 """Workers named in a line about several."""
-
-
-class Numbered(Protocol):
-    """A job: what it is told apart by."""
-
-    @property
-    def index(self) -> tuple[int, ...]:
-        """Of its tile, or its place among others."""
-
-
-J = TypeVar("J", bound=Numbered)
-R = TypeVar("R")
-
-
-@dataclass(frozen=True)
-class Done(Generic[R]):
-    """What a job gave, and on which worker."""
-
-    worker: str
-    result: R
+CHOICES = 64
+"""Workers that jobs are restricted to, and four for each job: Dask keeps a copy of the list for each job."""
 
 
 @dataclass(frozen=True)
@@ -67,31 +52,47 @@ class Workers:
 
 
 @dataclass(frozen=True)
-class Attempt(Generic[J]):
-    """A job on its way: its failures so far, and the workers that may have it, None for any."""
+class Labour(Generic[J, R]):
+    """What workers do, as functions of modules, for one run at a time by this name.
 
-    job: J
-    failures: tuple[Failure, ...] = ()
-    workers: tuple[str, ...] | None = None
+    act       does a job
+    prepare   does, once on each worker, what is to be done before the first job
+    forget    drops what that keeps, at the end
+    memory    bytes that a worker needs for it
+    """
+
+    name: str
+    act: Callable[[J], R]
+    prepare: Callable[[], object]
+    forget: Callable[[], object]
+    memory: int = LEAST_MEMORY
 
 
 def tile_outcomes(
-    client: "Client", jobs: Iterable[Job], tick: Callable[[Workers], None], timing: Timing = TIMING
-) -> Iterator[Receipt | TileFailure]:
-    """The outcomes of tiles; see ``outcomes``."""
-    return outcomes(client, run_job, jobs, tick, timing)
+    client: "Client",
+    job: Job,
+    indices: Iterable[tuple[int, ...]],
+    tick: Callable[[Workers], None],
+    timing: Timing = TIMING,
+    cells: int = 0,
+) -> Iterator[Receipt | MadeChunk | TileFailure]:
+    """The outcomes of tiles and chunks of overviews, each a job that differs by its index only; see ``outcomes``.
+
+    ``indices`` may have more after they were at an end: what an outcome makes possible. ``cells`` are those of a tile.
+    """
+    ready, done = partial(prepare, job), partial(forget, job.store, job.run_id, job.patience)
+    labour = Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
+    return outcomes(client, labour, map(lambda index: replace(job, index=index), indices), tick, timing)
 
 
 def outcomes(
     client: "Client",
-    act: Callable[[J], R],
+    labour: Labour[J, R],
     jobs: Iterable[J],
     tick: Callable[[Workers], None],
     timing: Timing = TIMING,
 ) -> Iterator[R | TileFailure]:
     """Submit jobs in a window and give each one's outcome as it ends; what is under way is dropped on the way out.
-
-    ``act``, a function of a module, does a job on a worker.
 
     A job that fails is tried again, elsewhere if there is another worker, on another machine if there is one. A worker
     at which FAILURES jobs in a row failed gets no more while others do theirs, nor does one with too little memory.
@@ -99,37 +100,21 @@ def outcomes(
     ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it. Raises
     RunError where the cluster is lost, no worker is left that may have a job, or the store has no room.
     """
-    return _Window(client, act, jobs, timing).run(tick)
+    from atlas.service.setup import set_up  # with it Dask, which takes a while to load
 
-
-def work(act: Callable[[J], R], job: J) -> Done[R] | Refusal | Failure:
-    """What a worker runs: the job, with whatever it raises as a value that names the worker."""
-    from distributed import get_worker
-
-    here = get_worker().address
-    try:
-        return Done(here, act(job))
-    except RefusedError as error:
-        return Refusal(here, str(error))
-    except NetworkError as error:
-        return Refusal(here, str(error), passing=True)
-    except StoreFullError as error:
-        return Failure(here, str(error), full=True)
-    except Exception as error:
-        return Failure(here, _in_words(error))
+    with set_up(client, labour.name, labour.act, labour.prepare, labour.forget, timing.connect) as act:
+        yield from _Window(client, act, jobs, timing, labour.memory).run(tick)
 
 
 class _Window(Generic[J, R]):
-    def __init__(self, client: "Client", act: Callable[[J], R], jobs: Iterable[J], timing: Timing) -> None:
-        self.client, self.act, self.waiting, self.timing = client, act, iter(jobs), timing
-        self.token = uuid.uuid4().hex[:8]
-        self.running: dict[Future[Done[R] | Refusal | Failure], Attempt[J]] = {}
+    def __init__(self, client: "Client", act: Callable[[J], R], jobs: Iterable[J], timing: Timing, memory: int) -> None:
+        self.client, self.waiting, self.timing, self.memory = client, iter(jobs), timing, memory
+        self.running: Batches[J, R] = Batches(client, act, timing.connect)
         self.again: deque[Attempt[J]] = deque()
         self.doubtful: list[Attempt[J]] = []
-        self.ended: SimpleQueue[Future[Done[R] | Refusal | Failure]] = SimpleQueue()
         self.fitness = Fitness()
         self.threads: dict[str, int] = {}
-        self.submitted = self.most_workers = 0
+        self.most_workers = 0
         self.last_good = self.last_end = time.monotonic()
 
     def run(self, tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
@@ -147,35 +132,27 @@ class _Window(Generic[J, R]):
                         tick(self.workers())  # who was left out since the last one
                         return
                     continue
-                try:
-                    future = self.ended.get(timeout=self.timing.tick)
-                except Empty:
-                    continue
-                outcome = self.outcome(future)
-                if outcome is not None:
-                    yield outcome
+                for attempt, result in self.running.ended():
+                    outcome = self.outcome(attempt, result)
+                    if outcome is not None:
+                        yield outcome
         finally:
-            if self.running:
-                with suppress(Exception):  # a cluster that is gone has nothing to cancel
-                    self.client.cancel(list(self.running))
+            with suppress(Exception):  # a cluster that is gone has nothing to cancel
+                self.running.withdraw(lambda _: True)
 
     def look(self) -> None:
         """Look at the cluster, which may grow and shrink under way."""
         threads = worker_threads(self.client)
         if threads.keys() - self.threads.keys():
             for worker, (limit, _) in worker_memory(self.client).items():
-                if 0 < limit < LEAST_MEMORY:
-                    needed = f"needs {byte_size(LEAST_MEMORY)}: dask worker --memory-limit"
+                if 0 < limit < self.memory:
+                    needed = f"needs {byte_size(self.memory)}: dask worker --memory-limit"
                     self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
         # Dask keeps a job for the workers that it was given to, though all of them are gone.
-        lost = [f for f, a in self.running.items() if a.workers and not self.threads.keys() & {*a.workers}]
-        for future in lost:
-            self.again.append(self.running.pop(future))
-        if lost:
-            with loss_reported(self.client):
-                self.client.cancel(lost)
+        lost = self.running.withdraw(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
+        self.again.extend(lost)
 
     def workers(self) -> Workers:
         """The workers, as far as the last look and the ends of attempts show."""
@@ -215,36 +192,20 @@ class _Window(Generic[J, R]):
             return  # one that did tiles is gone, and may come back
         if self.client.status != "running":
             raise RunError(LOST)
-        threads = sum(self.threads[worker] for worker in willing)
-        for _ in range(IN_FLIGHT * max(1, threads) - len(self.running)):
+        room = IN_FLIGHT * max(1, sum(self.threads[worker] for worker in willing)) - len(self.running)
+        anywhere = _some(willing, room) if left_out else None
+        attempts = []
+        for _ in range(room):
             attempt = self.again.popleft() if self.again else next(map(Attempt, self.waiting), None)
             if attempt is None:
-                return
-            restricted = bool(left_out or attempt.failures) and bool(willing)
-            self.submit(replace(attempt, workers=_elsewhere(willing, attempt.failures) if restricted else None))
+                break
+            workers = _elsewhere(willing, attempt.failures) if attempt.failures and willing else anywhere
+            attempts.append(replace(attempt, workers=workers))
+        self.running.submit(attempts)
 
-    def submit(self, attempt: Attempt[J]) -> None:
-        self.submitted += 1  # a key of its own for each attempt: Dask remembers a failed one's
-        key = (f"tile-{self.token}", self.submitted, *attempt.job.index)
-        with loss_reported(self.client):
-            future = self.client.submit(work, self.act, attempt.job, key=key, workers=attempt.workers)
-        self.running[future] = attempt
-        future.add_done_callback(self.ended.put)
-
-    def outcome(self, future: "Future[Done[R] | Refusal | Failure]") -> R | TileFailure | None:
+    def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None where it is to be tried again, or is in doubt."""
-        attempt = self.running.pop(future, None)
-        if attempt is None:
-            return None  # it was given to other workers
         self.last_end = time.monotonic()
-        if future.status == "finished":
-            with loss_reported(self.client):  # its result is still on the worker
-                result = future.result()
-            future.release()
-        elif future.status == "error":
-            result = self.failure_of(future)
-        else:
-            raise RunError(LOST)
         if isinstance(result, Done):
             self.fitness.finish(result.worker)
             return result.result
@@ -273,31 +234,21 @@ class _Window(Generic[J, R]):
                 yield _given_up(attempt)
         self.doubtful.clear()
 
-    def failure_of(self, future: "Future[Done[R] | Refusal | Failure]") -> Failure:
-        """The failure of a job that came to no end of its own: all workers that had it died."""
-        error = future.exception()
-        assert error is not None
-        if "deserialization of the task graph" in str(error):
-            raise RunError(
-                f"the scheduler cannot load this package ({type(error).__name__}); install the same impact-atlas on "
-                "every host, the scheduler's too"
-            )
-        future.release()
-        return Failure("", _in_words(error))
 
-
-def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, ...]:
+def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, ...] | None:
     """The workers for the next attempt: of other machines than those of the failures, else others, else any."""
     failed = {each.worker for each in failures}
     hosts = {host_of(worker) for worker in failed}
     apart = [worker for worker in willing if host_of(worker) not in hosts]
-    return tuple(apart or [worker for worker in willing if worker not in failed] or willing)
+    return _some(apart or [worker for worker in willing if worker not in failed] or willing)
+
+
+def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
+    """Workers enough to choose from for so many jobs; None where there are none."""
+    enough = CHOICES + 4 * jobs
+    return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 
 
 def _given_up(attempt: Attempt[J]) -> TileFailure:
     last = attempt.failures[-1]
     return TileFailure(attempt.job.index, last.reason, last.worker)
-
-
-def _in_words(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())

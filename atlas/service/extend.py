@@ -15,7 +15,8 @@ from atlas.service.progress import Progress
 from atlas.service.run import Target, complete
 from atlas.service.summary import Summary
 from atlas.spec.axis import Axis, check_count
-from atlas.spec.spec import Spec, differences
+from atlas.spec.differences import differences
+from atlas.spec.spec import Spec
 from atlas.store.location import place_of
 from atlas.store.schema import Origin
 from atlas.store.store import Header, done_tiles, read_header

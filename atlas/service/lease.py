@@ -9,10 +9,8 @@ replacement at its next beat.
 Status and cancel only report a claim that is silent, and leave it in place. All times are those of a Timing.
 """
 
-import glob
 import json
 import os
-import shutil
 import socket
 import threading
 import time
@@ -20,7 +18,6 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from atlas.errors import InputError, NetworkError, RunError, one_line
@@ -93,15 +90,17 @@ class Record:
 class Claim:
     """A claim that is held: its counter moves in a thread of its own, until ``release``.
 
-    ``lost`` says why it is no longer this run's, and is empty while it is. ``patience`` is for how many seconds the
-    counter may stand still because the store does not answer, ``timing.dead`` at least.
+    ``lost`` says why it is no longer this run's, and is empty while it is. A counter that stands still for
+    ``timing.dead`` seconds, because the store does not answer, leaves that open: another run may replace the claim as
+    soon as the store is back. Then this run does nothing until a beat has succeeded, which it does only where nobody
+    has replaced it. ``patience`` is for how many seconds it waits for that, ``timing.dead`` at least.
     """
 
     def __init__(self, notes: Notes, record: Record, timing: Timing = TIMING, patience: float = 0.0) -> None:
-        self._notes, self._record, self._data, self._seconds = notes, record, record.pack(), timing.beat
+        self._notes, self._record, self._data, self._timing = notes, record, record.pack(), timing
         self._moved, self._most_silent = time.monotonic(), max(timing.dead, patience)
         self.lost = ""
-        self._released = threading.Event()
+        self._released, self._one_beat = threading.Event(), threading.Lock()
         self._progress: Mapping[str, Any] = {}
         self._thread = threading.Thread(target=self._beat_on, name="atlas-claim", daemon=True)
         self._thread.start()
@@ -112,17 +111,29 @@ class Claim:
         return self._record.token
 
     def report(self, progress: Mapping[str, Any]) -> None:
-        """What the next beats say to those who ask for the status."""
-        self._progress = progress
+        """What the next beats say to those who ask for the status; the first report is told at once.
 
-    def check(self) -> None:
-        """Raise RunError where the claim is no longer this run's, or may be another's, or somebody asked it to stop."""
-        silent = time.monotonic() - self._moved
-        if silent > self._most_silent and not self.lost:
-            self.lost = (
-                f"this run could not renew its claim of the store for {silent:.0f} s, so that another run may have "
-                "replaced it; finished tiles are kept, and the same command resumes"
-            )
+        So it comes before the first tile, and nobody counts tiles that the next report, which is older, does not have.
+        """
+        first, self._progress = not self._progress, progress
+        if first:
+            with suppress(OSError):
+                self._beat()
+
+    def check(self, waiting: Callable[[], None] = lambda: None) -> None:
+        """Raise RunError where the claim is no longer this run's, or somebody asked it to stop.
+
+        Where it may be another's, wait until that is known; ``waiting`` is called before each pause.
+        """
+        while (silent := time.monotonic() - self._moved) > self._timing.dead and not self.lost:
+            if silent > self._most_silent:
+                self.lost = (
+                    f"this run could not renew its claim of the store for {silent:.0f} s, so that another run may have "
+                    "replaced it; finished tiles are kept, and the same command resumes"
+                )
+                break
+            waiting()
+            time.sleep(self._timing.look)
         if self.lost:
             raise RunError(self.lost)
         if self._record.cancelled:
@@ -146,25 +157,26 @@ class Claim:
             self._notes.remove(CLAIM, self._data)
 
     def _beat_on(self) -> None:
-        while not self._released.wait(self._seconds) and not self.lost:
+        while not self._released.wait(self._timing.beat) and not self.lost:
             with suppress(OSError):  # a disk away for a while: either it comes back, or another run replaces the claim
                 self._beat()
 
     def _beat(self) -> None:
-        while not self.lost:
-            moved = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
-            begin = time.monotonic()
-            if self._notes.put(CLAIM, moved.pack(), expected=self._data):
-                self._record, self._data, self._moved = moved, moved.pack(), begin
-                return
-            found = self._notes.read(CLAIM)
-            record = Record.unpack(found) if found is not None else None
-            if found is None:
-                self.lost = "this run's claim of the store was removed; finished tiles are kept"
-            elif record is None or record.token != self._record.token:
-                self.lost = f"another run has claimed this store ({record or 'its claim is damaged'})"
-            else:
-                self._record, self._data = record, found
+        with self._one_beat:
+            while not self.lost:
+                moved = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
+                begin = time.monotonic()
+                if self._notes.put(CLAIM, moved.pack(), expected=self._data):
+                    self._record, self._data, self._moved = moved, moved.pack(), begin
+                    return
+                found = self._notes.read(CLAIM)
+                record = Record.unpack(found) if found is not None else None
+                if found is None:
+                    self.lost = "this run's claim of the store was removed; finished tiles are kept"
+                elif record is None or record.token != self._record.token:
+                    self.lost = f"another run has claimed this store ({record or 'its claim is damaged'})"
+                else:
+                    self._record, self._data = record, found
 
 
 @contextmanager
@@ -307,13 +319,6 @@ def noted_end(notes: Notes) -> str:
     return (notes.read(ENDED) or b"").decode(errors="replace")
 
 
-def remove_half_made(store: Path) -> None:
-    """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
-    run_id = "[0-9a-f]" * 32
-    for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
-        shutil.rmtree(leftover, ignore_errors=True)
-
-
 def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], None], timing: Timing) -> bool:
     """Watch a claim: True once it is certain that nobody moves it, InputError as soon as somebody does."""
     record = Record.unpack(found)
@@ -324,7 +329,10 @@ def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], No
     end = time.monotonic() + timing.dead
     while time.monotonic() < end:
         time.sleep(min(timing.look, timing.dead / 4))
+        begin = time.monotonic()
         now = notes.read(CLAIM)
+        if time.monotonic() - begin > timing.dead / 4:  # the store was away, and its holder could not move it either
+            end = time.monotonic() + timing.dead
         if now is None:
             return False  # released meanwhile
         if _mark(now) != _mark(found):

@@ -16,7 +16,10 @@ from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
 from atlas.text import byte_size, duration, plural
 
-DEFAULT_TILE = 64
+DEFAULT_TILE, LARGE_TILE = 64, 256
+"""Cells along each side of a tile by default, and of one of a large atlas: an object store likes large objects."""
+MANY_TILES, MOST_TILES = 1024, 50_000
+"""Tiles are larger than the default where so many are left all the same, and larger still where there were more."""
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
 CLEAR_RANGE = 1.5
@@ -148,18 +151,25 @@ def disk_shortage(plan: Plan, target: Path, tiles: int | None = None) -> str:
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
     """64 along each dimension, the longer side halved until there are 16 tiles a worker; lines continued are whole.
 
-    No tile has cells of two planes of a stack.
+    128 or 256 where there are many tiles all the same, and twice as much again until there are at most MOST_TILES. No
+    tile has cells of two planes of a stack.
     """
     shape = spec.shape
-    tile = [min(DEFAULT_TILE, n) for n in shape]
-    free = list(range(len(shape)))
-    if len(shape) == MOST_AXES:
-        tile[0] = 1
-        free.remove(0)
+    fixed = {0: 1} if len(shape) == MOST_AXES else {}
     if spec.continuation is not None:
         place, _ = spec.continuation
-        tile[place] = shape[place]
-        free.remove(place)
+        fixed[place] = shape[place]
+    free = [dim for dim in range(len(shape)) if dim not in fixed]
+
+    def tiling(side: int) -> Tiling:
+        return Tiling(shape, tuple(fixed.get(dim, min(side, n)) for dim, n in enumerate(shape)))
+
+    side, enough = DEFAULT_TILE, max(MANY_TILES, TILES_PER_WORKER * workers)
+    while side < LARGE_TILE and tiling(2 * side).count >= enough:
+        side *= 2
+    while tiling(side).count > MOST_TILES and any(side < shape[dim] for dim in free):
+        side *= 2
+    tile = list(tiling(side).tile)
     while Tiling(shape, tuple(tile)).count < TILES_PER_WORKER * workers:
         longest = max(free, key=tile.__getitem__, default=None)
         if longest is None or tile[longest] == 1:

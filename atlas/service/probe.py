@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.service.plan import Probe
+from atlas.service.plan import Plan, Probe
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.spec import Spec
 from atlas.task.compile import kernels_for, warm_up
-from atlas.task.solving import solve_apart
+from atlas.task.solving import kernels_of, solve_apart
 from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
@@ -43,6 +44,18 @@ class _Measured(NamedTuple):
     simulated: float
     least: Array
     most: Array
+
+
+def estimated(spec: Spec, plan: Plan, report: Callable[[Progress], None]) -> Plan:
+    """The plan with the time that its cells will take; without where a probe would solve them all."""
+    return plan if plan.tiling.cells <= CELLS else probed(spec, plan, report)
+
+
+def probed(spec: Spec, plan: Plan, report: Callable[[Progress], None]) -> Plan:
+    """The plan with the time that a probe of its spec measures."""
+    prepare_kernels(report, *kernels_of(spec))
+    report(Progress("probing a few cells"))
+    return replace(plan, probe=probe(spec, plan.tiling.tile))
 
 
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:

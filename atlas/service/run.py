@@ -1,5 +1,6 @@
 """Running an atlas: plan, claim, create or resume, solve the tiles due, add up their receipts."""
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -9,29 +10,31 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atlas.errors import ChunkError, InputError, RunError
+from atlas.errors import InputError, RunError
+from atlas.overview.pyramid import drop
 from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Workers, tile_outcomes
-from atlas.service.lease import Claim, claimed, remove_half_made
+from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
-from atlas.service.probe import CELLS, probe
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.schedule import Order
+from atlas.service.schedule import Due
 from atlas.service.summary import Summary, Totals
 from atlas.spec.spec import Spec
+from atlas.store.added import add_allowances, add_records
 from atlas.store.location import Place, place_of, waiting
+from atlas.store.making import remove_half_made
+from atlas.store.records import Records, RunRecords
 from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Header, add_allowances, create, done_tiles, find, is_done
-from atlas.store.tally import TallyKeeper, count_tiles, done_mask
-from atlas.store.tiles import finish_replacement, read_tile, replacements
+from atlas.store.store import Header, create, done_tiles, find, is_done
+from atlas.store.tiles import finish_replacement, listed_tiles, read_tile
 from atlas.task.basins import complete_basins
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.solving import kernels_of
-from atlas.task.task import Job, Receipt
+from atlas.task.task import Job, MadeChunk, Receipt
 from atlas.text import plural
 
 if TYPE_CHECKING:
@@ -93,76 +96,90 @@ def complete(target: Target, client: "Client | None" = None, options: RunOptions
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        header = target.find()
+        header = target.find()  # only read, so that bad input leaves no trace
         if options.retry is not None:
             _check_retry(target, header)
         client = joined(client, options, stack)
         plan = make_plan(target.spec, worker_count(client, options), header.tile if header else None)
-        if target.place.local is not None:
-            due = plan.tiling.count - (len(done_tiles(header)) if header else 0)
-            if shortage := disk_shortage(plan, target.place.local, due):
-                raise InputError(shortage)
+        _check_room(target, header, plan)
         claim = stack.enter_context(claimed_place(target.place, options))
-        return _compute(replace(target, place=waiting(target.place, options.patience)), plan, client, claim, options)
-
-
-def _compute(target: Target, plan: Plan, client: "Client | None", claim: Claim, options: RunOptions) -> Summary:
-    """Make or complete a store that is claimed.
-
-    It is looked for once more: before the claim, when it was only read so that bad input leaves no trace, another run
-    may have made it, with tiles of another shape, or have finished some of them.
-    """
-
-    held, finished = partial(claim.confirm, target.place), []
-    header = target.find()
-    if header is not None:
-        finished = _finish_replacements(header, held)
-        if header.tile != plan.tiling.tile:
-            plan = make_plan(target.spec, plan.workers, header.tile)
-    work = _work(header, plan, options)
-    if work.due.any():
-        work = _prepared(work, target.spec, client, options)
-    totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
-    options.report(totals.progress(work.beginning))
-    held()
-    header = header or target.create(plan.tiling.tile)
-    if options.retry is not None:
-        add_allowances(header, options.retry.raises)
-    with ExitStack() as stack:
+        target = replace(target, place=waiting(target.place, options.patience))
+        held = partial(claim.confirm, target.place)
+        header, work, totals = _found_or_made(target, plan, client, held, options)
+        # Before the first tile is written: what overviews say of tiles that are solved again is dropped.
+        overviews = Overviews(header, work.again, held)
+        records = RunRecords(header, work.records or Records(header, ()), work.due)
         if work.due.any() and client is None:
             options.report(totals.progress(f"starting {plural(plan.workers, 'worker')}"))
             client = stack.enter_context(local_cluster(plan.workers))
-
-        # Before the first tile is written: what overviews and tally say of tiles that are solved again is dropped.
-        again = work.again
-        tallies = stack.enter_context(TallyKeeper(header, again, held))
-        overviews = stack.enter_context(Overviews(header, again, held))
-
-        def written(receipt: Receipt) -> None:
-            overviews.add(receipt.index)
-            tallies.add(receipt.index, receipt.entry)
-
-        for index, entry in zip(finished, count_tiles(header, finished), strict=True):
-            if not work.due[index] and not isinstance(entry, ChunkError):
-                overviews.add(index)
-                tallies.add(index, entry)
-        if work.due.any() and client is not None:
-            _solve(client, header, work.due, options, claim, totals, written)
-        if target.spec.basins:
-            options.report(totals.progress("labelling the attractors"))
-            complete_basins(header, held)
-        overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
-        tallies.finish(lambda tiles: options.report(totals.progress(f"counting the cells of {plural(tiles, 'tile')}")))
+        if client is not None and (work.due.any() or overviews):
+            _hand_out(client, header, Due(work.due, overviews), options, claim, totals, records)
+        _finish(header, overviews, records, totals, held, options)
     return totals.summary(str(header.place))
 
 
-def _finish_replacements(header: Header, held: Callable[[], None]) -> list[tuple[int, ...]]:
-    """Write what a run that was killed while it replaced finished tiles has put beside them; these tiles."""
-    found = sorted(replacements(header))
-    for index in found:
+def _check_room(target: Target, header: Header | None, plan: Plan) -> None:
+    """InputError where the disk cannot hold the tiles that are due."""
+    if target.place.local is None:
+        return
+    due = plan.tiling.count - (len(done_tiles(header)) if header else 0)
+    if shortage := disk_shortage(plan, target.place.local, due):
+        raise InputError(shortage)
+
+
+def _found_or_made(
+    target: Target, plan: Plan, client: "Client | None", held: Callable[[], None], options: RunOptions
+) -> "tuple[Header, _Work, Totals]":
+    """The store of a run that holds its claim, the work that is due there, and the totals that it begins with.
+
+    It is looked for once more: before the claim another run may have made it, with tiles of another shape, or have
+    finished some of them.
+    """
+    done, finished = set[tuple[int, ...]](), list[tuple[int, ...]]()
+    header = target.find()
+    if header is not None:
+        done, left = listed_tiles(header)
+        finished = _finish_replacements(header, left, held)
+        if header.tile != plan.tiling.tile:
+            plan = make_plan(target.spec, plan.workers, header.tile)
+    work = _work(header, plan, options, done.union(finished))
+    if work.due.any():
+        if client is None:
+            prepare_kernels(options.report, *kernels_of(target.spec))
+        work = replace(work, plan=options.estimate(target.spec, work.plan, options.report))
+    totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
+    options.report(totals.progress(work.beginning))
+    held()
+    header = add_records(header or target.create(plan.tiling.tile))
+    if options.retry is not None:
+        add_allowances(header, options.retry.raises)
+    return header, work, totals
+
+
+def _finish(
+    header: Header,
+    overviews: Overviews,
+    records: RunRecords,
+    totals: Totals,
+    held: Callable[[], None],
+    options: RunOptions,
+) -> None:
+    """What is left to the end: labels of basins, the overviews that no worker has made, the records put together."""
+    if header.spec.basins:
+        options.report(totals.progress("labelling the attractors"))
+        complete_basins(header, held, lambda index, row: records.add(index, row.tolist()))
+    overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
+    records.compact(held, lambda n: options.report(totals.progress(f"counting the cells of {plural(n, 'tile')}")))
+
+
+def _finish_replacements(header: Header, left: set[tuple[int, ...]], held: Callable[[], None]) -> list[tuple[int, ...]]:
+    """Write what a run that was killed while it replaced finished tiles has left beside them; these tiles."""
+    if left:
         held()
-        finish_replacement(header, index)
-    return [index for index in found if is_done(header, index)]
+        drop(header, left)
+    for index in sorted(left):
+        finish_replacement(header, index, held)
+    return [index for index in sorted(left) if is_done(header, index)]
 
 
 def _check_retry(target: Target, header: Header | None) -> None:
@@ -239,6 +256,7 @@ class _Work:
     tiles, cells             in all: of the atlas, or in a retry of those to be solved again
     tiles_done, cells_done   how many of these are done
     retry                    whether the tiles due are finished ones
+    records                  of the tiles done, None where the store is still to be made
     """
 
     plan: Plan
@@ -248,6 +266,7 @@ class _Work:
     tiles_done: int
     cells_done: int
     retry: bool = False
+    records: Records | None = None
 
     @property
     def again(self) -> list[tuple[int, ...]]:
@@ -262,65 +281,61 @@ class _Work:
         return f"resuming: {self.tiles_done} of {self.tiles} tiles are done" if self.tiles_done else "making the store"
 
 
-def _work(header: Header | None, plan: Plan, options: RunOptions) -> _Work:
-    done = done_mask(header) if header else np.zeros(plan.tiling.grid, dtype=bool)
-    if header is not None and options.retry is not None:
+def _work(header: Header | None, plan: Plan, options: RunOptions, done: set[tuple[int, ...]]) -> _Work:
+    if header is None:
+        return _Work(plan, np.ones(plan.tiling.grid, dtype=bool), plan.tiling.count, plan.tiling.cells, 0, 0)
+    records = Records(header, done)
+    if options.retry is not None:
         options.report(Progress("looking for the cells to solve again"))
-        return _retried(header, plan, done, options.retry)
-    cells_done = int(plan.tiling.sizes()[done].sum())
-    return _Work(plan, ~done, plan.tiling.count, plan.tiling.cells, int(done.sum()), cells_done)
+        return _retried(header, plan, records, options.retry)
+    tiles, cells = int(records.done.sum()), int(plan.tiling.sizes()[records.done].sum())
+    return _Work(plan, ~records.done, plan.tiling.count, plan.tiling.cells, tiles, cells, records=records)
 
 
-def _retried(header: Header, plan: Plan, done: np.ndarray, retry: Retry) -> _Work:
+def _retried(header: Header, plan: Plan, records: Records, retry: Retry) -> _Work:
     selected = np.zeros(plan.tiling.grid, dtype=np.int64)
-    for index in _indices(done):
+    for index in _indices(records.done & ~records.lack(map(int, retry.regimes))):
         selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
     due = selected > 0
-    return _Work(plan, due, int(due.sum()), int(selected.sum()), 0, 0, retry=True)
+    return _Work(plan, due, int(due.sum()), int(selected.sum()), 0, 0, retry=True, records=records)
 
 
-def _prepared(work: _Work, spec: Spec, client: "Client | None", options: RunOptions) -> _Work:
-    """The work after the kernels are compiled, where this machine needs them, and its cost probed, where asked for."""
-    if client is None or options.probe:
-        prepare_kernels(options.report, *kernels_of(spec))
-    if not options.probe or work.plan.tiling.cells <= CELLS:  # a probe would solve them all
-        return work
-    options.report(Progress("probing a few cells"))
-    return replace(work, plan=replace(work.plan, probe=probe(spec, work.plan.tiling.tile)))
-
-
-def _solve(
+def _hand_out(
     client: "Client",
     header: Header,
-    due: np.ndarray,
+    due: Due,
     options: RunOptions,
     claim: Claim,
     totals: Totals,
-    written: Callable[[Receipt], None],
+    records: RunRecords,
 ) -> None:
-    """Send the tiles due to the workers, and add up their receipts."""
+    """Send the jobs due to the workers, and add up their receipts."""
 
     def tick(workers: Workers) -> None:
-        claim.check()
+        claim.check(lambda: options.report(totals.progress("waiting for the store, which does not answer")))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
         totals.trouble = workers.trouble
-        claim.report(totals.report(workers.threads))
+        claim.report(totals.report(workers.threads) | {"holds": records.counts})
         doing = "solving" if workers.threads else "waiting for a worker: there is none left"
         options.report(totals.progress(workers.trouble or doing))
 
-    order = Order(due)
     job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience, claim.token)
     totals.start()
     try:
-        for outcome in tile_outcomes(client, (replace(job, index=index) for index in order), tick, options.timing):
-            totals.add(outcome)
+        for outcome in tile_outcomes(client, job, due, tick, options.timing, math.prod(header.tile)):
+            if isinstance(outcome, MadeChunk) or outcome.index[0] < 0:
+                due.take(outcome.index, made=isinstance(outcome, MadeChunk) and not outcome.fault)
+                continue
             if isinstance(outcome, Receipt):
-                order.note(outcome.index, outcome.solve_seconds)
-                written(outcome)
+                due.order.note(outcome.index, outcome.solve_seconds)
+                due.overviews.add(outcome.index, outcome.overview)
+                records.add(outcome.index, outcome.record)
+            totals.add(outcome)
             options.report(totals.progress("solving"))
     except KeyboardInterrupt:
         options.report(totals.progress("interrupted, dropping the tiles under way"))
         raise
+    due.return_failed()
 
 
 def _indices(mask: np.ndarray) -> Iterator[tuple[int, ...]]:

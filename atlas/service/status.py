@@ -11,11 +11,12 @@ from atlas.errors import ChunkError
 from atlas.service.lease import Observer, Record, Sighting, noted_end
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
+from atlas.store.record import WIDTH
+from atlas.store.records import Records, by_name, count_tiles
 from atlas.store.sidecar import notes_of
-from atlas.store.store import Header, open_group
-from atlas.store.tally import BY_REASON, CELLS, COLUMNS, count_tiles, done_mask, read_tally
+from atlas.store.store import Header
 from atlas.text import duration
-from workers.results import NO_REASON, REASON, REASONS, REGIMES
+from workers.results import REASONS, REGIMES
 
 
 @dataclass(frozen=True)
@@ -100,12 +101,11 @@ class Status:
             "store": str(self.header.place),
             "system": spec.system,
             "axes": [
-                {"name": a.name, "start": a.values[0], "stop": a.values[-1], "num": len(a), "scale": a.scale}
-                for a in spec.axes
+                {"name": a.name, "start": a.start, "stop": a.stop, "num": len(a), "scale": a.scale} for a in spec.axes
             ],
             "parameters": spec.parameters,
             "columns": list(spec.points),
-            "solve": spec.resolved()["solve"],
+            "solve": spec.outline()["solve"],
             "tile": self.header.tile,
             "tiles": self.header.tiling.count,
             "tiles_done": self.tiles_done,
@@ -129,20 +129,26 @@ class Status:
         }
 
 
-class Census:
-    """Counts a store's cells by its tally; where a finished tile has no entry there, by its chunks, once.
+@dataclass(frozen=True)
+class Holding:
+    """What a store holds: tiles done, and cells by regime and by reason, those that occur."""
 
-    ``tiles_read`` is how many tiles were counted by their chunks.
+    tiles: int
+    regimes: dict[str, int]
+    reasons: dict[str, int]
+
+
+class Census:
+    """Counts a store's cells: as the run at work on it reports them, else by its records.
+
+    Where a finished tile has no record, it is counted by its chunks; ``tiles_read`` is how many were.
     """
 
     def __init__(self, header: Header, timing: Timing = TIMING) -> None:
         self.header, self.timing = header, timing
         self.tiles_read = 0
-        self.counted = np.zeros(header.tiling.grid, dtype=bool)
-        self.total = np.zeros(len(COLUMNS))
         self.notes = notes_of(header.place)
         self.observer = Observer(self.notes, timing)
-        self.explained = False
 
     def take(self, settled: bool = False) -> Status:
         """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved.
@@ -150,38 +156,49 @@ class Census:
         Where the run that was at work before the tiles were counted has ended since, they are counted again: its last
         ones may have come between.
         """
-        seen = self.observer.look()
-        while True:
+        look = self.observer.settle if settled else self.observer.look
+        seen = look()
+        while (held := reported(seen)) is None:
             before = _token(seen)
-            regimes, reasons = self._count()
-            seen = self.observer.settle() if settled else self.observer.look()
+            held = self._count()
+            seen = look()
             if before in ("", _token(seen)):
                 break
-        tiles, done = int(self.counted.sum()), int(self.header.tiling.sizes()[self.counted].sum())
         run, trouble = (seen.record if seen.alive is not False else None, seen.trouble) if seen else (None, "")
         trouble = trouble or (run.trouble if run else "")
-        return Status(self.header, tiles, done, regimes, reasons, run, trouble, noted_end(self.notes))
+        cells = sum(held.regimes.values())
+        return Status(self.header, held.tiles, cells, held.regimes, held.reasons, run, trouble, noted_end(self.notes))
 
-    def _count(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Count the tiles that have been finished since the last time; all cells counted by regime and by reason."""
-        new = done_mask(self.header) & ~self.counted
-        if new.any():
-            root = open_group(self.header.place, "r")
-            entries, known = read_tally(root, self.header.tiling)
-            self.explained = REASON.name in root
-            self.total += entries[new & known].sum(axis=0)
-            unknown = [tuple(index) for index in np.argwhere(new & ~known).tolist()]
-            self.tiles_read += len(unknown)
-            for entry in count_tiles(self.header, unknown):
-                if isinstance(entry, ChunkError):
-                    raise entry
-                self.total += entry
-            self.counted |= new
-        cells = self.total[CELLS].astype(int).tolist()
-        regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
-        found = zip(REASONS, self.total[BY_REASON].astype(int).tolist(), strict=True)
-        named = {reason.text: count for reason, count in found if count and reason.code != NO_REASON}
-        return regimes, named if self.explained else {}  # an older store knows those of the newest tiles at best
+    def _count(self) -> Holding:
+        """Count the finished tiles."""
+        records = Records(self.header)
+        total = records.rows.reshape(-1, WIDTH).sum(axis=0)
+        unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known).tolist()]
+        self.tiles_read += len(unknown)
+        for row in count_tiles(self.header, unknown):
+            if isinstance(row, ChunkError):
+                raise row
+            total += row
+        return Holding(int(records.done.sum()), *by_name(total, self.header))
+
+
+def reported(seen: Sighting | None) -> Holding | None:
+    """What a store holds by the run that is at work on it; None where there is none, or it does not say."""
+    if seen is None or seen.record is None or seen.alive is False or seen.trouble:
+        return None
+    found: Any = seen.record.progress.get("holds")
+    try:
+        tiles, regimes, reasons = found["tiles"], found["regimes"], found["reasons"]
+        names = ({regime.name for regime in REGIMES}, {reason.text for reason in REASONS})
+        wrong = [
+            name for counts, known in zip((regimes, reasons), names, strict=True) for name in counts.keys() - known
+        ]
+        counts = [tiles, *regimes.values(), *reasons.values()]
+        if wrong or any(type(count) is not int or count < 0 for count in counts):
+            return None
+    except (TypeError, KeyError, AttributeError):
+        return None
+    return Holding(tiles, regimes, reasons)
 
 
 def _token(seen: Sighting | None) -> str:
@@ -189,7 +206,7 @@ def _token(seen: Sighting | None) -> str:
 
 
 def read_status(header: Header, timing: Timing = TIMING) -> Status:
-    """The status of a store, from one listing and its tally; reads the chunks of no tile that has an entry there.
+    """The status of a store: as the run at work on it reports, else by its records, and chunks of tiles without one.
 
     Takes up to ``timing.silent`` seconds where the run at work is not on this machine: that is how long it takes to
     see whether it is alive.

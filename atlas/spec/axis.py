@@ -2,8 +2,9 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from numbers import Real
 from typing import Any
 
@@ -19,6 +20,10 @@ MAX_POINTS = 1_000_000
 """Points on one axis: a million already makes a store of many terabytes, so that more is a slip of the pen."""
 
 
+Values = Mapping[str, tuple[float, ...]]
+"""The values of axes, or of the columns of a table of points, by name."""
+
+
 @dataclass(frozen=True)
 class Axis:
     """A swept parameter: its name, its strictly increasing values, and the scale it is drawn on.
@@ -32,13 +37,78 @@ class Axis:
     scale: str = "linear"
     continuation: str | None = None
 
+    @property
+    def start(self) -> float:
+        """The first value."""
+        return self.values[0]
+
+    @property
+    def stop(self) -> float:
+        """The last value."""
+        return self.values[-1]
+
     def __len__(self) -> int:
         return len(self.values)
 
     def __str__(self) -> str:
         scale = ", log" if self.scale == "log" else ""
         continued = f", continued {self.continuation}" if self.continuation else ""
-        return f"{self.name} {self.values[0]:g}..{self.values[-1]:g} ({len(self)} values{scale}{continued})"
+        return f"{self.name} {self.start:g}..{self.stop:g} ({len(self)} values{scale}{continued})"
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Axis):
+            return NotImplemented
+        one, another = ((axis.name, axis.scale, axis.continuation, len(axis)) for axis in (self, other))
+        return one == another and self.values == other.values
+
+    def outline(self) -> dict[str, Any]:
+        """The axis as plain JSON, without the values between the first and the last."""
+        ends = {"name": self.name, "scale": self.scale, "start": self.start, "stop": self.stop, "num": len(self)}
+        return ends | ({"continuation": self.continuation} if self.continuation else {})
+
+
+class StoredAxis(Axis):
+    """An axis from its outline, whose values are read when they are first asked for.
+
+    ``read`` gives those of all axes by name. InputError where the outline is none.
+    """
+
+    def __init__(self, outline: Mapping[str, Any], read: Callable[[], Values]) -> None:
+        where = f"axes.{outline['name']}"
+        scale, continuation = _checked_kind(where, outline)
+        ends = number(f"{where}.start", outline["start"]), number(f"{where}.stop", outline["stop"])
+        known = {"name": str(outline["name"]), "scale": scale, "continuation": continuation}
+        for name, value in (known | {"_known": (*ends, checked_num(where, outline)), "_read": read}).items():
+            object.__setattr__(self, name, value)
+
+    _known: tuple[float, float, int]
+    _read: Callable[[], Values]
+
+    @cached_property
+    def values(self) -> tuple[float, ...]:
+        """See Axis. Raises what ``read`` raises."""
+        return self._read()[self.name]
+
+    @property
+    def start(self) -> float:
+        """The first value."""
+        return self._known[0]
+
+    @property
+    def stop(self) -> float:
+        """The last value."""
+        return self._known[1]
+
+    def __len__(self) -> int:
+        return self._known[2]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Axis, (self.name, self.values, self.scale, self.continuation)
+
+
+def spaced_again(outline: Mapping[str, Any]) -> tuple[float, ...]:
+    """The values of an axis that is evenly spaced on its scale, by its outline; InputError where none is."""
+    return _spaced(str(outline["name"]), outline, outline["scale"])
 
 
 def number(where: str, value: object) -> float:
@@ -68,6 +138,8 @@ def read_axis(parameter: Parameter, given: object) -> Axis:
     A table may also have a scale and a continuation.
     """
     where = f"axes.{parameter.name}"
+    if isinstance(given, StoredAxis):
+        return given
     if isinstance(given, Axis):
         given = {"values": given.values, "scale": given.scale, "continuation": given.continuation}
     if isinstance(given, np.ndarray) or (isinstance(given, Sequence) and not isinstance(given, str)):
@@ -75,18 +147,32 @@ def read_axis(parameter: Parameter, given: object) -> Axis:
     if not isinstance(given, Mapping):
         raise InputError(f"{where}: found {shown(given)}, must be a table with start, stop and num, or with values")
     check_names(f"key in {where}", given, KEYS)
-    scale = given.get("scale", "linear")
-    if scale not in SCALES:
-        raise InputError(f"{where}.scale: found {shown(scale)}, must be one of {', '.join(SCALES)}")
-    continuation = given.get("continuation")
-    if continuation is not None and continuation not in DIRECTIONS:
-        raise InputError(f"{where}.continuation: found {shown(continuation)}, must be one of {', '.join(DIRECTIONS)}")
+    scale, continuation = _checked_kind(where, given)
     values = _listed(where, given) if "values" in given else _spaced(where, given, scale)
     if scale == "log" and values[0] <= 0:
         raise InputError(f"{where}: found {values[0]!r} on a log scale, must be > 0")
-    for value in values:
-        admitted(parameter, value)
+    if not np.all(parameter.admits(np.array(values))):
+        for value in values:
+            admitted(parameter, value)
     return Axis(parameter.name, values, scale, continuation)
+
+
+def _checked_kind(where: str, given: Mapping[str, Any]) -> tuple[str, str | None]:
+    """Scale and continuation of an axis."""
+    scale, continuation = given.get("scale", "linear"), given.get("continuation")
+    if scale not in SCALES:
+        raise InputError(f"{where}.scale: found {shown(scale)}, must be one of {', '.join(SCALES)}")
+    if continuation is not None and continuation not in DIRECTIONS:
+        raise InputError(f"{where}.continuation: found {shown(continuation)}, must be one of {', '.join(DIRECTIONS)}")
+    return scale, continuation
+
+
+def checked_num(where: str, given: Mapping[str, Any]) -> int:
+    """How many values a table says there are; InputError where that is no whole number."""
+    num = given["num"]
+    if isinstance(num, bool) or not isinstance(num, int):
+        raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
+    return num
 
 
 def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:
@@ -99,7 +185,7 @@ def _listed(where: str, given: Mapping[str, Any]) -> tuple[float, ...]:
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise InputError(f"{where}.values: found {shown(listed)}, must be a list of numbers")
     check_count(f"{where}.values", len(listed))
-    values = tuple(number(f"{where}.values[{i}]", value) for i, value in enumerate(listed))
+    values = all_floats(listed) or tuple(number(f"{where}.values[{i}]", value) for i, value in enumerate(listed))
     _check_increasing(f"{where}.values", values)
     return values
 
@@ -108,9 +194,7 @@ def _spaced(where: str, given: Mapping[str, Any], scale: str) -> tuple[float, ..
     missing = [key for key in ("start", "stop", "num") if key not in given]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} missing; give start, stop and num, or values")
-    num = given["num"]
-    if isinstance(num, bool) or not isinstance(num, int):
-        raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
+    num = checked_num(where, given)
     check_count(f"{where}.num", num)
     start, stop = number(f"{where}.start", given["start"]), number(f"{where}.stop", given["stop"])
     if scale == "log" and min(start, stop) <= 0:
@@ -133,7 +217,18 @@ def check_count(where: str, count: int) -> None:
         raise InputError(f"{where}: found {shown(count)} points, must be 1 to {MAX_POINTS}")
 
 
+def all_floats(values: Sequence[object]) -> tuple[float, ...]:
+    """The values where all are finite floats, at once, since there may be very many; else ()."""
+    if not all(type(value) is float for value in values):
+        return ()
+    found = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
+    return tuple(found.tolist()) if np.all(np.isfinite(found)) else ()
+
+
 def _check_increasing(where: str, values: tuple[float, ...]) -> None:
+    array = np.array(values)
+    if np.all(array[:-1] < array[1:]):
+        return
     for before, after in itertools.pairwise(values):
         if not before < after:
             raise InputError(f"{where}: found {after!r} after {before!r}, must be strictly increasing")

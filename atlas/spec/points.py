@@ -2,25 +2,56 @@
 
 import csv
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from atlas.errors import InputError, check_names, shown
-from atlas.spec.axis import Axis, admitted, number
+from atlas.spec.axis import Axis, Values, admitted, all_floats, number
 from workers.model.parameter import Parameter
 from workers.model.system import System
 
 POINT = "point"
 """The dimension along the rows, and the number of a row: 0 is the first."""
-MAX_ROWS = 100_000
-"""Rows of a table: all of them are in the store's attributes, which every tile reads."""
 FILE = "file"
 """The key of a spec's [points] that names the file."""
 
-Columns = dict[str, tuple[float, ...]]
+Columns = Values
+"""The columns of a table by name."""
+
+
+class StoredColumns(Columns):
+    """Columns of so many rows whose values are read, all by ``read``, when they are first asked for."""
+
+    def __init__(self, names: Iterable[str], rows: int, read: Callable[[], Columns]) -> None:
+        self._names, self.rows, self._read = tuple(names), rows, read
+
+    @cached_property
+    def _values(self) -> Columns:
+        return self._read()
+
+    def __getitem__(self, name: str) -> tuple[float, ...]:
+        return self._values[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+
+def row_count(points: Columns) -> int:
+    """The rows of a table."""
+    return points.rows if isinstance(points, StoredColumns) else len(next(iter(points.values())))
 
 
 def checked_points(given: object, record: System, folder: Path | None = None) -> Columns:
@@ -29,6 +60,9 @@ def checked_points(given: object, record: System, folder: Path | None = None) ->
     A path is looked for in the folder, if any. Raises InputError that names the row and the column of a value that is
     no number, or outside its parameter's range. Rows are counted as a spreadsheet does: row 1 is that of the names.
     """
+    if isinstance(given, StoredColumns):
+        check_names("parameter", given, [parameter.name for parameter in record.parameters])
+        return given
     if isinstance(given, Mapping) and isinstance(given.get(FILE), str | Path):
         check_names("key in points", given, [FILE])
         path = Path(given[FILE])
@@ -40,13 +74,12 @@ def checked_points(given: object, record: System, folder: Path | None = None) ->
 
 def axis_of(points: Columns) -> Axis:
     """The rows of a table as an axis of their numbers."""
-    rows = len(next(iter(points.values())))
-    return Axis(POINT, tuple(map(float, range(rows))))
+    return Axis(POINT, tuple(map(float, range(row_count(points)))))
 
 
 def described(points: Columns) -> str:
     """A table in a few words."""
-    return f"{len(next(iter(points.values())))} rows of {', '.join(points)}"
+    return f"{row_count(points)} rows of {', '.join(points)}"
 
 
 def differing(stored: Columns, given: Columns) -> list[str]:
@@ -56,7 +89,7 @@ def differing(stored: Columns, given: Columns) -> list[str]:
     if stored.keys() != given.keys():
         sides = [", ".join(columns) or "none" for columns in (stored, given)]
         return [f"columns of points {sides[0]} in the store, {sides[1]} in the spec"]
-    rows = [len(next(iter(columns.values()))) for columns in (stored, given)]
+    rows = [row_count(columns) for columns in (stored, given)]
     if rows[0] != rows[1]:
         return [f"{rows[0]} points in the store, {rows[1]} in the spec"]
     row, name = next((i, name) for i in range(rows[0]) for name in stored if stored[name][i] != given[name][i])
@@ -85,8 +118,6 @@ def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns
             raise InputError(f"{where}, row {place}: is empty; remove it")
         if len(row) != len(names):
             raise InputError(f"{where}, row {place}: found {len(row)} fields, must be {len(names)} as in the first row")
-        if place > MAX_ROWS + 1:
-            raise InputError(f"{where}: found more than {MAX_ROWS} rows below the names, must be at most {MAX_ROWS}")
         for name, field in zip(names, row, strict=True):
             try:
                 columns[name].append(float(field.strip() if "_" not in field else ""))
@@ -111,7 +142,7 @@ def _check_header(where: str, names: Sequence[object], record: System) -> None:
 
 def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:
     _check_header(where, list(given), record)
-    found: Columns = {}
+    found: dict[str, tuple[float, ...]] = {}
     for name, values in given.items():
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
         if not isinstance(listed, Sequence) or isinstance(listed, str):
@@ -122,18 +153,15 @@ def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Co
     for (one, values), (other, others) in itertools.pairwise(found.items()):
         if len(values) != len(others):
             raise InputError(f"{where}: found {len(values)} values of {one} and {len(others)} of {other}")
-    rows = len(next(iter(found.values())))
-    if not 1 <= rows <= MAX_ROWS:
-        raise InputError(f"{where}: found {rows} rows below the names, must be 1 to {MAX_ROWS}")
+    if not row_count(found):
+        raise InputError(f"{where}: found 0 rows below the names, must be 1 or more")
     return found
 
 
 def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
-    """The values where all are floats that the parameter admits, at once, since every tile reads the table; else ()."""
-    if not all(type(value) is float for value in values):
-        return ()
-    found = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
-    return tuple(found.tolist()) if np.all(parameter.admits(found)) else ()
+    """The values where all are floats that the parameter admits; else ()."""
+    found = all_floats(values)
+    return found if np.all(parameter.admits(np.array(found))) else ()
 
 
 def _value(where: str, name: str, value: object, record: System) -> float:

@@ -1,10 +1,8 @@
 """The spec: everything that decides the numbers of an atlas, checked once."""
 
-import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
-from importlib import resources
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +10,14 @@ import numpy as np
 
 from atlas.errors import InputError, check_names, shown
 from atlas.spec.attractors import checked_attractors, resolved_attractors
-from atlas.spec.axis import Axis, admitted, read_axis
-from atlas.spec.points import FILE, Columns, axis_of, checked_points, described, differing
+from atlas.spec.axis import Axis, StoredAxis, Values, admitted, checked_num, read_axis
+from atlas.spec.examples import packaged_text
+from atlas.spec.points import FILE, Columns, StoredColumns, axis_of, checked_points, described, row_count
+from atlas.spec.resolved import outlined, resolved_digest, with_values
 from atlas.spec.system import checked_system, resolved_system
 from workers import Settings
 from workers.attractors.starts import Starts
-from workers.model.parameter import unknown_name
-from workers.model.system import System, identity
+from workers.model.system import System
 from workers.model.toml_text import TomlError, parse_toml, read_toml
 from workers.results import Variable
 
@@ -26,10 +25,6 @@ SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "st
 MOST_AXES = 3
 FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
 """What the shape of a tile is, by the number of axes."""
-FIRST_SETTINGS = (
-    "exponents", "tolerance", "max_periods", "method", "transient_periods", "periods", "max_period", "section_samples",
-)  # fmt: skip
-"""Those of the first version, which enter every digest. A setting added since does not belong here."""
 Slices = tuple[slice, ...]
 
 
@@ -128,7 +123,7 @@ class Spec:
         """
         path, where = Path(source), str(source) or "''"
         try:
-            given = read_toml(path) if path.exists() else parse_toml(_example(str(source)))
+            given = read_toml(path) if path.exists() else parse_toml(packaged_text(str(source)))
             if points is not None:
                 given = _with_points(given, Path(points), path.parent)
             return cls.from_mapping(given, path.parent)
@@ -166,16 +161,16 @@ class Spec:
         return None
 
     def resolved(self) -> dict[str, Any]:
-        """The spec as plain JSON: what the store keeps, and enough to build an equal spec with ``from_resolved``."""
-        axes = [
-            {"name": axis.name, "scale": axis.scale, "values": list(axis.values)}
-            | ({"continuation": axis.continuation} if axis.continuation else {})
-            for axis in self.axes
-        ]
+        """The spec as plain JSON: what its digest is of, and enough to build an equal spec with ``from_resolved``."""
+        return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
+
+    def outline(self) -> dict[str, Any]:
+        """``resolved`` without the values of axes and points: of these their names and number, of axes the ends."""
+        cells: dict[str, Any]
         if self.points:
-            cells: dict[str, Any] = {"axes": [], "points": {name: list(values) for name, values in self.points.items()}}
+            cells = {"axes": [], "points": {"columns": [*self.points], "num": row_count(self.points)}}
         else:
-            cells = {"axes": axes}
+            cells = {"axes": [axis.outline() for axis in self.axes]}
         many = {} if self.attractors is None else {"attractors": resolved_attractors(self.attractors)}
         return self.record.resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)} | many
 
@@ -186,9 +181,36 @@ class Spec:
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
         }
-        system, points = resolved_system(resolved), resolved.get("points")
-        attractors = resolved.get("attractors")
-        return cls(system, axes, resolved["parameters"], resolved["solve"], points=points, attractors=attractors)
+        return cls._of(resolved, axes, resolved.get("points"))
+
+    @classmethod
+    def from_outline(cls, outline: Mapping[str, Any], read: Callable[[], Values]) -> "Spec":
+        """The inverse of ``outline``, with the values that ``read`` gives by name, once they are asked for."""
+        points = outline.get("points")
+        columns = None if points is None else StoredColumns(points["columns"], checked_num("points", points), read)
+        return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
+
+    @classmethod
+    def from_dataset(cls, ds: Any) -> "Spec":
+        """The spec of an atlas that was opened, exported or loaded whole, as an xarray Dataset; tile shape aside.
+
+        InputError where it does not have its spec, or not all of its cells.
+        """
+        try:
+            kept, digest = json.loads(ds.attrs["spec"]), ds.attrs["digest"]
+            if ds.attrs["format_version"] > 1:
+                kept = with_values(kept, {name: ds[name].values.tolist() for name in outlined(kept)})
+        except (KeyError, TypeError, ValueError):
+            raise InputError("this dataset lacks the spec of its atlas, or a coordinate") from None
+        if resolved_digest(kept) != digest:
+            raise InputError("this dataset does not have all cells of its atlas, or not those of its spec")
+        return cls.from_resolved(kept)
+
+    @classmethod
+    def _of(cls, resolved: Mapping[str, Any], axes: Mapping[str, Axis], points: Mapping[str, Any] | None) -> "Spec":
+        """The spec of a resolved one or an outline, with these cells."""
+        given = axes, resolved["parameters"], resolved["solve"]
+        return cls(resolved_system(resolved), *given, points=points, attractors=resolved.get("attractors"))
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -236,77 +258,6 @@ class Spec:
         return params
 
 
-def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
-    """SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
-
-    A packaged system enters it by its name, and from its second version on by that; another one by its definition,
-    without the words in it.
-    Settings added since the first version enter it only where they are not at their default, so that a spec from
-    before keeps its digest. ``table`` has the defaults.
-    """
-    axes = [
-        [axis["name"], axis["values"]] + ([axis["continuation"]] if "continuation" in axis else [])
-        for axis in resolved["axes"]
-    ]
-    defaults = {field.name: field.default for field in fields(table)}
-    settings = {
-        name: value
-        for name, value in resolved["solve"].items()
-        if name in FIRST_SETTINGS or value != defaults.get(name, MISSING)
-    }
-    return digest_of({**resolved, **identity(resolved), "axes": axes, "solve": settings})
-
-
-def digest_of(identity: Mapping[str, Any]) -> str:
-    """SHA-256 of a mapping as JSON. Python writes a float as its shortest exact decimal: equal text is equal bits."""
-    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
-
-
-def differences(stored: Spec, given: Spec) -> list[str]:
-    """In what two specs differ, each in a few words."""
-    found = []
-    if stored.system != given.system:
-        found.append(f"system {stored.system} in the store, {given.system} in the spec")
-    elif identity(stored.record.resolved()) != identity(given.record.resolved()):
-        found.append(f"system {stored.system} is defined otherwise in the store: {_defined_otherwise(stored, given)}")
-    names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
-    if stored.points or given.points:
-        found += differing(stored.points, given.points)
-    elif names != wanted:
-        what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
-        found.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
-    else:
-        pairs = zip(stored.axes, given.axes, strict=True)
-        found += [
-            f"axis {old} in the store, {new} in the spec"
-            for old, new in pairs
-            if (old.values, old.continuation) != (new.values, new.continuation)
-        ]
-    if (stored.attractors is None) != (given.attractors is None):
-        one, all_of_them = ("store", "spec") if stored.attractors is None else ("spec", "store")
-        found.append(f"one attractor for each cell in the {one}, all attractors in the {all_of_them}")
-    for before, after in (
-        (stored.parameters, given.parameters),
-        (stored.resolved()["solve"], given.resolved()["solve"]),
-        (stored.resolved().get("attractors", {}), given.resolved().get("attractors", {})),
-    ):
-        common = before.keys() & after.keys()
-        found += [
-            f"{name} = {before[name]!r} in the store, {after[name]!r} in the spec"
-            for name in before
-            if name in common and before[name] != after[name]
-        ]
-    return found
-
-
-def _defined_otherwise(stored: Spec, given: Spec) -> str:
-    """In which entries two systems of one name differ."""
-    if stored.record.packaged or given.record.packaged:
-        return "only one of the two is in the package"
-    one, other = (identity(spec.record.resolved())["system"] for spec in (stored, given))
-    return ", ".join(key for key in one | other if one.get(key) != other.get(key))
-
-
 def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
     """All parameters of a system, those given checked against their ranges, the others at their defaults."""
     check_names("parameter", given, [parameter.name for parameter in record.parameters])
@@ -329,31 +280,6 @@ def checked_settings(given: Mapping[str, Any]) -> Settings:
         return Settings(**whole)
     except ValueError as error:
         raise InputError(f"solve.{error}") from None
-
-
-def example_names() -> list[str]:
-    """Names of the packaged examples."""
-    folder = resources.files("atlas").joinpath("examples")
-    if not folder.is_dir():
-        return []
-    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
-
-
-def example_text(name: str) -> str:
-    """The packaged example of that name, as TOML; InputError with the nearest name otherwise."""
-    names = example_names()
-    if name not in names:
-        raise InputError(unknown_name("example", name, names))
-    return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
-
-
-def _example(name: str) -> str:
-    if name.endswith(".toml") or "/" in name:
-        raise InputError("no such file")
-    try:
-        return example_text(name)
-    except InputError as error:
-        raise InputError(f"no such file, and {error}") from None
 
 
 def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import threading
 import uuid
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -56,6 +56,14 @@ class ZipPlace:
         archive = self._archive()
         return archive is not None and key in archive.keys
 
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
+        """See Place."""
+        return {key: data for key in keys if (data := self.get(key)) is not None}
+
+    def version(self, key: str) -> Hashable:
+        """See Place."""
+        return self.path.stat().st_mtime_ns if self.exists(key) else None
+
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         """See Place."""
         archive = self._archive()
@@ -70,6 +78,10 @@ class ZipPlace:
         raise self._read_only()
 
     def remove(self, key: str) -> None:
+        """See Place: refused."""
+        raise self._read_only()
+
+    def remove_all(self, keys: Iterable[str]) -> None:
         """See Place: refused."""
         raise self._read_only()
 

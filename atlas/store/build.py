@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from atlas.spec.spec import Spec
-from atlas.store.digests import create_digests
+from atlas.store.axes import copies
+from atlas.store.location import LocalPlace
 from atlas.store.machine import MACHINES
+from atlas.store.record import create_arrays
 from atlas.store.schema import (
     ALLOWANCES,
     DIMENSIONS,
@@ -16,7 +18,7 @@ from atlas.store.schema import (
     root_attributes,
     variable_attributes,
 )
-from atlas.store.tiling import Tiling
+from atlas.store.tiling import Tiling, part_side
 from workers.results import Variable
 
 if TYPE_CHECKING:
@@ -41,22 +43,26 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
             attributes=coordinate.attributes,
         )
         array[...] = coordinate.values
+    for key, data in copies(spec).items():
+        LocalPlace(path).put(key, data)
     for variable in variables:
         create_variable(group, variable, spec, tiling, variable_attributes(variable, [*spec.parameters, *spec.points]))
-    create_digests(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
+    create_arrays(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
     consolidate(group)
 
 
 def create_variable(
     group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling, attributes: dict[str, Any]
 ) -> None:
-    """Make the array of a result, one chunk a tile."""
+    """Make the array of a result, one object a tile: a chunk, of a large tile a shard of smaller ones."""
     sizes = extra_sizes(spec)
     extra = tuple(sizes[dim] for dim in variable.extra)
+    part = tuple(map(part_side, tiling.tile))
     group.create_array(
         variable.name,
         shape=tiling.shape + extra,
-        chunks=tiling.tile + extra,
+        chunks=part + extra,
+        shards=tiling.tile + extra if part != tiling.tile else None,
         dtype=variable.dtype,
         fill_value=variable.fill,
         dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
@@ -65,14 +71,14 @@ def create_variable(
     )
 
 
-def consolidate(group: "zarr.Group") -> None:
-    """Copy the metadata of all arrays into the root's, from which xarray opens a store by one read."""
+def consolidate(group: "zarr.Group", path: str = "") -> None:
+    """Copy the metadata of all arrays below a group, the root or one in it, into its own, which is all xarray reads."""
     import zarr
 
     with warnings.catch_warnings():
         # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
         warnings.filterwarnings("ignore", message="Consolidated metadata")
-        zarr.consolidate_metadata(group.store)
+        zarr.consolidate_metadata(group.store, path=path or None)
 
 
 def codecs() -> list[Any]:

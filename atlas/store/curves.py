@@ -63,5 +63,4 @@ def damaged_parts(header: Header) -> list[str]:
 
 def drop_parts(header: Header) -> None:
     """Remove all parts."""
-    for name in list(part_names(header)):
-        header.place.remove(f"{GROUP}/{PARTS}/{name}")
+    header.place.remove_all(list(header.place.list_keys(f"{GROUP}/{PARTS}/")))

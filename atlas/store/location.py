@@ -6,7 +6,8 @@ put, removed or looked for, and a write under a condition, which an object store
 
 import os
 import uuid
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
 """Schemes of URLs that a store may have, besides ``file``: those that obstore speaks."""
 _ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT", "GOOGLE_BASE_URL", "AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT")
+AT_ONCE = 64
+"""Requests under way together where many objects of a server are read: it answers all as soon as one."""
 _T = TypeVar("_T")
 
 
@@ -41,6 +44,9 @@ class Place(Hashable, Protocol):
     def exists(self, key: str) -> bool:
         """Whether there is such an object."""
 
+    def version(self, key: str) -> Hashable:
+        """What tells an object's present state from others, without its bytes; None where there is none."""
+
     def put(self, key: str, data: bytes) -> None:
         """Write an object whole, in place of any before it."""
 
@@ -49,6 +55,12 @@ class Place(Hashable, Protocol):
 
     def remove(self, key: str) -> None:
         """Remove an object; nothing happens where there is none."""
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
+        """The bytes of those of these objects that there are, by key: many at once where each takes a while."""
+
+    def remove_all(self, keys: Iterable[str]) -> None:
+        """Remove objects, in no order, many by one request where the place has such requests."""
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         """All keys, those under a prefix that ends in "/", or all, by one listing."""
@@ -114,6 +126,14 @@ class LocalPlace:
         """See Place."""
         return (self.path / key).is_file()
 
+    def version(self, key: str) -> Hashable:
+        """See Place. A write puts another file in its place."""
+        try:
+            found = (self.path / key).stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
     def put(self, key: str, data: bytes) -> None:
         """See Place."""
         with self._written(key, data) as written:
@@ -131,6 +151,15 @@ class LocalPlace:
     def remove(self, key: str) -> None:
         """See Place."""
         (self.path / key).unlink(missing_ok=True)
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
+        """See Place."""
+        return {key: data for key in keys if (data := self.get(key)) is not None}
+
+    def remove_all(self, keys: Iterable[str]) -> None:
+        """See Place."""
+        for key in keys:
+            self.remove(key)
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         """See Place. What a killed write left behind is none."""
@@ -204,14 +233,18 @@ class ObjectPlace:
 
     def exists(self, key: str) -> bool:
         """See Place."""
+        return self.version(key) is not None
+
+    def version(self, key: str) -> Hashable:
+        """See Place."""
         import obstore
 
-        def once() -> bool:
+        def once() -> Hashable:
             try:
-                obstore.head(self.client, key)
+                found = obstore.head(self.client, key)
             except FileNotFoundError:
-                return False
-            return True
+                return None
+            return found["e_tag"], found["version"], found["last_modified"], found["size"]
 
         return self._persist(once)
 
@@ -242,6 +275,24 @@ class ObjectPlace:
                 obstore.delete(self.client, key)
 
         self._persist(once)
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
+        """See Place."""
+        wanted = list(keys)
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            found = zip(wanted, pool.map(self.get, wanted), strict=True)
+            return {key: data for key, data in found if data is not None}
+
+    def remove_all(self, keys: Iterable[str]) -> None:
+        """See Place."""
+        import obstore
+
+        unwanted = list(keys)
+        try:
+            self._persist(lambda: obstore.delete(self.client, unwanted))
+        except FileNotFoundError:  # Google's and Azure's stores stop there, even where a lost answer removed it
+            with ThreadPoolExecutor(AT_ONCE) as pool:
+                list(pool.map(self.remove, unwanted))
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         """See Place."""

@@ -1,7 +1,7 @@
 """Notes that several processes share at a URL: written only if absent, or only if what is there is what was read.
 
 A run claims a store by one of them. An object store makes each write one act (If-None-Match, If-Match); it has no
-removal under a condition, so that a removed note is an empty one, which reads and counts as none.
+removal under a condition, so that a note that was removed under one is empty, which reads and counts as none.
 """
 
 from dataclasses import dataclass, replace
@@ -36,9 +36,11 @@ class UrlNotes:
 
     def clear(self, keep: str) -> None:
         """Remove all notes but one, for good: only for who holds that one."""
-        for name in list(self.place.list_keys()):
-            if name != keep:
-                self.place.remove(name)
+        self.place.remove_all(name for name in self.place.list_keys() if name != keep)
+
+    def drop(self, name: str) -> None:
+        """Remove a note, whatever it holds."""
+        self.place.remove(name)
 
 
 def notes_at_url(store: ObjectPlace) -> UrlNotes:

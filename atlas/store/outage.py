@@ -1,4 +1,8 @@
-"""Waiting for a store at a URL that does not answer: a server or a network that is away comes back, as a rule."""
+"""Waiting for a store at a URL that does not answer: a server or a network that is away comes back, as a rule.
+
+obstore's own retries are not used: they count from the beginning of a request, so that one that was under way for long
+before it failed is not made again, and they do not say which conditional write may have had its effect before.
+"""
 
 import asyncio
 import errno

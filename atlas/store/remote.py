@@ -3,8 +3,8 @@
 At a URL it waits for a server that does not answer, as the place itself does; of a zip file damage is an OSError.
 """
 
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterable
-from typing import Any, Self, TypeVar
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Iterable
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from zarr.abc.store import ByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
@@ -15,6 +15,18 @@ from atlas.store.location import ObjectPlace, Place
 from atlas.store.outage import persist_async
 
 _T = TypeVar("_T")
+_P = ParamSpec("_P")
+
+
+def _again(
+    once: Callable[Concatenate[ObjectStore[Any], _P], Awaitable[_T]],
+) -> Callable[Concatenate["RemoteStore", _P], Coroutine[Any, Any, _T]]:
+    """A method of Zarr's ObjectStore, called again while the server does not answer."""
+
+    async def persisting(self: "RemoteStore", /, *args: _P.args, **named: _P.kwargs) -> _T:
+        return await self._persist(lambda: once(self, *args, **named))
+
+    return persisting
 
 
 class RemoteStore(ObjectStore[Any]):
@@ -32,10 +44,12 @@ class RemoteStore(ObjectStore[Any]):
         """See Zarr's Store."""
         return str(self._place)
 
-    async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
-        """See Zarr's Store."""
-        once = super().get
-        return await self._persist(lambda: once(key, prototype, byte_range))
+    get = _again(ObjectStore.get)
+    exists = _again(ObjectStore.exists)
+    set = _again(ObjectStore.set)
+    set_if_not_exists = _again(ObjectStore.set_if_not_exists)
+    delete = _again(ObjectStore.delete)
+    delete_dir = _again(ObjectStore.delete_dir)
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
@@ -43,31 +57,6 @@ class RemoteStore(ObjectStore[Any]):
         """See Zarr's Store."""
         once, wanted = super().get_partial_values, list(key_ranges)
         return await self._persist(lambda: once(prototype, wanted))
-
-    async def exists(self, key: str) -> bool:
-        """See Zarr's Store."""
-        once = super().exists
-        return await self._persist(lambda: once(key))
-
-    async def set(self, key: str, value: Buffer) -> None:
-        """See Zarr's Store."""
-        once = super().set
-        await self._persist(lambda: once(key, value))
-
-    async def set_if_not_exists(self, key: str, value: Buffer) -> None:
-        """See Zarr's Store."""
-        once = super().set_if_not_exists
-        await self._persist(lambda: once(key, value))
-
-    async def delete(self, key: str) -> None:
-        """See Zarr's Store."""
-        once = super().delete
-        await self._persist(lambda: once(key))
-
-    async def delete_dir(self, prefix: str) -> None:
-        """See Zarr's Store."""
-        once = super().delete_dir
-        await self._persist(lambda: once(prefix))
 
     def list(self) -> AsyncGenerator[str, None]:
         """See Zarr's Store."""

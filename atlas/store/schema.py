@@ -16,10 +16,12 @@ from workers.model.parameter import Parameter
 from workers.results import ATTRACTOR, REASON, REASONS, REGIME, REGIMES, Variable
 
 FORMAT = "impact-atlas"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Version 1 has the values of all axes in the spec of its attributes, see ``store.axes``; it is read as it is."""
 OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
-DIMENSIONS = {"state": "component"}
+COMPONENT = "component"
+DIMENSIONS = {"state": COMPONENT}
 """Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
 
 
@@ -69,6 +71,12 @@ class StoredArray(NamedTuple):
     attributes: dict[str, Any]
 
 
+def coordinate_names(spec: Spec) -> list[str]:
+    """The names of ``coordinates``."""
+    cells = [POINT, *spec.points] if spec.points else [axis.name for axis in spec.axes]
+    return [*cells, *spec.parameters, COMPONENT]
+
+
 def coordinates(spec: Spec) -> dict[str, StoredArray]:
     """The coordinates by name: axes, fixed parameters as scalars, and the names of the states.
 
@@ -90,13 +98,13 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
         name: StoredArray(np.float64(value), (), _described(record.parameter(name)))
         for name, value in spec.parameters.items()
     }
-    return cells | fixed | {"component": StoredArray(np.array(record.states, dtype="T"), ("component",), names)}
+    return cells | fixed | {COMPONENT: StoredArray(np.array(record.states, dtype="T"), (COMPONENT,), names)}
 
 
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
     """What the store as a whole says of itself; a run id is drawn where none is given.
 
-    Ten attributes or more: a notebook then shows them folded, and the spec, which names every value, fills no screen.
+    Ten attributes or more: a notebook then shows them folded, and the spec fills no screen.
     """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     references = {"references": spec.record.source} if spec.record.source else {}
@@ -111,7 +119,7 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
         "run_id": run_id or uuid.uuid4().hex,
         "digest": spec.digest,
         # As text, since netCDF attributes cannot nest.
-        "spec": json.dumps(spec.resolved()),
+        "spec": json.dumps(spec.outline()),
         "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
         **references,
         **origins,

@@ -36,6 +36,9 @@ class Notes(Protocol):
     def remove(self, name: str, expected: bytes) -> bool:
         """Remove a note that holds the expected bytes; False where it does not."""
 
+    def drop(self, name: str) -> None:
+        """Remove a note, whatever it holds: only for its maker, and where nobody else would put another one."""
+
     def clear(self, keep: str) -> None:
         """Remove all notes but one: only for who holds that one."""
 
@@ -101,6 +104,12 @@ class Folder:
         with suppress(OSError):
             self.path.rmdir()
         return True
+
+    def drop(self, name: str) -> None:
+        """See Notes. The folder goes with its last note."""
+        (self.path / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            self.path.rmdir()
 
     def clear(self, keep: str) -> None:
         """See Notes."""

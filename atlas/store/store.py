@@ -3,32 +3,38 @@
 import errno
 import json
 import os
-import shutil
-import tempfile
-import uuid
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from atlas.errors import ChunkError, InputError, NetworkError, RunError, message_of, shown
-from atlas.spec.spec import Spec, differences
+from atlas.errors import ChunkError, InputError, RunError, message_of, shown
+from atlas.spec.axis import Values
+from atlas.spec.differences import differences
+from atlas.spec.resolved import with_values
+from atlas.spec.spec import Spec
 from atlas.store.archive import ZipPlace, refuse_packed
-from atlas.store.build import build, consolidate, create_variable
-from atlas.store.digests import DIGESTS, TILES
-from atlas.store.location import LocalPlace, Place, place_of
-from atlas.store.machine import MACHINES
+from atlas.store.axes import ROOT as ROOT
+from atlas.store.axes import copies, read_values
+from atlas.store.location import Place, place_of
+from atlas.store.making import (
+    check_replaceable,
+    check_writable,
+    create_locally,
+    create_remotely,
+    is_free,
+    refused,
+)
+from atlas.store.record import DIGESTS, RECORD
 from atlas.store.schema import (
     ALLOWANCES,
     FORMAT,
     FORMAT_VERSION,
-    Allowance,
     Origin,
     StoredArray,
+    coordinate_names,
     coordinates,
-    variable_attributes,
     variable_of,
 )
 from atlas.store.tiling import Tiling, chunk_index
@@ -40,27 +46,28 @@ if TYPE_CHECKING:
 
 READERS = 8
 """Tiles read at once: a disk or a network answers several as soon as one."""
-ROOT = "zarr.json"
-"""The object that makes a store one: before it there is none."""
 ZOOM = "zoom"
 """The group of what was explored, see ``store.zoom``."""
-TRIAL = ".trial-"
 
 
 @dataclass(frozen=True)
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
-    ``arrays`` are the metadata of its root's arrays, by name, as the root has them.
+    ``outline`` is its spec without the values of axes and points, but with them in format version 1. ``arrays`` are
+    the metadata of its root's arrays, by name, as the root has them; ``record`` are those of the array of the tiles'
+    records, None in a store of an earlier version.
     """
 
     place: Place
-    resolved: Mapping[str, Any]
+    outline: Mapping[str, Any]
     digest: str
     run_id: str
     solver_version: int
     arrays: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
+    record: Mapping[str, Any] | None = field(default=None, repr=False)
+    format_version: int = FORMAT_VERSION
 
     @property
     def path(self) -> Path:
@@ -73,17 +80,36 @@ class Header:
     def spec(self) -> Spec:
         """The spec that the store was made from; what has been added to specs since is at its default.
 
+        The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
         InputError where this version cannot read it, and where the store's cells are not those of the spec.
         """
         try:
-            spec = Spec.from_resolved(self.resolved)
-        except InputError as error:
+            whole = self.format_version == 1
+            spec = Spec.from_resolved(self.outline) if whole else Spec.from_outline(self.outline, lambda: self.values)
+        except (InputError, KeyError, TypeError) as error:
             raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
         shape = self.arrays[REGIME.name].get("shape")
         if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
             found = f"{REGIME.name} has shape {shown(shape)}, must be {spec.shape}"
             raise InputError(f"{self.place}: its metadata are damaged: {found}")
         return spec
+
+    @cached_property
+    def values(self) -> Values:
+        """The values of the axes, or of the columns of the points, by name. ChunkError where they are damaged."""
+        if self.format_version == 1:
+            return self.spec.points or {axis.name: axis.values for axis in self.spec.axes}
+        return read_values(self.place, self.outline, self.digest)
+
+    @property
+    def copies(self) -> dict[str, bytes]:
+        """The copies of coordinates that the store has, by their keys: see ``store.axes``."""
+        return {} if self.format_version == 1 else copies(self.spec)
+
+    @property
+    def resolved(self) -> Mapping[str, Any]:
+        """The resolved spec as the store has it. ChunkError where its values are damaged."""
+        return self.outline if self.format_version == 1 else with_values(self.outline, self.values)
 
     @property
     def tile(self) -> tuple[int, ...]:
@@ -116,10 +142,19 @@ class Header:
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @cached_property
+    def writable(self) -> Mapping[str, Any]:
+        """The Zarr arrays of the cells and of digests for writing, by name, opened once; RunError for another store."""
+        group: Any = open_group(self.place, "r+", consolidated=True)  # one request for all arrays
+        if group.attrs.get("run_id") != self.run_id:
+            raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
+        names = (*(each.name for each in (*ALLOWANCES, *self.variables)), DIGESTS)
+        return {name: array for name in names if (array := group.get(name)) is not None}
+
+    @cached_property
     def unknown(self) -> tuple[Variable, ...]:
         """Values of cells that the store holds and this program does not know: it was made by a newer version."""
         dims = self.spec.dims
-        known = {each.name for each in (*self.variables, *ALLOWANCES)} | {*self.coordinates}
+        known = {each.name for each in (*self.variables, *ALLOWANCES)} | {*self.coordinate_names}
         return tuple(
             variable_of(name, array, len(dims))
             for name, array in self.arrays.items()
@@ -127,10 +162,16 @@ class Header:
         )
 
     @cached_property
+    def coordinate_names(self) -> list[str]:
+        """The names of the coordinates that the store holds; none for a parameter that the system got later."""
+        added = self.spec.parameters.keys() - self.outline["parameters"].keys()
+        return [name for name in coordinate_names(self.spec) if name not in added]
+
+    @cached_property
     def coordinates(self) -> dict[str, StoredArray]:
-        """The coordinates that the store holds; it has none for a parameter that the system got later."""
-        added = self.spec.parameters.keys() - self.resolved["parameters"].keys()
-        return {name: made for name, made in coordinates(self.spec).items() if name not in added}
+        """The coordinates that the store holds."""
+        made = coordinates(self.spec)
+        return {name: made[name] for name in self.coordinate_names}
 
 
 def create(
@@ -146,11 +187,11 @@ def create(
     them meanwhile. ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
-    with _refused(place, "written"):
+    with refused(place, "written"):
         if place.local is None:
-            _create_remotely(place, spec, tile, origin, run_id)
+            create_remotely(place, spec, tile, origin, run_id)
         else:
-            _create_locally(place.local, spec, tile, origin, run_id)
+            create_locally(place.local, spec, tile, origin, run_id)
     return read_header(place)
 
 
@@ -161,7 +202,7 @@ def read_header(store: str | os.PathLike[str] | Place) -> Header:
     not answer.
     """
     place = place_of(store)
-    with _refused(place, "read"):
+    with refused(place, "read"):
         return _read_header(place)
 
 
@@ -178,17 +219,19 @@ def _read_header(place: Place) -> Header:
         if attrs.get("format") != FORMAT:
             raise foreign
         found = attrs["format_version"]
-        if found != FORMAT_VERSION:
-            raise InputError(f"{place}: format version {found}, this program reads version {FORMAT_VERSION}")
+        if found not in (1, FORMAT_VERSION):
+            raise InputError(f"{place}: format version {found}, this program reads versions 1 and {FORMAT_VERSION}")
         regime = json.loads(place.get(f"{REGIME.name}/{ROOT}") or b"")  # its own: by it tiles are cut and done
         header = Header(
             place=place,
-            resolved=json.loads(attrs["spec"]),
+            outline=json.loads(attrs["spec"]),
             digest=attrs["digest"],
             run_id=attrs["run_id"],
             solver_version=attrs["solver_version"],
             arrays={**_array_metadata(place, root.get("consolidated_metadata")), REGIME.name: regime},
             origin=Origin(attrs["origin"], attrs["origin_run_id"]) if "origin" in attrs else None,
+            record=(root.get("consolidated_metadata") or {"metadata": {}})["metadata"].get(RECORD),
+            format_version=found,
         )
         _ = header.tile
     except InputError:
@@ -213,9 +256,9 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
     """The header of a store that a run of this spec may resume, None where there is none yet; else InputError."""
     place = place_of(store)
     refuse_packed(place)
-    with _refused(place, "written"):
-        if _is_free(place, spec):
-            _check_writable(place)
+    with refused(place, "written"):
+        if is_free(place, spec):
+            check_writable(place)
             return None
     header = read_header(place)
     if header.solver_version != SOLVER_VERSION:
@@ -223,36 +266,32 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
             f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: choose another path"
         )
-    if header.spec.digest != spec.digest:
+    if not _is_of(header, spec):
         raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
     if header.unknown:
         names = ", ".join(variable.name for variable in header.unknown)
         raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")
-    with _refused(place, "written"):
+    with refused(place, "written"):
         if place.local is None:
-            _check_replaceable(place)
+            check_replaceable(place)
         elif not os.access(place.local, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     return header
 
 
-@contextmanager
-def _refused(place: Place, what: str) -> Iterator[None]:
-    """An OSError within it as an InputError, whose cause it is; a server that does not answer stays a NetworkError."""
-    try:
-        yield
-    except NetworkError:
-        raise
-    except OSError as error:
-        raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error
+def _is_of(header: Header, spec: Spec) -> bool:
+    """Whether a store is of a spec; without its values where its digest says so, since these may be damaged."""
+    if header.format_version > 1 and header.digest == spec.digest:
+        return True
+    return header.spec.digest == spec.digest
 
 
-def done_tiles(header: Header) -> set[tuple[int, ...]]:
-    """Indices of the tiles that are finished: those whose regime chunk exists. It takes one listing."""
-    root, grid = f"{REGIME.name}/c/", header.tiling.grid
-    end = "/0" * len(header.regime.extra)
-    keys = (key.removeprefix(root) for key in header.place.list_keys(root) if key.endswith(end))
-    found = (chunk_index(key.removesuffix(end), grid) for key in keys)
+def done_tiles(header: Header, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
+    """Indices of the tiles that are finished: those whose regime chunk exists, by these keys or by one listing."""
+    root, end = f"{REGIME.name}/c/", "/0" * len(header.regime.extra)
+    keys = header.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
+    ours = (key.removeprefix(root).removesuffix(end) for key in keys if key.endswith(end))
+    found = (chunk_index(key, header.tiling.grid) for key in ours)
     return {index for index in found if index is not None}
 
 
@@ -275,7 +314,7 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     group = open_group(header.place, "r", consolidated)
     results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
     found = {}
-    for name in (*(v.name for v in results), *coordinates(header.spec)):
+    for name in (*(v.name for v in results), *coordinate_names(header.spec)):
         try:
             if name in group:
                 found[name] = group[name]
@@ -292,39 +331,6 @@ def open_digests(header: Header, consolidated: bool = False) -> Any | None:
     return group.get(DIGESTS, None)
 
 
-def restore_coordinates(header: Header) -> None:
-    """Write the coordinates again, from the spec."""
-    group: Any = open_group(header.place, "r+")
-    for name, coordinate in header.coordinates.items():
-        group[name][...] = coordinate.values
-
-
-def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:
-    """Make room for cells that are given more than the spec's settings say; all others read as what these say."""
-    group = open_group(header.place, "r+")
-    wanted = list(raised)
-    for each in wanted:
-        if each.name not in group:
-            spec = header.spec
-            fixed = [name for name in (*spec.parameters, *spec.points) if name in header.coordinates]
-            variable = replace(each, fill=each.of_spec(header.spec))
-            create_variable(group, variable, header.spec, header.tiling, variable_attributes(variable, fixed))
-    if any(each.name not in header.arrays for each in wanted):  # not even where a run made it and was killed at once
-        consolidate(group)
-        _leave_out(header.place, f"{ZOOM}/")
-
-
-def _leave_out(place: Place, prefix: str) -> None:
-    """Take what lies under a prefix out of the root's copy of the metadata: it comes and goes without it."""
-    root = json.loads(place.get(ROOT) or b"{}")
-    nodes = root.get("consolidated_metadata", {}).get("metadata", {})
-    foreign = [name for name in nodes if f"{name}/".startswith(prefix)]
-    for name in foreign:
-        del nodes[name]
-    if foreign:
-        place.put(ROOT, json.dumps(root).encode())
-
-
 def _zarr_store(place: Place, mode: str) -> Any:
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
 
@@ -335,58 +341,4 @@ def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = Fals
     """The root group of a store, its metadata read anew: of each array its own, or the root's copy of them."""
     import zarr
 
-    return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=consolidated)
-
-
-def _is_free(place: Place, spec: Spec) -> bool:
-    """Whether a store of this spec may be made here: nothing is there, or only what a creation cut short left."""
-    path = place.local
-    if path is not None:
-        return not path.exists() or (path.is_dir() and not any(path.iterdir()))
-    if place.exists(ROOT):
-        return False
-    ours = {MACHINES, TILES, *coordinates(spec)} | {variable.name for variable in spec.variables}
-    for key in place.list_keys():
-        if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
-    return True
-
-
-def _create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        build(building, spec, tile, origin, run_id)
-        os.rename(building, path)
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
-
-
-def _create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        built = LocalPlace(Path(folder) / "store")
-        build(built.path, spec, tile, origin, run_id)
-        for key in built.list_keys():
-            if key != ROOT:
-                place.put(key, (built.path / key).read_bytes())
-        if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
-            raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
-
-
-def _check_replaceable(place: Place) -> None:
-    """Try to put the root there is, if there is none: for want of a permission that is refused another way."""
-    root = place.get(ROOT)
-    if root:
-        place.put_new(ROOT, root)
-
-
-def _check_writable(place: Place) -> None:
-    """Try it: permission bits do not say all. On a disk, in the nearest folder there is."""
-    if place.local is None:
-        trial = f"{TRIAL}{uuid.uuid4().hex}"
-        place.put(trial, b"")
-        place.remove(trial)
-        return
-    home = next(folder for folder in place.local.parents if folder.exists())
-    with tempfile.TemporaryDirectory(prefix=f".{place.local.name}.", dir=home):
-        pass
+    return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=consolidated, zarr_format=3)

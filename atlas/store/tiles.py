@@ -4,77 +4,121 @@ import errno
 import io
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from atlas.errors import ChunkError, RunError, message_of
+from atlas.errors import ChunkError, message_of
 from atlas.spec.spec import Slices
-from atlas.store.digests import COVERED, DIGESTS, digest_of
+from atlas.store.location import Place
 from atlas.store.machine import this_machine
 from atlas.store.machines import record_machine
+from atlas.store.record import (
+    COVERED,
+    DIGEST,
+    DIGESTS,
+    WIDTH,
+    Rows,
+    counted_row,
+    digest_of,
+    halves,
+    packed,
+    record_key,
+)
 from atlas.store.schema import ALLOWANCES, Allowance
-from atlas.store.store import Header, chunk_key, is_done, open_arrays, open_group
+from atlas.store.store import Header, chunk_key, done_tiles, is_done, open_arrays
 from atlas.store.tiling import chunk_index
 from workers.results import REGIME, Variable
 
 REPLACED = f"{REGIME.name}/replaced/"
 """Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
+EXCHANGED = "its chunks are not those that were written here together: exchanged with another tile's, or altered"
 
 
-def write_tile(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+def write_tile(
+    header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray], held: Callable[[], None] = lambda: None
+) -> Rows:
     """Write all variables that the store has of one tile as whole chunks, ``regime`` last: with it the tile is done.
 
-    A finished tile that is written again stays as it is until all that is new lies beside it in one object. It is
-    unfinished while its chunks are written, so that a kill leaves no mixture of two solutions; then
-    ``finish_replacement`` writes them from that object.
+    Its record is written right before, and returned. A finished tile that is written again stays as it is until all
+    that is new lies beside it in one object. It is unfinished while its chunks are written, so that a kill leaves no
+    mixture of two solutions; then ``finish_replacement`` writes them from that object.
+
+    ``held`` raises where another run has the store. It is called before the first write and before the last; of a
+    finished tile before each, since another run may give its cells other results.
     """
-    group = open_group(header.place, "r+")
-    if group.attrs.get("run_id") != header.run_id:
-        raise RunError(f"{header.place}: not the store of run {header.run_id}; is the path the same on all hosts?")
+    to = header.writable
+    held()
     record_machine(header, this_machine())
     arrays = {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
+    row = record_of(header, index, arrays)
     replaced = is_done(header, index)
     if replaced:
         header.place.put(_replacement_key(index), _packed(arrays))
+        held()
         drop_tile(header, index)
     for each in ALLOWANCES:
-        if each.name in group:
-            _write(group[each.name], index, arrays[each.name], sparse=True)
-    _write_digest(group, header, index, arrays)
+        if each.name in to:
+            _check(held, replaced)
+            _write(header.place, to[each.name], index, arrays[each.name], sparse=True)
+    digests = to.get(DIGESTS)
+    if digests is not None:  # as stores of earlier versions have it
+        _check(held, replaced)
+        _write(
+            header.place, digests, index, np.uint64(digest_of(index, covered_variables(header, digests.attrs), arrays))
+        )
     for variable in header.variables:
-        _write(group[variable.name], index, arrays[variable.name], variable.sparse)
+        _check(held, replaced or variable.name == REGIME.name)
+        if variable.name == REGIME.name:
+            put_record(header, index, row)
+            _check(held, replaced)
+        _write(header.place, to[variable.name], index, arrays[variable.name], variable.sparse)
     if replaced:
         header.place.remove(_replacement_key(index))
+    return row
 
 
-def finish_replacement(header: Header, index: tuple[int, ...]) -> bool:
+def record_of(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+    """The record of a tile with these arrays, ``ALLOWANCES`` among them; in a store without records, no digest."""
+    row = counted_row(header.spec, header.tiling.at(index).slices, header.leading(arrays))
+    if header.record is not None:
+        covered = covered_variables(header, header.record["attributes"])
+        row[DIGEST] = halves(digest_of(index, covered, arrays))
+    return row
+
+
+def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
+    """Write the record of a tile; nothing in a store that has no room for it."""
+    if header.record is not None:
+        header.place.put(record_key(index), packed(row))
+
+
+def finish_replacement(header: Header, index: tuple[int, ...], held: Callable[[], None] = lambda: None) -> bool:
     """Write a tile from what ``write_tile`` put beside it and did not live to write; False where there is nothing."""
     key = _replacement_key(index)
     packed = header.place.get(key)
     arrays = _unpacked(packed) if packed is not None else None
     if arrays is not None:
-        write_tile(header, index, arrays)
+        write_tile(header, index, arrays, held)
     if packed is not None:
         header.place.remove(key)
     return arrays is not None
 
 
-def replacements(header: Header) -> set[tuple[int, ...]]:
-    """Indices of the tiles with contents beside them that are still to be written, from one listing."""
-    keys = (key.removeprefix(REPLACED) for key in header.place.list_keys(REPLACED))
-    found = (chunk_index(key, header.tiling.grid) for key in keys)
-    return {index for index in found if index is not None}
-
-
-def write_digest(header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Keep the digest of a tile's arrays, ``ALLOWANCES`` among them; nothing in a store that has no room for it."""
-    _write_digest(open_group(header.place, "r+"), header, index, arrays)
+def listed_tiles(header: Header) -> tuple[set[tuple[int, ...]], set[tuple[int, ...]]]:
+    """Indices of the finished tiles, and of those with contents beside them still to be written, from one listing."""
+    keys = list(header.place.list_keys(f"{REGIME.name}/"))
+    replaced = (chunk_index(key.removeprefix(REPLACED), header.tiling.grid) for key in keys if key.startswith(REPLACED))
+    return done_tiles(header, keys), {index for index in replaced if index is not None}
 
 
 def drop_tile(header: Header, index: tuple[int, ...]) -> None:
-    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
+    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
+
+    Its record goes first: an empty one is put in its place, which counts in place of one among those of all tiles.
+    """
+    put_record(header, index, np.zeros(WIDTH))
     header.place.remove(chunk_key(header.regime, index))
 
 
@@ -99,8 +143,8 @@ def read_tile(
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
-        elif not variable.sparse and is_blank(found, variable) and not header.place.exists(key):
-            faults[key] = "is missing"
+        elif not variable.sparse and is_blank(found, variable) and (lost := _lost(header, arrays[variable.name], key)):
+            faults[key] = lost
         else:
             values[variable.name] = found
     for each in ALLOWANCES:
@@ -116,41 +160,47 @@ def read_tile(
     return values
 
 
-def covered_variables(header: Header, digests: Any) -> list[Variable]:
-    """The variables that the digests of a store cover, in their order; KeyError where it does not have one of them."""
+def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Variable]:
+    """The variables that digests cover, by the attributes of their array; KeyError for one that the store lacks."""
     known = {variable.name: variable for variable in (*header.variables, *header.unknown, *ALLOWANCES)}
-    return [known[name] for name in digests.attrs[COVERED]]
+    return [known[name] for name in attributes[COVERED]]
 
 
 def digest_faults(
     header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
 ) -> tuple[str, ...]:
-    """What speaks against ``values``, all variables covered, being those of that tile, by the array of digests."""
+    """What speaks against ``values``, all variables covered, being those of that tile, by an older store's digests."""
     stored = _read(digests, index)
     key = "/".join([digests.path, "c", *map(str, index)])
     if isinstance(stored, str):
         return (f"{key} {stored}",)
-    if int(stored.item()) == digest_of(index, covered_variables(header, digests), values):
+    if int(stored.item()) == digest_of(index, covered_variables(header, digests.attrs), values):
         return ()
-    if not header.place.exists(key):
-        return (f"{key} is missing",)
-    return ("its chunks are not those that were written here together: exchanged with another tile's, or altered",)
+    return (EXCHANGED,) if header.place.exists(key) else (f"{key} is missing",)
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:
-    """The cells of a tile in an array, from the array's own chunks, so that no write can be misaligned."""
-    return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, array.chunks, array.shape, strict=False))
+    """The cells of a tile in an array, from the array's own objects, so that no write can be misaligned."""
+    sides = object_shape(array)
+    return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, sides, array.shape, strict=False))
 
 
-def _write(array: Any, index: tuple[int, ...], values: Any, sparse: bool = False) -> None:
-    """Write a tile's chunk; one of nothing but fill values too, so that a missing one is always a missing result."""
+def object_shape(array: Any) -> tuple[int, ...]:
+    """The cells of an array in one object: a shard, or a chunk where there are no shards."""
+    return tuple(array.shards or array.chunks)
+
+
+def _check(held: Callable[[], None], wanted: bool) -> None:
+    if wanted:
+        held()
+
+
+def _write(place: Place, array: Any, index: tuple[int, ...], values: Any, sparse: bool = False) -> None:
+    """Write a tile's object; one of nothing but fill values too, so that a missing one is always a missing result."""
+    if array.shards:  # Zarr would read what is there, which may be damaged
+        whole = (*index, *(0 for _ in array.shape[len(index) :]))
+        place.remove(f"{array.path}/{array.metadata.encode_chunk_key(whole)}")
     array.with_config({"write_empty_chunks": not sparse})[block(array, index)] = values
-
-
-def _write_digest(group: Any, header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    digests = group.get(DIGESTS)
-    if digests is not None:
-        _write(digests, index, np.uint64(digest_of(index, covered_variables(header, digests), arrays)))
 
 
 def _replacement_key(index: tuple[int, ...]) -> str:
@@ -188,6 +238,14 @@ def _read(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
         raise
     except Exception as error:  # a codec that meets bytes it never wrote may raise anything
         return f"is damaged ({message_of(error)})"
+
+
+def _lost(header: Header, array: Any, key: str) -> str:
+    """What is wrong with an object that reads as fill values; of a shard, which does so too where it is empty."""
+    if not array.shards:
+        return "" if header.place.exists(key) else "is missing"
+    data = header.place.get(key)
+    return "is missing" if data is None else "" if data else "is damaged (it is empty)"
 
 
 def is_blank(values: np.ndarray, variable: Variable) -> bool:

@@ -13,6 +13,14 @@ from atlas.spec.spec import Slices
 
 Index = tuple[int, ...]
 
+PART = 64
+"""Cells along each side of what is solved, and read, at once of a larger tile."""
+
+
+def part_side(tile: int) -> int:
+    """The side of the parts that a side of a tile is stored in: its largest divisor from PART / 2 to PART, or all."""
+    return next((side for side in range(PART, PART // 2 - 1, -1) if tile % side == 0), tile)
+
 
 @dataclass(frozen=True)
 class Tile:

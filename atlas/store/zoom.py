@@ -83,9 +83,11 @@ def note_seen(header: Header, seen: Mapping[tuple[str, str], float]) -> None:
 def drop_sheet(header: Header, plane: str, sheet: str) -> None:
     """Remove a sheet: first what says that its tiles are done, so that a kill leaves none that lacks something."""
     root = f"{ZOOM}/{plane}/{sheet}/"
-    keys = sorted(header.place.list_keys(root), key=lambda key: (f"/{REGIME.name}/c/" not in key, key.endswith(ROOT)))
-    for key in keys:
-        header.place.remove(key)
+    keys = list(header.place.list_keys(root))
+    done = [key for key in keys if f"/{REGIME.name}/c/" in key]
+    last = [key for key in keys if key.endswith(ROOT)]
+    for some in (done, {*keys} - {*done, *last}, last):
+        header.place.remove_all(some)
     if header.place.local is not None:
         shutil.rmtree(header.place.local / root, ignore_errors=True)
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.store.groups import group_attributes
+from atlas.store.record import Rows
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
 from atlas.store.tables import ATTRACTORS, write_table
@@ -21,12 +22,16 @@ POINTS = 256
 """Section states of each attractor in the table."""
 
 
-def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> None:
+def complete_basins(
+    header: Header,
+    held: Callable[[], None] = lambda: None,
+    written: Callable[[tuple[int, ...], Rows], None] = lambda _index, _row: None,
+) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
     Cells are gone through in the order of the plane, so that neither the tiles nor the workers, nor an interruption,
     decide a label. Nothing is done while tiles are missing, or where all of it is done. ``held`` is called before each
-    write, and raises where another run has the store.
+    write, and raises where another run has the store; ``written`` is given each tile that is written, and its record.
     """
     from workers.attractors.basins import Table, added, fixed_values
 
@@ -51,8 +56,7 @@ def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> 
             if beyond[part].any():
                 arrays = read_tile(header, index)
                 arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
-                held()
-                write_tile(header, index, arrays)
+                written(index, write_tile(header, index, arrays, held))
     solved = np.concatenate([_solved(header, index) for index in tiles])
     columns = _columns(header, table, labels, int(solved.sum()))
     held()

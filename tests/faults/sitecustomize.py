@@ -3,6 +3,7 @@
 FAULTS names a folder. ``script.json`` in it maps a tile ("0-1") to what its attempts meet in turn: "ok", "fail" (an
 exception), "die" (kill -9 of the process), "slow" (0.3 s more), "full", "forbidden" (an error of the disk); the
 last word holds for all further attempts, and "*" is for tiles not named. ``log`` gets a line for each attempt.
+"cell 3-4" maps a cell to "die": so does every process that is to solve it.
 """
 
 import errno
@@ -41,6 +42,15 @@ def _install(module):
                 raise OSError(number, os.strerror(number))
         return whole(job)
 
+    def faulty_cells(spec, job, slices, stored, solved):
+        for name, word in json.loads((folder / "script.json").read_text()).items():
+            if name.startswith("cell ") and word == ["die"]:
+                at = tuple(int(k) - part.start for k, part in zip(name[5:].split("-"), slices, strict=True))
+                if all(0 <= k < n for k, n in zip(at, solved.shape, strict=True)) and solved[at]:
+                    os.kill(os.getpid(), signal.SIGKILL)
+        return whole_cells(spec, job, slices, stored, solved)
+
+    whole_cells, module.solve_cells = module.solve_cells, faulty_cells
     module.solve_and_write = faulty
 
 

@@ -1,0 +1,168 @@
+"""Jobs sent to Dask many at a time, and their results taken many at a time: a request of its own for each costs 5 ms.
+
+The results go through the scheduler. A client that fetched them itself would hold a connection to every worker, and
+take half as long again.
+"""
+
+import asyncio
+import math
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
+
+from atlas.errors import NetworkError, RunError
+from atlas.service.cluster import LOST, loss_reported
+from atlas.service.fitness import Failure, Refusal
+from atlas.task.task import RefusedError, StoreFullError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+PAUSE, LONGEST_PAUSE = 5e-3, 50e-3
+"""Seconds between two looks at the jobs under way: at few of them, and at many, whose ends make a batch meanwhile."""
+BATCH, HOLD = 16, 0.25
+"""Ends that are waited for, or one in 20 of the jobs under way where that is less, so that no thread runs out of jobs;
+and for how many seconds."""
+MANY = 400
+"""Jobs under way that are looked at with the longest pause."""
+
+
+class Numbered(Protocol):
+    """A job: what it is told apart by."""
+
+    @property
+    def index(self) -> tuple[int, ...]:
+        """Of its tile, or its place among others."""
+
+
+J = TypeVar("J", bound=Numbered)
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Done(Generic[R]):
+    """What a job gave, and on which worker."""
+
+    worker: str
+    result: R
+
+
+Result: TypeAlias = Done[R] | Refusal | Failure
+"""What ``work`` gives."""
+if TYPE_CHECKING:
+    Ended: TypeAlias = Future[Result[R]]
+
+
+@dataclass(frozen=True)
+class Attempt(Generic[J]):
+    """A job on its way: its failures so far, and the workers that may have it, None for any."""
+
+    job: J
+    failures: tuple[Failure, ...] = ()
+    workers: tuple[str, ...] | None = None
+
+
+def work(act: Callable[[J], R], job: J) -> Result[R]:
+    """What a worker runs: the job, with whatever it raises as a value that names the worker."""
+    from distributed import get_worker
+
+    here = get_worker().address
+    try:
+        return Done(here, act(job))
+    except RefusedError as error:
+        return Refusal(here, str(error))
+    except NetworkError as error:
+        return Refusal(here, str(error), passing=True)
+    except StoreFullError as error:
+        return Failure(here, str(error), full=True)
+    except Exception as error:
+        return Failure(here, _in_words(error))
+
+
+class Batches(Generic[J, R]):
+    """Attempts under way, at jobs that ``act`` does. A result that Dask does not find is waited for ``seconds``."""
+
+    def __init__(self, client: "Client", act: Callable[[J], R], seconds: float) -> None:
+        self._client, self._act, self._seconds = client, act, seconds
+        self._token, self._submitted = uuid.uuid4().hex[:8], 0
+        self._running: dict[Ended[R], Attempt[J]] = {}
+        self._taken = -math.inf
+
+    def __len__(self) -> int:
+        return len(self._running)
+
+    def submit(self, attempts: Iterable[Attempt[J]]) -> None:
+        """Submit attempts, together those that may go to the same workers, which costs hardly more than one."""
+        together: dict[tuple[str, ...] | None, list[Attempt[J]]] = {}
+        for attempt in attempts:
+            together.setdefault(attempt.workers, []).append(attempt)
+        for workers, those in together.items():
+            jobs, keys = [each.job for each in those], []
+            for job in jobs:
+                self._submitted += 1  # a key of its own for each attempt: Dask remembers a failed one's
+                keys.append((f"tile-{self._token}", self._submitted, *job.index))
+            acts, names = [self._act] * len(jobs), list(workers) if workers else None
+            with loss_reported(self._client):
+                futures = self._client.map(work, acts, jobs, key=keys, workers=names, pure=False)
+            self._running.update(zip(futures, those, strict=True))
+
+    def withdraw(self, which: Callable[[Attempt[J]], bool]) -> list[Attempt[J]]:
+        """Take attempts back."""
+        futures = [future for future, attempt in self._running.items() if which(attempt)]
+        attempts = [self._running.pop(future) for future in futures]
+        if futures:
+            with loss_reported(self._client):
+                self._client.cancel(futures)
+        return attempts
+
+    def ended(self) -> "Iterator[tuple[Attempt[J], Result[R]]]":
+        """The attempts that have ended after a short while, with their results.
+
+        One whose result was lost with its worker is done once more by Dask, and ends once more.
+        """
+        time.sleep(PAUSE + LONGEST_PAUSE * min(1.0, len(self._running) / MANY))
+        ended = [future for future in self._running if future.done()]
+        few = len(ended) < min(BATCH, len(self._running) // 20)
+        if few and time.monotonic() - self._taken < HOLD:
+            return
+        self._taken = time.monotonic()
+        if any(future.status not in ("finished", "error") for future in ended):
+            raise RunError(LOST)
+        failed = [(future, self._failure_of(future)) for future in ended if future.status == "error"]
+        for future, result in (*failed, *self._fetched([future for future in ended if future.status == "finished"])):
+            future.release()
+            yield self._running.pop(future), result
+
+    def _fetched(self, finished: "list[Ended[R]]") -> "Iterator[tuple[Ended[R], Result[R]]]":
+        """What finished jobs gave, which lies on their workers, by one request to the scheduler."""
+        by_number = dict(enumerate(finished))
+
+        async def gather() -> dict[int, Any]:
+            asked = self._client.gather(by_number, errors="skip", direct=False, asynchronous=True)
+            return await asyncio.wait_for(asked, self._seconds)
+
+        with loss_reported(self._client):
+            try:
+                found = self._client.sync(gather) if finished else {}
+            except TimeoutError:
+                return
+        for number, result in found.items():
+            if result is not None:
+                yield by_number[number], result
+
+    def _failure_of(self, future: "Ended[R]") -> Failure:
+        """The failure of a job that came to no end of its own: all workers that had it died."""
+        error = future.exception()
+        assert error is not None
+        if "deserialization of the task graph" in str(error):
+            raise RunError(
+                f"the scheduler cannot load this package ({type(error).__name__}); install the same impact-atlas on "
+                "every host, the scheduler's too"
+            )
+        return Failure("", _in_words(error))
+
+
+def _in_words(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

@@ -1,0 +1,99 @@
+"""What a worker does once for a run, before the first job that it gets: as a plugin of Dask's workers.
+
+Dask hands it to every worker of the scheduler, and to those that join later. It runs in a thread of its own, since
+Dask's event loop must not stand still while kernels are compiled; jobs that come meanwhile wait for it.
+"""
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from distributed import WorkerPlugin, get_worker
+
+from atlas.task.task import RefusedError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+
+class Setup(WorkerPlugin):
+    """The setup of one run. ``prepare`` does it; what it raises is raised for each job that waited.
+
+    A worker that refuses does so for good. Anything else that goes wrong may pass, so that the next job tries again.
+    """
+
+    def __init__(self, name: str, prepare: Callable[[], object], forget: Callable[[], object]) -> None:
+        self.name, self._prepare, self._forget = name, prepare, forget
+
+    def setup(self, worker: Any) -> None:
+        """Begin; see Dask."""
+        self._lock, self._ready, self._refusal = threading.Lock(), False, ""
+        threading.Thread(target=self._begin, name="atlas-setup", daemon=True).start()
+
+    def teardown(self, worker: Any) -> None:
+        """Drop what is kept for the run's jobs; see Dask."""
+        self._forget()
+
+    def wait(self) -> None:
+        """Return once this worker is ready for jobs of the run, or raise why it is not."""
+        with self._lock:
+            if self._ready:
+                return
+            if self._refusal:
+                raise RefusedError(self._refusal)
+            try:
+                self._prepare()
+            except RefusedError as error:
+                self._refusal = str(error)
+                raise
+            self._ready = True
+
+    def _begin(self) -> None:
+        with suppress(Exception):  # whatever it is, the first job meets it again
+            self.wait()
+
+
+def after_setup(name: str, act: Callable[[J], R], job: J) -> R:
+    """Do a job once the setup of its run is done; at once on a worker that Dask has given none."""
+    plugin = get_worker().plugins.get(name)
+    if isinstance(plugin, Setup):
+        plugin.wait()
+    return act(job)
+
+
+@contextmanager
+def set_up(
+    client: "Client",
+    name: str,
+    act: Callable[[J], R],
+    prepare: Callable[[], object],
+    forget: Callable[[], object],
+    seconds: float,
+) -> Iterator[Callable[[J], R]]:
+    """Have every worker prepare once, and give ``act`` as a function that waits for it.
+
+    ``name`` is that of the store: a run that resumes after a kill replaces the setup that was left behind. Dask asks
+    all workers, and is waited for ``seconds``: one that stands still must not hold up the others. A worker that has
+    not heard of it does its jobs all the same, since each job checks what it needs.
+    """
+    _asked(client, lambda: client.register_plugin(Setup(name, prepare, forget)), seconds)
+    try:
+        yield partial(after_setup, name, act)
+    finally:
+        _asked(client, lambda: client.unregister_worker_plugin(name), seconds)
+
+
+def _asked(client: "Client", request: Callable[[], Any], seconds: float) -> None:
+    """Make a request of a client, which gives a coroutine in the thread of its loop; whatever goes wrong is let go."""
+
+    async def answer() -> None:
+        await asyncio.wait_for(request(), seconds)
+
+    with suppress(Exception):
+        client.sync(answer)

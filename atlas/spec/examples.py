@@ -1,0 +1,32 @@
+"""The packaged examples of specs."""
+
+from importlib import resources
+
+from atlas.errors import InputError
+from workers.model.parameter import unknown_name
+
+
+def example_names() -> list[str]:
+    """Names of the packaged examples."""
+    folder = resources.files("atlas").joinpath("examples")
+    if not folder.is_dir():
+        return []
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def example_text(name: str) -> str:
+    """The packaged example of that name, as TOML; InputError with the nearest name otherwise."""
+    names = example_names()
+    if name not in names:
+        raise InputError(unknown_name("example", name, names))
+    return resources.files("atlas").joinpath("examples", f"{name}.toml").read_text(encoding="utf-8")
+
+
+def packaged_text(name: str) -> str:
+    """The packaged example that was named in place of a file; InputError where there is neither."""
+    if name.endswith(".toml") or "/" in name:
+        raise InputError("no such file")
+    try:
+        return example_text(name)
+    except InputError as error:
+        raise InputError(f"no such file, and {error}") from None

@@ -1,0 +1,92 @@
+"""The values of a store's axes, or of the columns of its points: its coordinates have them, and its attributes do not.
+
+Those that are not evenly spaced, and so cannot be made again from the attributes, have a copy beside their coordinate.
+Stores of format version 1 have all values in their attributes too, and no copies.
+"""
+
+import itertools
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from atlas.errors import ChunkError, InputError, message_of
+from atlas.spec.axis import Values, spaced_again
+from atlas.spec.resolved import outlined, resolved_digest, with_values
+from atlas.spec.spec import Spec
+from atlas.store.location import Place
+
+ROOT = "zarr.json"
+"""The object with the metadata of an array or a group; that of a store's root makes it one."""
+_DTYPE = np.dtype("<f8")
+
+
+def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values:
+    """The values of all axes or columns of a spec's outline, to the bit those that its digest is of.
+
+    In place of a coordinate that is damaged its copy is read, or it is made again where it is evenly spaced; the digest
+    shows whether it was. ChunkError, which names what is damaged, where that does not help.
+    """
+    faults: dict[str, str] = {}
+    found: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}
+    axes = {axis["name"]: axis for axis in outline["axes"]}
+    sources: tuple[Callable[[str], tuple[float, ...] | None], ...] = (
+        lambda name: _stored(place, name, faults),
+        lambda name: _copied(place, name),
+        lambda name: _made(axes[name]) if name in axes else None,
+    )
+    for read in sources:
+        for name, candidates in found.items():
+            if (values := read(name)) is not None:
+                candidates.append(values)
+        for chosen in itertools.product(*found.values()):
+            together = dict(zip(found, chosen, strict=True))
+            if resolved_digest(with_values(outline, together)) == digest:
+                return together
+    raise ChunkError(place, faults or {ROOT: "has a digest that is not that of the spec and its coordinates"})
+
+
+def copies(spec: Spec) -> dict[str, bytes]:
+    """The copies of the values that cannot be made again from the outline of a spec, by their keys."""
+    listed = spec.points or {axis.name: axis.values for axis in spec.axes if _made(axis.outline()) != axis.values}
+    return {copy_key(name): np.array(values, dtype=_DTYPE).tobytes() for name, values in listed.items()}
+
+
+def copy_key(name: str) -> str:
+    """The key of the copy of a coordinate's values."""
+    return f"{name}/copy"
+
+
+def _stored(place: Place, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
+    """The values of a coordinate; None where something is wrong with it, which is noted."""
+    import zarr
+
+    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+
+    try:
+        array: Any = zarr.open_array(zarr_store(place, read_only=True), path=name, mode="r", zarr_format=3)
+        values = np.asarray(array[...], dtype=np.float64)
+        if values.any() or place.exists(f"{name}/c/0"):  # a missing chunk reads as zeros
+            return tuple(values.tolist())
+        faults[name] = "is missing"
+    except FileNotFoundError:
+        faults[name] = "is missing"
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # a codec, or a parser of metadata, may raise anything
+        faults[name] = f"is damaged ({message_of(error)})"
+    return None
+
+
+def _copied(place: Place, name: str) -> tuple[float, ...] | None:
+    try:
+        return tuple(np.frombuffer(place.get(copy_key(name)) or b"", dtype=_DTYPE).tolist()) or None
+    except ValueError:
+        return None
+
+
+def _made(outline: Mapping[str, Any]) -> tuple[float, ...] | None:
+    with suppress(InputError):
+        return spaced_again(outline)
+    return None

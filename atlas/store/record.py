@@ -1,0 +1,135 @@
+"""The record of a tile: a digest of its place and all that is in it, and its cells by regime and by reason.
+
+It is a row of numbers, the chunk of its tile in the array ``tiles/record``, so that no exchange of chunks goes
+unnoticed and what an atlas holds is known without reading its cells. Columns have a fixed place, with room for regimes
+and reasons of later versions: a row of a later version that uses that room adds up to no tile here, and its tile is
+counted from its chunks. Stores of earlier versions have digests alone, in ``tiles/digest``.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from functools import reduce
+from typing import Any
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.spec.cells import widths_along
+from atlas.spec.spec import Spec
+from atlas.store.tiling import chunk_index
+from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES, Variable
+
+TILES = "tiles"
+DIGESTS, RECORD, RECORDS = f"{TILES}/digest", f"{TILES}/record", f"{TILES}/records"
+COVERED = "variables"
+"""The attribute with the names of the variables covered, in the order in which they enter a digest."""
+ADDED = "added"
+"""The attribute that is set where tiles were finished before the store had records."""
+_ROOM = {"cells": 16, "area": 16, "reason": 32}
+DIGEST = slice(0, 2)
+CELLS = slice(2, 2 + len(REGIMES))
+AREAS = slice(18, 18 + len(REGIMES))
+BY_REASON = slice(34, 34 + len(REASONS))
+"""Where a row has its digest in two halves, its cells by regime, their areas, and its cells by reason, as the tables
+have them."""
+WIDTH = 2 + sum(_ROOM.values())
+
+Index = tuple[int, ...]
+Rows = NDArray[np.float64]
+
+
+def digest_of(index: Index, variables: Iterable[Variable], arrays: Mapping[str, Any]) -> int:
+    """The digest of a tile, 64 bits, of these variables."""
+    found = hashlib.blake2b(repr(tuple(map(int, index))).encode(), digest_size=8)
+    for variable in variables:
+        dtype = np.dtype(variable.dtype).newbyteorder("<")
+        found.update(variable.name.encode())
+        found.update(np.asarray(arrays[variable.name], dtype=dtype).tobytes())
+    return int.from_bytes(found.digest(), "little")
+
+
+def halves(digest: int) -> tuple[int, int]:
+    """A digest as a row has it."""
+    return divmod(digest, 2**32)
+
+
+def counted_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArray[Any]]) -> Rows:
+    """The row of a tile without its digest, from regimes and, where there are any, reasons. Areas in units of the axes.
+
+    ``arrays`` have one result a cell.
+    """
+    codes = arrays[REGIME.name]
+    area = reduce(np.multiply.outer, (width[part] for width, part in zip(widths_along(spec), slices, strict=True)))
+    known = (codes >= PENDING) & (codes < PENDING + len(REGIMES))  # what is none of them adds up to no tile
+    places = codes[known] - PENDING
+    row = np.zeros(WIDTH)
+    row[CELLS] = np.bincount(places, minlength=len(REGIMES))
+    row[AREAS] = np.bincount(places, weights=area[known], minlength=len(REGIMES))
+    reasons = arrays.get(REASON.name, np.zeros(codes.shape, REASON.dtype))
+    row[BY_REASON] = [np.count_nonzero(reasons == reason.code) for reason in REASONS]
+    return row
+
+
+def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which rows, the last dimension theirs, account for all cells of their tiles."""
+    by_regime, by_reason = rows[..., CELLS].sum(axis=-1), rows[..., BY_REASON].sum(axis=-1)
+    return np.asarray((by_regime == sizes) & (by_reason == sizes))
+
+
+def packed(row: Rows) -> bytes:
+    """A row as the chunk of its tile, which ``create_arrays`` says how to read."""
+    data = row.astype("<f8").tobytes()
+    return data + google_crc32c.value(data).to_bytes(4, "little")
+
+
+def unpacked(data: bytes) -> Rows | None:
+    """The inverse; None for bytes that are no such chunk."""
+    inner, checksum = data[:-4], data[-4:]
+    if len(inner) != 8 * WIDTH or google_crc32c.value(inner) != int.from_bytes(checksum, "little"):
+        return None
+    return np.frombuffer(inner, dtype="<f8").astype(np.float64)
+
+
+def record_key(index: Index) -> str:
+    """The key of a tile's record. All lie in one folder, of which nothing is left when they are removed."""
+    return f"{RECORD}/{'.'.join(['c', *map(str, index), '0'])}"
+
+
+def record_index(key: str, grid: Index) -> Index | None:
+    """The tile that a key among the records is of; None for another."""
+    begin = f"{RECORD}/c."
+    index = chunk_index(key.removeprefix(begin).replace(".", "/"), (*grid, 1)) if key.startswith(begin) else None
+    return None if index is None else index[:-1]
+
+
+def create_arrays(
+    root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any], added: bool = False
+) -> None:
+    """Make room in a store for its records: one array of a chunk a tile, and one of a chunk for all."""
+    from zarr.codecs import Crc32cCodec
+
+    columns = [""] * WIDTH
+    columns[DIGEST] = "digest, upper half", "digest, lower half"
+    columns[CELLS] = [f"cells {regime.name}" for regime in REGIMES]
+    columns[AREAS] = [f"area {regime.name}" for regime in REGIMES]
+    columns[BY_REASON] = [f"reason {reason.name}" for reason in REASONS]
+    described: dict[str, Any] = {"units": "1", "columns": columns, COVERED: [variable.name for variable in variables]}
+    described |= {ADDED: True} if added else {}
+    group = root.require_group(TILES)
+    for name, chunk, packing, meant in (
+        ("record", (1,) * len(grid), [Crc32cCodec()], "digest and counts of a tile, as its worker wrote them"),
+        ("records", grid, codecs, "digests and counts of all tiles, as the last run put them together"),
+    ):
+        group.create_array(
+            name,
+            shape=(*grid, WIDTH),
+            chunks=(*chunk, WIDTH),
+            dtype="float64",
+            fill_value=0.0,
+            dimension_names=(*(f"tile_{dim}" for dim in dims), "column"),
+            chunk_key_encoding={"name": "default", "separator": "."},
+            compressors=packing,
+            attributes={"long_name": meant, **described},
+            overwrite=True,
+        )

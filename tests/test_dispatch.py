@@ -1,0 +1,141 @@
+"""Jobs of a large cluster by counts, on a pretended clock: requests a job, busy workers, one that fails at once."""
+
+import asyncio
+import random
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from distributed import Client
+
+from atlas.service import batches, dispatch, setup
+from atlas.service.dispatch import Labour, Workers, outcomes
+from atlas.service.fitness import FAILURES
+from atlas.service.summary import TileFailure
+from atlas.service.timing import Timing
+from tests.pretended import Cluster, Numbered
+
+WORKERS = [f"tcp://10.0.{k // 250}.{k % 250}:1" for k in range(1000)]
+BAD = WORKERS[0]
+
+
+def same(job: Numbered) -> Numbered:
+    return job
+
+
+def nothing() -> None:
+    """Neither prepares nor forgets."""
+
+
+LABOUR: Labour[Numbered, Numbered] = Labour("out.zarr", same, nothing, nothing)
+
+
+def all_outcomes(cluster: Cluster, jobs: int, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], Workers]:
+    """The outcomes of so many jobs on a pretended cluster, and what the last look showed of the workers."""
+    seen: list[Workers] = []
+    monkeypatch.setattr(dispatch, "time", cluster)
+    monkeypatch.setattr(batches, "time", cluster)
+    found = list(outcomes(cluster, LABOUR, (Numbered((k,)) for k in range(jobs)), seen.append))  # type: ignore[arg-type]
+    return found, seen[-1]
+
+
+def three_seconds(worker: str, job: Numbered) -> float:
+    return random.Random(job.index[0]).lognormvariate(1.0, 0.4)
+
+
+def test_a_thousand_workers_are_kept_busy_with_few_requests_a_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster = Cluster(WORKERS, three_seconds)
+    found, _ = all_outcomes(cluster, 8000, monkeypatch)
+    assert {each.index for each in found} == {(k,) for k in range(8000)}
+    assert sum(cluster.requests.values()) < 0.15 * 8000
+    longest = max(three_seconds("", Numbered((k,))) for k in range(8000))
+    assert cluster.busy > 0.95 * 1000 * (cluster.now - longest)
+
+
+def test_a_worker_of_a_thousand_that_fails_at_once_is_left_out_after_a_few_jobs_and_costs_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is always idle, so that it is given whatever comes next."""
+
+    def seconds(worker: str, job: Numbered) -> float:
+        return 1e-3 if worker == BAD else three_seconds(worker, job)
+
+    cluster = Cluster(WORKERS, seconds, lambda worker, _: "ImportError" if worker == BAD else "")
+    found, last = all_outcomes(cluster, 4000, monkeypatch)
+    assert not [each for each in found if isinstance(each, TileFailure)]
+    assert {each.index for each in found} == {(k,) for k in range(4000)}
+    assert last.left_out.keys() == {BAD}
+    assert FAILURES <= cluster.attempts[BAD] <= FAILURES + dispatch.IN_FLIGHT
+
+
+def test_jobs_are_restricted_to_few_of_many_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask keeps the list for each job: of 999 workers it would take three times as long to place one."""
+    restricted: list[int] = []
+
+    class Looking(Cluster):
+        def map(self, work: object, acts: list[object], jobs: list[Numbered], workers: Any, **more: object) -> Any:
+            restricted.append(len(workers or ()) / len(jobs))
+            return super().map(work, acts, jobs, workers, **more)
+
+    cluster = Looking(WORKERS, three_seconds, lambda worker, _: "ImportError" if worker == BAD else "")
+    all_outcomes(cluster, 4000, monkeypatch)
+    assert 0 < max(restricted) <= dispatch.CHOICES + 4
+
+
+@dataclass(frozen=True)
+class Job:
+    index: tuple[int, ...]
+
+
+def test_dask_is_asked_for_jobs_and_results_in_batches(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    whole_map, whole_gather = Client.map, Client.gather
+
+    def counted_map(self: Client, work: object, acts: object, jobs: list[Job], **more: Any) -> Any:
+        asked.append(len(jobs))
+        return whole_map(self, work, acts, jobs, **more)
+
+    def counted_gather(self: Client, futures: Any, **more: Any) -> Any:
+        asked.append(len(futures))
+        return whole_gather(self, futures, **more)
+
+    monkeypatch.setattr(Client, "map", counted_map)
+    monkeypatch.setattr(Client, "gather", counted_gather)
+    monkeypatch.setattr(Client, "submit", None)
+    monkeypatch.setattr(dispatch, "IN_FLIGHT", 50)
+    labour: Labour[Job, Job] = Labour("out.zarr", lambda job: job, nothing, nothing)
+    found = list(outcomes(client, labour, (Job((k,)) for k in range(200)), lambda _: None))
+    assert {each.index for each in found} == {(k,) for k in range(200)}
+    assert sum(asked) == 400
+    assert asked[0] == 100
+    assert len(asked) < 200
+
+
+def test_a_result_that_is_lost_with_its_worker_holds_up_no_other(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: Dask's own gather waits until such a job has been done again."""
+    whole, asked = Client.gather, []
+
+    def gather(self: Client, futures: Any, **more: Any) -> Any:
+        asked.append(len(futures))
+        return asyncio.sleep(60) if len(asked) == 1 else whole(self, futures, **more)
+
+    monkeypatch.setattr(Client, "gather", gather)
+    labour: Labour[Job, Job] = Labour("out.zarr", lambda job: job, nothing, nothing)
+    timing = Timing(connect=0.1)
+    found = list(outcomes(client, labour, (Job((k,)) for k in range(20)), lambda _: None, timing))
+    assert {each.index for each in found} == {(k,) for k in range(20)}
+
+
+@contextmanager
+def no_setup(client: object, name: str, act: Any, *_: object) -> Iterator[Any]:
+    yield act
+
+
+@pytest.fixture(autouse=True)
+def without_setup(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask's plugins have tests of their own."""
+    monkeypatch.setattr(setup, "set_up", no_setup)
