@@ -233,7 +233,8 @@ def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_cla
         seen, waited = notes.read(CLAIM), []
 
         def waiting() -> None:
-            assert notes.read(CLAIM) == seen
+            if len(waited) < 5:  # after that the beat comes through at any moment
+                assert notes.read(CLAIM) == seen
             waited.append(time.monotonic())
             if len(waited) == 5:
                 away()

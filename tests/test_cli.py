@@ -131,9 +131,10 @@ def test_a_window_without_a_cell_is_refused_and_nothing_written(folder: Path, tm
     assert list(tmp_path.iterdir()) == []
 
 
-def test_query_reports_how_many_chunks_it_read(folder: Path) -> None:
-    # Of the tally, once for the shares and once for the reasons.
-    assert call("query", folder / "out.zarr").stderr == "2 chunks read from the store\n"
+def test_the_shares_of_whole_tiles_come_from_their_records_and_of_cut_tiles_from_their_cells(folder: Path) -> None:
+    assert call("query", folder / "out.zarr").stderr == "0 chunks read from the store\n"
+    cut = call("query", folder / "out.zarr", "--window", "omega=2:2.2").stderr
+    assert cut == "4 chunks read from the store\n"
 
 
 def test_render_takes_a_window_and_reports_how_many_chunks_it_read(folder: Path, tmp_path: Path) -> None:
