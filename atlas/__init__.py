@@ -1,13 +1,15 @@
 """Impact Atlas: maps of chaos in vibro-impact oscillators.
 
 ``Spec`` says what to compute, ``Settings`` how one cell is solved; ``run`` computes it into a store, ``open`` gives the
-store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``extend`` computes a larger or finer atlas
+store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``plan`` gives the cost before, ``status`` the
+progress meanwhile. ``extend`` computes a larger or finer atlas
 from it, ``verify`` checks that it is complete and sound, ``pack`` makes it one file. ``RunOptions`` says where and how
 a run computes, ``Retry`` which cells it solves again. ``find_curves`` finds the exact curves that bound the regions of
 a plane, within the budget of ``CurveSettings``; ``label_attractors`` says which attractors of an atlas of all are one
 branch from cell to cell.
 Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``portrait`` draws its motion,
-``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of parameters.
+``branch`` follows its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in
+time.
 ``errors`` has what they raise.
 """
 
@@ -27,14 +29,16 @@ if TYPE_CHECKING:
         extend,
         open,
         pack,
+        plan,
         point,
         portrait,
         run,
+        status,
         verify,
     )
     from atlas.service.curves import find_curves
     from atlas.service.labels import label_attractors
-    from workers import solve_tile
+    from workers import solve_tile, trace
 
     __version__: str
 
@@ -53,16 +57,20 @@ __all__ = [
     "label_attractors",
     "open",
     "pack",
+    "plan",
     "point",
     "portrait",
     "run",
     "solve_tile",
+    "status",
+    "trace",
     "verify",
 ]
 
 
 _WITH_NUMBA = {
     "solve_tile": "workers",
+    "trace": "workers",
     "find_curves": "atlas.service.curves",
     "label_attractors": "atlas.service.labels",
 }

@@ -3,6 +3,7 @@
 Registered with xarray by ``atlas.open``, or by importing this module.
 """
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -58,6 +59,13 @@ class DrawnBranches(Branches):
         return branch_figure(self, path, **look)
 
 
+def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
+    """A data frame of these rows."""
+    import pandas as pd
+
+    return pd.DataFrame(list(rows))
+
+
 @xr.register_dataset_accessor("atlas")
 class AtlasAccessor:
     """Queries of the atlas that a dataset is, and pictures of it.
@@ -95,27 +103,28 @@ class AtlasAccessor:
         """How many cells have no result, or an uncertain one, by the reason in words. See ``queries.reasons``."""
         return query.reasons(self._ds, window)
 
-    def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> list[dict[str, Any]]:
-        """Where a variable is smallest and largest in each regime, period or pattern of impacts, or in the "plane".
+    def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
+        """Where a variable is smallest and largest in each regime, period or pattern of impacts, or in "all" cells.
 
         See ``extremes.extremes``.
         """
-        return extremes(self._ds, name, by, window)
+        return _table(extremes(self._ds, name, by, window))
 
-    def windows(
-        self, by: str = "regime", value: object = None, window: Window | None = None, least: int = 1
-    ) -> list[dict[str, Any]]:
-        """Connected windows of equal regime, period or impacts, ``windows("period", 3)``, the largest first.
+    def regions(
+        self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
+    ) -> "pd.DataFrame":
+        """Connected regions of equal regime, period or impacts, ``regions("period", 3)``, the largest first.
 
-        See ``connected.windows``.
+        A row each: its centre, its cell and its box in columns such as ``centre_omega``, ``cell_omega``, ``omega_from``
+        and ``omega_to``. See ``connected.regions``.
         """
-        return connected.windows(self._ds, by, value, window, least)
+        return _table(map(connected.flat, connected.regions(self._ds, by, value, window, min_cells)))
 
     def labels(
-        self, by: str = "regime", value: object = None, window: Window | None = None, least: int = 1
+        self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> xr.DataArray:
-        """Which of these windows each cell belongs to, by its label; 0 for none. See ``connected.labels``."""
-        return connected.labels(self._ds, by, value, window, least)
+        """The label of the region that each cell belongs to, 0 for none. See ``connected.labels``."""
+        return connected.labels(self._ds, by, value, window, min_cells)
 
     def basins(self, window: Window | None = None) -> dict[str, Any]:
         """Of a plane of initial states: its attractors, their shares, entropy and dimension. See ``basins.basins``."""
@@ -138,14 +147,14 @@ class AtlasAccessor:
         """
         return asking.frame(asking.curves_of(self._ds), kind)
 
-    def distance_to(self, kind: str | None = None, **point: float) -> list[dict[str, Any]]:
+    def distance_to(self, kind: str | None = None, **point: float) -> "pd.DataFrame":
         """How far an operating point is from events of its orbit, ``distance_to("neimark_sacker", omega=3, b=0.15)``.
 
         Along each axis either way the first event, the nearest first. See ``atlas.curves.distance.distance_to``.
         """
         from atlas.curves.distance import distance_to  # with it Numba
 
-        return distance_to(self._ds, kind, point)
+        return _table(distance_to(self._ds, kind, point))
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
         """This atlas held against another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
@@ -155,13 +164,13 @@ class AtlasAccessor:
         return DrawnComparison.of(self._ds, leading(other), window)
 
     def branch(
-        self, along: str, window: tuple[float, float], leaving: bool = False, budget: int = MOST, **point: float
+        self, along: str, window: tuple[float, float], switch_branches: bool = False, budget: int = MOST, **point: float
     ) -> DrawnBranches:
         """The branch of the orbit of the cell nearest to a point, ``branch("omega", (2, 4), omega=3, b=0.15)``.
 
         It starts from the orbit as it is stored. See ``atlas.branch``.
         """
-        return DrawnBranches.of(tree_from(seed_of_cell(self._ds, point), along, window, leaving, budget))
+        return DrawnBranches.of(tree_from(seed_of_cell(self._ds, point), along, window, switch_branches, budget))
 
     @takes(Look)
     def beside(

@@ -11,13 +11,17 @@ from atlas.cell.attractors import attractors
 from atlas.cell.point import point
 from atlas.check.verify import verify
 from atlas.curves.settings import CurveSettings
-from atlas.query.open import open_atlas
+from atlas.query.open import Chunks, open_atlas
 from atlas.render import portrait
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
+from atlas.service.plan import Plan, make_plan
+from atlas.service.probe import probed
 from atlas.service.run import run
+from atlas.service.status import Status, read_status
 from atlas.spec.spec import Spec
+from atlas.store.store import read_header
 from atlas.task.retry import Retry
 from workers import Settings
 from workers.model.system import DEFAULT, System
@@ -39,22 +43,43 @@ __all__ = [
     "extend",
     "open",
     "pack",
+    "plan",
     "point",
     "portrait",
     "run",
+    "status",
     "verify",
 ]
 
 
-def open(store: str | os.PathLike[str]) -> "xarray.Dataset":
+def open(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Dataset":
     """The atlas of a store as an xarray Dataset, read from disk as it is used; ``ds.atlas`` is its accessor.
 
-    The store is a folder, a URL, or a zip file that ``pack`` made.
+    The store is a folder, a URL, or a zip file that ``pack`` made. ``chunks`` makes Dask arrays of its variables, as in
+    ``xarray.open_dataset``: ``{}`` for the store's own chunks, ``"auto"``, or sizes by dimension.
     Raises atlas.errors.InputError where the store is not an atlas.
     """
     import atlas.accessor  # noqa: F401  registers it
 
-    return open_atlas(store)
+    return open_atlas(store, chunks)
+
+
+def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
+    """What a spec will cost: cells, tiles, bytes and, with ``probe``, the time, measured on a few cells.
+
+    ``workers`` are those of the run, by default one a processor.
+    Raises atlas.errors.InputError where a tile is too large for a store.
+    """
+    made = make_plan(spec, workers)
+    return probed(spec, made, lambda progress: None) if probe else made
+
+
+def status(store: str | os.PathLike[str]) -> Status:
+    """How far a store is: tiles, cells and regimes done, and the run at work on it.
+
+    Raises atlas.errors.InputError where the store is not an atlas.
+    """
+    return read_status(read_header(store))
 
 
 def branch(
@@ -64,7 +89,7 @@ def branch(
     window: tuple[float, float],
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
-    leaving: bool = False,
+    switch_branches: bool = False,
     budget: int = MOST,
 ) -> "DrawnBranches":
     """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events; and more.
@@ -73,8 +98,8 @@ def branch(
     equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the parameter
     ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to 1e-10 or
     better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. With
-    ``leaving`` the branches that leave at symmetry breakings and period doublings are followed too, and those that
-    leave these, ``budget`` branches in all; ``untried`` of the result has the events that were left.
+    ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and the branches
+    from those, ``budget`` branches in all; ``untried`` of the result lists the events that remain.
     The result has the pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and draws
     itself: ``.plot("branch.png")``.
     Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
@@ -82,4 +107,4 @@ def branch(
     from atlas.accessor import DrawnBranches
 
     seed = seed_of_point(given or {}, system, settings)
-    return DrawnBranches.of(tree_from(seed, along, window, leaving, budget))
+    return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget))

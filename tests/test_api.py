@@ -6,14 +6,17 @@ import sys
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 import atlas
 from atlas.errors import InputError
+from atlas.service.progress import Progress
+from tests.synthetic import complete
 from workers.results import FAILED, UNDETERMINED
 
 ROOT = Path(__file__).parent.parent
 PUBLIC = ["Retry", "RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point"]
-PUBLIC += ["attractors"]
+PUBLIC += ["attractors", "plan", "status", "trace"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
 
 
@@ -65,3 +68,38 @@ def test_a_retry_takes_regimes_by_name() -> None:
     assert atlas.Retry(("failed", "undetermined"), 9) == atlas.Retry((FAILED, UNDETERMINED), 9)
     with pytest.raises(InputError, match="unknown regime to retry 'faild'; did you mean 'failed'"):
         atlas.Retry(("faild",))
+
+
+def test_a_plan_without_a_probe_has_cells_and_tiles_and_no_time() -> None:
+    found = atlas.plan(atlas.Spec.from_toml("tiny"), workers=2, probe=False)
+    assert (found.tiling.cells, found.probe) == (48, None)
+
+
+def test_a_plan_with_a_probe_foretells_a_time() -> None:
+    found = atlas.plan(atlas.Spec.from_toml("tiny"))
+    assert found.as_dict()["seconds"] > 0
+
+
+def test_fields_of_the_options_are_keywords_of_a_run_and_its_status_is_that_of_the_store(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    atlas.run(atlas.Spec.from_toml("tiny"), tmp_path / "a.zarr", workers=1, on_progress=seen.append)
+    found = atlas.status(tmp_path / "a.zarr")
+    assert (found.fraction, found.cells_done) == (1.0, 48)
+    assert seen
+
+
+def test_a_keyword_that_is_no_option_is_a_type_error(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="wokers"):
+        atlas.run(atlas.Spec.from_toml("tiny"), tmp_path / "a.zarr", wokers=1)  # type: ignore[call-arg]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("chunks", [{}, "auto", {"omega": 16}])
+def test_an_atlas_opened_in_chunks_has_dask_arrays_of_the_same_values(
+    tmp_path: Path, chunks: dict[str, int] | str
+) -> None:
+    header = complete(tmp_path / "a.zarr")
+    ds, lazy = atlas.open(header.path), atlas.open(header.path, chunks)
+    assert lazy.largest.chunks is not None and ds.largest.chunks is None
+    xr.testing.assert_identical(lazy.compute(), ds.compute())
+    assert lazy.atlas.fractions() == ds.atlas.fractions()

@@ -155,9 +155,9 @@ def test_a_plane_of_initial_states_says_how_mixed_it_is(solved: Path) -> None:
 
 
 def test_the_command_computes_draws_and_asks(solved: Path, tmp_path: Path) -> None:
-    asked = CliRunner().invoke(main, ["query", str(solved), "--basins", "--json"])
+    asked = CliRunner().invoke(main, ["basin-measures", str(solved), "--json"])
     assert json.loads(asked.stdout)["starts"] == 63
-    assert "share_low" in CliRunner().invoke(main, ["query", str(solved), "--basins"]).stdout
+    assert "share_low" in CliRunner().invoke(main, ["basin-measures", str(solved)]).stdout
     drawn = CliRunner().invoke(main, ["render", str(solved), "-o", str(tmp_path / "basins.png")])
     assert drawn.exit_code == 0, drawn.output
 

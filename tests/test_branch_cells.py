@@ -28,7 +28,7 @@ QUICK = Settings(max_periods=2000, survival=0)
 @pytest.fixture(scope="module")
 def found() -> DrawnBranches:
     """The symmetric orbit of Fig. 6 from omega = 3.02, and the asymmetric one that leaves it."""
-    return atlas.branch({"omega": 3.02}, along="omega", window=(2.9, 3.05), settings=QUICK, leaving=True)
+    return atlas.branch({"omega": 3.02}, along="omega", window=(2.9, 3.05), settings=QUICK, switch_branches=True)
 
 
 def test_a_branch_passes_its_event_where_the_direct_map_has_it(found: DrawnBranches) -> None:
@@ -85,7 +85,9 @@ def test_section_states_are_those_of_simulated_motion(found: DrawnBranches, shif
 
 
 def test_a_spent_budget_is_told() -> None:
-    cut = atlas.branch({"omega": 3.02}, along="omega", window=(2.99, 3.03), settings=QUICK, leaving=True, budget=1)
+    cut = atlas.branch(
+        {"omega": 3.02}, along="omega", window=(2.99, 3.03), settings=QUICK, switch_branches=True, budget=1
+    )
     assert [(each.branch, each.event.kind, each.why) for each in cut.untried] == [
         (0, "symmetry_breaking", "1 branches followed")
     ]
@@ -93,7 +95,7 @@ def test_a_spent_budget_is_told() -> None:
 
 def test_a_branch_that_ends_at_another_follows_that_too() -> None:
     """From the asymmetric orbit: the symmetric one is the branch that it leaves."""
-    found = atlas.branch({"omega": 2.98}, along="omega", window=(2.95, 3.03), settings=QUICK, leaving=True)
+    found = atlas.branch({"omega": 2.98}, along="omega", window=(2.95, 3.03), settings=QUICK, switch_branches=True)
     assert found.branches.symmetric.tolist() == [False, True]
     assert found.branches.leaves.tolist() == [1, -1]
 
@@ -138,7 +140,7 @@ CELL = ("--set", "omega=3.02")
 
 
 def test_the_command_prints_events_and_how_branches_end() -> None:
-    shown = call(*LINE, *CELL, "--leaving").stdout
+    shown = call(*LINE, *CELL, "--switch-branches").stdout
     assert "symmetry breaking  3.00409423506  1-1-1 symmetric  0         1" in shown
     assert "branch 1: 1-1-1, leaves branch 0" in shown
     assert "3.004094235 (symmetry breaking)" in shown

@@ -37,7 +37,7 @@ def swept() -> xr.Dataset:
 @pytest.fixture(scope="module")
 def found() -> DrawnBranches:
     settings = Settings(max_periods=2000, survival=0)
-    return atlas.branch({"omega": 3.02}, along="omega", window=(2.95, 3.05), settings=settings, leaving=True)
+    return atlas.branch({"omega": 3.02}, along="omega", window=(2.95, 3.05), settings=settings, switch_branches=True)
 
 
 @pytest.fixture(scope="module")

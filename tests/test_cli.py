@@ -118,14 +118,14 @@ def test_query_gives_the_shares_of_regimes(folder: Path) -> None:
 @pytest.mark.parametrize("suffix", ["csv", "nc"])
 def test_query_writes_a_window_to_a_file(folder: Path, tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"window.{suffix}"
-    shown = call("query", folder / "out.zarr", "--window", "omega=2:3", "--window", "b=.1:.3", "-o", out, "--json")
+    shown = call("export", folder / "out.zarr", "--window", "omega=2:3", "--window", "b=.1:.3", "-o", out, "--json")
     assert json.loads(shown.stdout) == {"file": str(out), "cells": 6}
     assert out.stat().st_size > 500
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
 
 
 def test_a_window_without_a_cell_is_refused_and_nothing_written(folder: Path, tmp_path: Path) -> None:
-    shown = call("query", folder / "out.zarr", "--window", "omega=7:8", "-o", tmp_path / "a.csv")
+    shown = call("export", folder / "out.zarr", "--window", "omega=7:8", "-o", tmp_path / "a.csv")
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert "no cell centre with omega from 7 to 8" in shown.stderr.splitlines()[-1]
     assert list(tmp_path.iterdir()) == []
@@ -272,8 +272,7 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
         (("query", "OUT", "--at", "omega=99", "--at", "b=0.2"), "omega = 99 lies outside"),
         (("query", "OUT", "--window", "omega=3:2"), "must be LOW:HIGH with LOW <= HIGH"),
         (("query", "OUT", "--window", "omega=2:3", "--at", "b=1"), "give one of the two"),
-        (("query", "OUT", "--at", "omega=3", "--at", "b=.2", "-o", "x.csv"), "--out writes a window; give one"),
-        (("query", "OUT", "-o", "window.txt"), "window.txt: the suffix chooses the format, found '.txt'"),
+        (("export", "OUT", "-o", "window.txt"), "window.txt: the suffix chooses the format, found '.txt'"),
         (("status", "NONE"), "no such store"),
         (("statsu", "OUT"), "No such command 'statsu'"),
         (("--jason",), "No such option '--jason'"),

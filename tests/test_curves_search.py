@@ -204,7 +204,7 @@ def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tupl
     """Along b the event lies where the curve of that kind has the cell's f2: on b = const |Y(f2)|."""
     path, summary = searched
     at = {"b": 0.29, "f2": -0.1}
-    found = atlas.open(path).atlas.distance_to("symmetry_breaking", **at)
+    found = atlas.open(path).atlas.distance_to("symmetry_breaking", **at).to_dict("records")
     along = next(entry for entry in found if entry["axis"] == "b")
     assert along["distance"] == pytest.approx(along["value"] - at["b"], abs=1e-15)
     curve = summary.found.of_kind("symmetry_breaking")[0]

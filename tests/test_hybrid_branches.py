@@ -121,7 +121,7 @@ def test_multipliers_of_orbits_that_stick_are_zero_exactly() -> None:
 def test_a_branch_goes_on_where_contacts_are_lost_and_doublings_leave() -> None:
     """Between its two doublings an orbit of one contact a period is doubled, and loses every second contact."""
     found = atlas.branch(
-        {"omega": 0.95, "tau": 0.5 * math.pi}, along="omega", window=(0.7, 1.2), leaving=True, system=soft()
+        {"omega": 0.95, "tau": 0.5 * math.pi}, along="omega", window=(0.7, 1.2), switch_branches=True, system=soft()
     )
     table = found.branches
     assert sorted(zip(table.period, table.impacts_upper, strict=True)) == [(1, 0), (1, 1), (2, 1), (2, 2), (2, 2)]

@@ -276,7 +276,7 @@ def test_labels_are_asked_exported_and_packed_with_the_cells(labelled: Path, tmp
     ds = atlas.open(labelled)
     cell = ds.atlas.at(omega=3.475, b=0.1)
     assert cell["label"] == cell["coexisting"][0]["label"] == int(ds["label"][0, 0, 0])
-    asked = CliRunner().invoke(main, ["query", str(labelled), "-o", str(tmp_path / "cells.csv")])
+    asked = CliRunner().invoke(main, ["export", str(labelled), "-o", str(tmp_path / "cells.csv")])
     assert asked.exit_code == 0, asked.output
     assert {"label_1", "label_2"} <= set((tmp_path / "cells.csv").read_text().splitlines()[0].split(","))
     atlas.pack(labelled, tmp_path / "out.zip")

@@ -133,11 +133,11 @@ def test_pictures_can_be_drawn_of_it(older: Path) -> None:
 
 def test_it_can_be_exported(older: Path) -> None:
     ds = atlas.open(older)
-    assert call("query", older, "-o", older.parent / "cells.csv").exit_code == 0
+    assert call("export", older, "-o", older.parent / "cells.csv").exit_code == 0
     with (older.parent / "cells.csv").open() as file:
         largest = [float(row["largest"]) for row in csv.DictReader(file)]
     np.testing.assert_array_equal(largest, ds.largest.values.ravel())
-    assert call("query", older, "-o", older.parent / "cells.nc").exit_code == 0
+    assert call("export", older, "-o", older.parent / "cells.nc").exit_code == 0
     with xr.open_dataset(older.parent / "cells.nc", engine="scipy") as written:
         assert set(written.data_vars) == set(ds.data_vars)
 

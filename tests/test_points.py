@@ -187,7 +187,7 @@ def test_a_point_is_asked_for_by_its_row(solved: Path) -> None:
 
 
 def test_csv_has_parameters_and_results_side_by_side(solved: Path, tmp_path: Path) -> None:
-    answered("query", solved, "-o", tmp_path / "out.csv")
+    answered("export", solved, "-o", tmp_path / "out.csv")
     with (tmp_path / "out.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0])[:4] == ["point", "omega", "b", "R"]
@@ -203,12 +203,12 @@ def test_shares_of_a_table_count_its_rows(solved: Path) -> None:
 
 def test_extremes_say_the_parameters_of_the_row(solved: Path) -> None:
     ds = atlas.open(solved)
-    (low, _) = ds.atlas.extremes("largest", "plane")
+    low = ds.atlas.extremes("largest", "all").iloc[0]
     assert low["R"] == TABLE["R"][int(ds.largest.values.argmin())]
 
 
 def test_windows_of_a_table_are_refused(solved: Path) -> None:
-    assert "its rows are no neighbours" in answered("query", solved, "--windows", "regime", code=2)
+    assert "its rows are no neighbours" in answered("regions", solved, "regime", code=2)
 
 
 def test_exponents_per_unit_time_take_the_frequency_of_each_row(solved: Path) -> None:

@@ -10,7 +10,7 @@ import xarray as xr
 
 import atlas
 from atlas.errors import InputError
-from atlas.query.connected import labels, windows
+from atlas.query.connected import labels, regions
 from atlas.query.extremes import extremes
 from atlas.query.reads import counted
 from atlas.store import store
@@ -56,7 +56,7 @@ def naive_labels(values: np.ndarray) -> np.ndarray:
 
 def test_a_window_has_its_cells_area_share_centre_and_box() -> None:
     ds = periods([[0, 0, 0, 0], [0, 3, 3, 0], [0, 0, 0, 0]])
-    (found,) = windows(ds, "period", 3)
+    (found,) = regions(ds, "period", 3)
     assert (found["label"], found["period"], found["cells"], found["cut"]) == (1, 3, 2, [])
     assert found["area"] == pytest.approx(2 * 1.0 * 0.1)
     assert found["share"] == pytest.approx(2 / 12)
@@ -65,15 +65,15 @@ def test_a_window_has_its_cells_area_share_centre_and_box() -> None:
     assert found["box"]["b"] == pytest.approx((0.15, 0.25))
 
 
-def test_cells_that_share_a_corner_only_are_two_windows() -> None:
-    assert [each["cells"] for each in windows(periods([[3, 0], [0, 3]]), "period", 3)] == [1, 1]
+def test_cells_that_share_a_corner_only_are_two_regions() -> None:
+    assert [each["cells"] for each in regions(periods([[3, 0], [0, 3]]), "period", 3)] == [1, 1]
 
 
-def test_neighbours_of_different_periods_are_two_windows() -> None:
-    assert [each["period"] for each in windows(periods([[2, 2, 3]]), "period")] == [2, 3]
+def test_neighbours_of_different_periods_are_two_regions() -> None:
+    assert [each["period"] for each in regions(periods([[2, 2, 3]]), "period")] == [2, 3]
 
 
-def test_windows_of_all_regimes_are_those_of_a_flood() -> None:
+def test_regions_of_all_regimes_are_those_of_a_flood() -> None:
     codes = np.random.default_rng(1).choice([P, C, N], (23, 31))
     found = labels(plane(list(range(1, 32)), list(range(1, 24)), codes)).values
     naive = naive_labels(codes)
@@ -82,46 +82,46 @@ def test_windows_of_all_regimes_are_those_of_a_flood() -> None:
     assert len(pairs) == found.max() == naive.max()
 
 
-def test_areas_of_all_windows_add_up_to_the_plane_and_their_cells_to_its_cells() -> None:
+def test_areas_of_all_regions_add_up_to_the_plane_and_their_cells_to_its_cells() -> None:
     codes = np.random.default_rng(2).choice([P, C], (9, 7))
-    found = windows(plane([1, 2, 4, 8, 16, 32, 64], list(range(1, 10)), codes))
+    found = regions(plane([1, 2, 4, 8, 16, 32, 64], list(range(1, 10)), codes))
     assert sum(each["share"] for each in found) == pytest.approx(1.0)
     assert sum(each["cells"] for each in found) == 63
 
 
-def test_windows_come_by_falling_area_and_not_by_cells() -> None:
+def test_regions_come_by_falling_area_and_not_by_cells() -> None:
     # Edges of 1, 2, 4, 8 are 0.5, 1.5, 3, 6, 10.
-    found = windows(periods([[2, 2, 0, 3]], [1, 2, 4, 8], spec=spec(omega="linear", b="linear")), "period")
+    found = regions(periods([[2, 2, 0, 3]], [1, 2, 4, 8], spec=spec(omega="linear", b="linear")), "period")
     assert [(each["period"], each["cells"]) for each in found] == [(3, 1), (2, 2)]
 
 
 def test_areas_on_a_log_axis_are_in_its_own_unit() -> None:
     # Edges of 1, 4, 16 are 0.5, 2, 8, 32.
-    found = windows(periods([[0, 2, 0]], [1, 4, 16]).isel(b=0), "period", 2)
+    found = regions(periods([[0, 2, 0]], [1, 4, 16]).isel(b=0), "period", 2)
     assert (found[0]["area"], found[0]["box"]) == (pytest.approx(6.0), {"omega": pytest.approx((2.0, 8.0))})
 
 
 def test_a_window_at_an_edge_is_cut_by_it() -> None:
-    (found,) = windows(periods([[0, 3, 3], [0, 0, 0]]), "period", 3)
+    (found,) = regions(periods([[0, 3, 3], [0, 0, 0]]), "period", 3)
     assert found["cut"] == ["highest omega", "lowest b"]
 
 
 def test_a_window_at_the_edge_of_the_part_that_was_asked_for_is_cut_by_it() -> None:
     ds = periods([[0] * 5, [0, 3, 3, 3, 0], [0] * 5])
-    (found,) = windows(ds, "period", 3, {"omega": (1, 3)})
+    (found,) = regions(ds, "period", 3, {"omega": (1, 3)})
     assert (found["cells"], found["cut"], found["share"]) == (2, ["highest omega"], pytest.approx(2 / 9))
 
 
 def test_a_window_next_to_pending_cells_may_go_on_there() -> None:
     ds = plane([1, 2, 3], [0.1, 0.2, 0.3], [[C, C, C], [C, P, Q], [C, C, C]])
-    found = {each["regime"]: each["cut"] for each in windows(ds)}
+    found = {each["regime"]: each["cut"] for each in regions(ds)}
     assert found["periodic"] == ["pending cells"]
     assert set(found) == {"periodic", "chaotic"}
 
 
 def test_the_cell_of_a_bent_window_lies_in_it_though_its_centre_does_not() -> None:
     ds = periods([[3, 3, 3], [3, 0, 3], [3, 0, 3]])
-    (found,) = windows(ds, "period", 3)
+    (found,) = regions(ds, "period", 3)
     cell = ds.sel(found["cell"], method="nearest")
     assert int(ds.sel(found["centre"], method="nearest").period) == 0
     assert int(cell.period) == 3
@@ -130,33 +130,33 @@ def test_the_cell_of_a_bent_window_lies_in_it_though_its_centre_does_not() -> No
 def test_a_falling_axis_changes_no_window() -> None:
     ds = periods([[0, 3, 3, 2], [0, 0, 3, 2]])
     turned = ds.isel(omega=slice(None, None, -1))
-    assert windows(turned, "period") == windows(ds, "period")
+    assert regions(turned, "period") == regions(ds, "period")
     xr.testing.assert_equal(labels(turned, "period").sortby("omega"), labels(ds, "period"))
 
 
 def test_labels_are_those_of_the_list() -> None:
     ds = periods([[0, 3, 3, 2], [0, 0, 0, 2]])
-    listed, marked = windows(ds, "period"), labels(ds, "period")
+    listed, marked = regions(ds, "period"), labels(ds, "period")
     assert [int((marked == each["label"]).sum()) for each in listed] == [each["cells"] for each in listed]
 
 
-def test_small_windows_are_left_out_where_asked() -> None:
+def test_small_regions_are_left_out_where_asked() -> None:
     ds = periods([[3, 0, 3, 3]])
-    assert [each["cells"] for each in windows(ds, "period", least=2)] == [2]
-    assert labels(ds, "period", least=2).values.tolist() == [[0, 0, 1, 1]]
+    assert [each["cells"] for each in regions(ds, "period", min_cells=2)] == [2]
+    assert labels(ds, "period", min_cells=2).values.tolist() == [[0, 0, 1, 1]]
 
 
-def test_windows_of_impacts_are_named_n_p_q_and_all_that_stick_are_one_class() -> None:
+def test_regions_of_impacts_are_named_n_p_q_and_all_that_stick_are_one_class() -> None:
     ds = periods([[1, 1, 2, 2]]).assign(
         impacts_upper=(("b", "omega"), [[1, 2, -1, -1]]), impacts_lower=(("b", "omega"), [[1, 1, -1, -1]])
     )
     ds["period"][0, 3] = 3
-    assert {each["impacts"]: each["cells"] for each in windows(ds, "impacts")} == {"1-1-1": 1, "1-2-1": 1, "sticks": 2}
-    assert [each["impacts"] for each in windows(ds, "impacts", "1-2-1")] == ["1-2-1"]
+    assert {each["impacts"]: each["cells"] for each in regions(ds, "impacts")} == {"1-1-1": 1, "1-2-1": 1, "sticks": 2}
+    assert [each["impacts"] for each in regions(ds, "impacts", "1-2-1")] == ["1-2-1"]
 
 
-def test_a_sweep_has_windows_too() -> None:
-    found = windows(periods([[2, 2, 0, 2]]).isel(b=0), "period")
+def test_a_sweep_has_regions_too() -> None:
+    found = regions(periods([[2, 2, 0, 2]]).isel(b=0), "period")
     assert [(each["cells"], each["cut"]) for each in found] == [(2, ["lowest omega"]), (1, ["highest omega"])]
 
 
@@ -173,7 +173,7 @@ def test_a_sweep_has_windows_too() -> None:
 )
 def test_a_class_that_cannot_be_is_answered_with_one_line(by: str, value: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        windows(periods([[3]]), by, value)
+        regions(periods([[3]]), by, value)
 
 
 # What is read
@@ -185,18 +185,18 @@ def header(tmp_path_factory: pytest.TempPathFactory) -> store.Header:
 
 
 @pytest.mark.parametrize("by", ["regime", "period", "impacts"])
-def test_windows_of_a_store_are_those_of_its_cells(header: store.Header, by: str) -> None:
+def test_regions_of_a_store_are_those_of_its_cells(header: store.Header, by: str) -> None:
     ds = atlas.open(header.path)
     part = {"omega": (1.5, 3.2), "b": (0.15, 0.42)}
-    assert windows(ds, by, window=part) == windows(ds.load(), by, window=part)
-    assert windows(ds, by)
+    assert regions(ds, by, window=part) == regions(ds.load(), by, window=part)
+    assert regions(ds, by)
 
 
-def test_windows_in_a_part_read_the_tiles_of_that_part_alone(header: store.Header) -> None:
+def test_regions_in_a_part_read_the_tiles_of_that_part_alone(header: store.Header) -> None:
     ds = atlas.open(header.path)
     part = {"omega": (float(ds.omega[0]), float(ds.omega[15])), "b": (float(ds.b[0]), float(ds.b[7]))}
     with counted() as reads:
-        windows(ds, "period", window=part)
+        regions(ds, "period", window=part)
     assert reads.chunks == 2 * 2  # of two tiles, the regimes and the periods
 
 
@@ -215,20 +215,20 @@ def recorded(path: Path) -> store.Header:
 def test_tiles_that_records_say_enough_of_are_not_read(tmp_path: Path) -> None:
     ds = atlas.open(recorded(tmp_path / "a.zarr").path)
     with counted() as reads:
-        windows(ds, "regime")
+        regions(ds, "regime")
     assert reads.chunks == 1  # the regimes of the mixed tile
     with counted() as reads:
-        windows(ds, "period", 2)
+        regions(ds, "period", 2)
     assert reads.chunks == 1 + 2  # nothing of the chaotic tile, periods of the periodic one, both of the mixed
     with counted() as reads:
         extremes(ds, "periods_used", "regime")
     assert reads.chunks == 1 + 3
 
 
-def test_windows_by_records_are_those_of_the_cells(tmp_path: Path) -> None:
+def test_regions_by_records_are_those_of_the_cells(tmp_path: Path) -> None:
     ds = atlas.open(recorded(tmp_path / "a.zarr").path)
-    assert windows(ds, "regime") == windows(ds.copy(deep=True).load(), "regime")
-    assert any("pending cells" in each["cut"] for each in windows(ds, "regime"))
+    assert regions(ds, "regime") == regions(ds.copy(deep=True).load(), "regime")
+    assert any("pending cells" in each["cut"] for each in regions(ds, "regime"))
 
 
 # Extremes
@@ -246,7 +246,7 @@ def test_extremes_of_a_regime_name_the_cell_its_value_and_its_error() -> None:
 
 def test_extremes_of_the_plane_are_those_of_all_cells_with_a_class() -> None:
     ds = plane([1, 2], [0.1, 0.2], [[UNDETERMINED, P], [C, Q]])
-    assert [(each["value"], each["cells"]) for each in extremes(ds, "largest", "plane")] == [(1.0, 2), (2.0, 2)]
+    assert [(each["value"], each["cells"]) for each in extremes(ds, "largest", "all")] == [(1.0, 2), (2.0, 2)]
 
 
 def test_an_infinite_exponent_is_no_extreme() -> None:
@@ -257,7 +257,7 @@ def test_an_infinite_exponent_is_no_extreme() -> None:
 
 def test_impacts_that_are_infinitely_many_are_no_smallest_number() -> None:
     ds = periods([[1, 1, 1]]).assign(impacts_upper=(("b", "omega"), [[-1, 2, 5]]))
-    assert [each["value"] for each in extremes(ds, "impacts_upper", "plane")] == [2, 5]
+    assert [each["value"] for each in extremes(ds, "impacts_upper", "all")] == [2, 5]
 
 
 def test_extremes_for_each_period_come_by_period() -> None:
@@ -266,7 +266,7 @@ def test_extremes_for_each_period_come_by_period() -> None:
 
 
 @pytest.mark.parametrize("name", ["largest", "periods_used"])
-@pytest.mark.parametrize("by", ["plane", "regime", "period", "impacts"])
+@pytest.mark.parametrize("by", ["all", "regime", "period", "impacts"])
 def test_extremes_of_a_store_are_those_of_its_cells(header: store.Header, name: str, by: str) -> None:
     ds, part = atlas.open(header.path), {"omega": (1.5, 3.2)}
     found = extremes(ds, name, by, part)
@@ -279,7 +279,7 @@ def test_extremes_of_a_store_are_those_of_its_cells(header: store.Header, name: 
 
 def test_of_equal_values_the_first_cell_counts(header: store.Header) -> None:
     ds = atlas.open(header.path)
-    found = extremes(ds, "periods_used", "plane")[0]
+    found = extremes(ds, "periods_used", "all")[0]
     first = np.argwhere(ds.periods_used.values == ds.periods_used.values.min())[0]
     assert (found["b"], found["omega"]) == (float(ds.b[first[0]]), float(ds.omega[first[1]]))
 
@@ -293,46 +293,54 @@ def test_a_variable_without_an_order_is_refused_and_the_others_named(name: str) 
 # From the shell
 
 
-def test_the_command_lists_windows_and_says_how_much_was_read(header: store.Header) -> None:
-    shown = call("query", header.path, "--windows", "period=2")
+def test_the_command_lists_regions_and_says_how_much_was_read(header: store.Header) -> None:
+    shown = call("regions", header.path, "period=2")
     assert shown.exit_code == 0
     assert "centre omega" in shown.stdout.splitlines()[0]
     assert shown.stderr.endswith("chunks read from the store\n")
 
 
-def test_the_command_gives_windows_as_json(header: store.Header) -> None:
-    message = json.loads(call("query", header.path, "--windows", "period=2", "--least", 3, "--json").stdout)
+def test_the_command_gives_regions_as_json(header: store.Header) -> None:
+    message = json.loads(call("regions", header.path, "period=2", "--min-cells", 3, "--json").stdout)
     assert message["by"] == "period"
-    assert message["windows"] == json.loads(json.dumps(atlas.open(header.path).atlas.windows("period", 2, least=3)))
+    found = regions(atlas.open(header.path), "period", 2, min_cells=3)
+    assert message["regions"] == json.loads(json.dumps(found))
 
 
 def test_the_command_gives_extremes_as_json(header: store.Header) -> None:
-    message = json.loads(call("query", header.path, "--extremes", "largest", "--by", "plane", "--json").stdout)
+    message = json.loads(call("extremes", header.path, "largest", "--by", "all", "--json").stdout)
     assert (message["variable"], [each["extreme"] for each in message["extremes"]]) == (
         "largest",
         ["smallest", "largest"],
     )
 
 
-@pytest.mark.parametrize("question", [("--windows", "period"), ("--extremes", "largest")])
+@pytest.mark.parametrize("question", [("regions", "period"), ("extremes", "largest")])
 def test_the_command_writes_a_list_as_csv(header: store.Header, tmp_path: Path, question: tuple[str, str]) -> None:
     out = tmp_path / "a.csv"
-    message = json.loads(call("query", header.path, *question, "-o", out, "--json").stdout)
+    message = json.loads(call(question[0], header.path, question[1], "-o", out, "--json").stdout)
     assert message == {"file": str(out), "rows": len(out.read_text().splitlines()) - 1}
 
 
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("--windows", "omega=1:2"), "--window omega=1:2 limits an axis"),
-        (("--windows", "period=many"), "--windows period: found 'many', must be a whole number"),
-        (("--windows", "period", "--extremes", "largest"), "--windows and --extremes are two questions"),
-        (("--by", "period"), "--by goes with --extremes"),
-        (("--least", "2"), "--least goes with --windows"),
-        (("--windows", "period", "-o", "a.nc"), "a.nc: a list is written as .csv, found .nc"),
+        (("regions", "omega=1:2"), "--window omega=1:2 limits an axis"),
+        (("regions", "period=many"), "period: found 'many', must be a whole number"),
+        (("regions", "period", "--min-cells", "0"), "min_cells: found 0, must be a whole number of cells"),
+        (("regions", "period", "-o", "a.nc"), "a.nc: a list is written as .csv, found .nc"),
+        (("extremes", "largest", "--by", "place"), "place"),
     ],
 )
 def test_a_bad_question_is_answered_with_one_line(header: store.Header, args: tuple[str, ...], message: str) -> None:
-    shown = call("query", header.path, *args)
+    shown = call(args[0], header.path, *args[1:])
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert message in shown.stderr and len(shown.stderr.splitlines()) == 1
+
+
+def test_python_gives_regions_and_extremes_as_data_frames(header: store.Header) -> None:
+    ds = atlas.open(header.path)
+    found, ends = ds.atlas.regions("period"), ds.atlas.extremes("largest", "all")
+    assert found["cells"].tolist() == [each["cells"] for each in regions(ds, "period")]
+    assert found["centre_omega"].tolist() == [each["centre"]["omega"] for each in regions(ds, "period")]
+    assert ends["extreme"].tolist() == ["smallest", "largest"]

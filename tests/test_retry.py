@@ -18,7 +18,7 @@ from atlas.errors import InputError
 from atlas.store.added import add_allowances
 from atlas.store.schema import BUDGET
 from atlas.store.sidecar import notes_of
-from atlas.store.store import done_tiles, read_header
+from atlas.store.store import create, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job
@@ -205,17 +205,25 @@ def call(*args: object) -> Result:
 
 
 def test_a_retry_without_a_store_is_refused_and_writes_nothing(tmp_path: Path) -> None:
-    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", "--retry", "failed")
+    shown = call("retry", tmp_path / "out.zarr", "failed")
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
-    assert "no such store, so there is nothing to retry" in shown.stderr
+    assert "no such store" in shown.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", ["--max-periods", "--survival"])
-def test_a_budget_or_a_survival_without_a_retry_is_refused(tmp_path: Path, option: str) -> None:
-    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", option, 5)
+def test_the_command_solves_cells_of_a_store_again_and_needs_no_spec(store: Path, client: Client) -> None:
+    shown = call("retry", store, "undetermined", "--max-periods", MORE, "--scheduler", client.scheduler.address)
+    assert shown.exit_code == 0
+    expected = solve_tile(
+        "two-mass", plane_of_few().cell_params((slice(0, 5), slice(0, 7))), plane_of_few(MORE).settings
+    )
+    np.testing.assert_array_equal(whole(store)["regime"], expected["regime"])
+
+
+def test_leaving_a_retry_to_a_cluster_needs_its_address(tmp_path: Path) -> None:
+    shown = call("retry", tmp_path / "out.zarr", "failed", "--submit")
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
-    assert f"{option} is for cells solved again" in shown.stderr
+    assert "give its --scheduler too" in shown.stderr
 
 
 # Survival
@@ -354,17 +362,19 @@ def test_a_tile_of_chaotic_cells_is_solved_again_by_a_process_of_its_own_too(wat
         ("chaotic", 48_000, "survival: found 48000, must exceed the spec's 48000"),
         ("chaotic", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
         ("aperiodic", None, "aperiodic cells come out the same within the same survival; give --survival above 48000"),
-        ("failed", 50_000, "survival: is for chaotic and aperiodic cells, found --retry failed"),
+        ("failed", 50_000, "survival: is for chaotic and aperiodic cells, found failed"),
     ],
 )
 def test_a_survival_that_could_change_nothing_is_refused_in_one_line(
     tmp_path: Path, names: str, survival: int | None, message: str
 ) -> None:
+    create(tmp_path / "out.zarr", atlas.Spec.from_toml("tiny"), (2, 2))
+    before = sorted(tmp_path.rglob("*"))
     given = [] if survival is None else ["--survival", survival]
-    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", "--retry", names, *given)
+    shown = call("retry", tmp_path / "out.zarr", names, *given)
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
     assert message in shown.stderr
-    assert list(tmp_path.iterdir()) == []
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_the_fixed_schedule_has_no_survival_to_raise() -> None:

@@ -175,7 +175,7 @@ def test_a_plane_of_nothing_but_rest_is_drawn() -> None:
 def test_extremes_leave_out_exponents_of_minus_infinity() -> None:
     ds = balls()
     finite = ds["largest"].values[np.isfinite(ds["largest"].values)]
-    found = [entry["value"] for entry in extremes(ds, "largest", by="plane")]
+    found = [entry["value"] for entry in extremes(ds, "largest", by="all")]
     assert found == [finite.min(), finite.max()]
 
 

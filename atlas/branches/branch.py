@@ -15,8 +15,8 @@ LONGEST = 64
 """Impacts of the orbits that are followed where they leave."""
 
 
-def tree_from(seed: Seed, along: str, window: tuple[float, float], leaving: bool = False, most: int = MOST) -> "Tree":
-    """The branch of a cell's orbit in one parameter, and with ``leaving`` those that leave it, at most ``most``.
+def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool = False, most: int = MOST) -> "Tree":
+    """The branch of a cell's orbit in one parameter, and with ``switch`` the branches from it, at most ``most``.
 
     Raises InputError for a parameter that does not exist or that no orbit depends on, for a window that does not
     rise, is not valid or does not hold the cell, and where the orbit cannot be followed.
@@ -28,7 +28,7 @@ def tree_from(seed: Seed, along: str, window: tuple[float, float], leaving: bool
         raise InputError(f"budget: found {most!r}, must be a whole number of branches, 1 or more")
     tree = Tree(seed.system, seed.values, along, (low, high), most, LONGEST)
     try:
-        tree.grow(seed.orbit, seed.values[along], leaving)
+        tree.grow(seed.orbit, seed.values[along], switch)
     except ValueError as error:
         raise InputError(f"this cell's orbit cannot be followed: {error}") from None
     return tree

@@ -59,7 +59,9 @@ TABLES = ("csv", "json")
 @at_option
 @select_option
 @system_option
-@click.option("--leaving", is_flag=True, help="Also what leaves at period doublings and symmetry breakings, in turn.")
+@click.option(
+    "--switch-branches", is_flag=True, help="Follow the branches from period doublings and symmetry breakings too."
+)
 @click.option("--budget", type=click.IntRange(min=1), default=MOST, show_default=True, help="Branches followed in all.")
 @click.option(
     "-o",
@@ -79,7 +81,7 @@ def branch(
     point: tuple[str, ...],
     select: tuple[str, ...],
     system: str,
-    leaving: bool,
+    switch_branches: bool,
     budget: int,
     out: Path | None,
     as_json: bool,
@@ -96,7 +98,7 @@ def branch(
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
         show(Progress("following"))
-        found = Branches.of(tree_from(seed, along, (low, high), leaving, budget))
+        found = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget))
         if out is not None:
             _write(found, out, look)
     message = {"file": str(out)} if out is not None else {}

@@ -28,8 +28,10 @@ from atlas.service.progress import reporter
 _DEFAULTS = {each.name: each.default for each in fields(CurveSettings)}
 
 
-def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return click.option(f"--{name}", type=click.IntRange(min=1), default=_DEFAULTS[name], show_default=True, help=text)
+def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
+    return click.option(
+        f"--{option or name}", name, type=click.IntRange(min=1), default=_DEFAULTS[name], show_default=True, help=text
+    )
 
 
 @click.command(epilog=examples("atlas curves plane.zarr", "atlas curves plane.zarr -o curves.csv"))
@@ -38,7 +40,7 @@ def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @_budget("seeds", "Places beside edges where events are looked for, at most.")
 @_budget("curves", "Curves followed, at most.")
 @_budget("points", "Points of all curves, at most.")
-@_budget("least", "Cells that a region must have for events to be looked for beside it.")
+@_budget("least", "Cells that a region must have for events to be looked for beside it.", "min-cells")
 @scheduler_option
 @workers_option
 @json_option

@@ -15,8 +15,8 @@ from atlas.cli.explore import explore
 from atlas.cli.labels import label
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
-from atlas.cli.query import query
-from atlas.cli.run import basins, cancel, extend, plan, run, submit
+from atlas.cli.query import basin_measures, export, extremes, query, regions
+from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
 from atlas.cli.store import pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
@@ -91,12 +91,17 @@ for command in (
     run,
     submit,
     cancel,
+    retry,
     extend,
     basins,
     status,
     verify,
     pack,
     query,
+    regions,
+    extremes,
+    basin_measures,
+    export,
     compare,
     curves,
     label,

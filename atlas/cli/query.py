@@ -1,6 +1,7 @@
-"""The command that asks a store: a cell, shares, windows of one class, extremes, or the cells of a part as a file."""
+"""Commands that ask a store: shares of regimes, a cell, connected regions of one class, extremes, basins, an export."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,146 +31,182 @@ from atlas.text import plural
 if TYPE_CHECKING:
     import xarray as xr
 
+    from atlas.query.window import Window
+
 SHOWN = 40
 """Rows that a terminal gets to see; ``--json`` and ``-o`` have all."""
 _PATTERN = ("regime", "period", "impacts")
+_list_option = click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="Write the whole list to a .csv file instead."
+)
 
 
 @click.command(
-    epilog=examples(
-        "atlas query plane.zarr --window omega=2:3",
-        "atlas query plane.zarr --at omega=3 --at b=0.15",
-        "atlas query plane.zarr --windows period=3",
-        "atlas query plane.zarr --extremes max_impact_speed --by period",
-        "atlas query plane.zarr --window omega=2:3 -o part.csv",
-    )
+    epilog=examples("atlas query plane.zarr --window omega=2:3", "atlas query plane.zarr --at omega=3 --at b=0.15")
 )
 @store_argument
 @click.option("--at", "point", metavar="NAME=VALUE", multiple=True, help="The cell nearest to a point; one per axis.")
 @window_option
 @select_option
-@click.option(
-    "--windows",
-    metavar="CLASS",
-    help="Connected windows of one class: period=3, impacts=3-2-2, regime=chaotic, or period for all periods.",
-)
-@click.option("--least", type=int, metavar="CELLS", help="With --windows: only those of so many cells. Default: 1.")
-@click.option("--extremes", metavar="VARIABLE", help="Where a variable such as largest is smallest and largest.")
-@click.option("--basins", is_flag=True, help="Shares, entropy and boundary of the basins of a plane of initial states.")
-@click.option("--by", metavar="CLASS", help="With --extremes: in each regime (default), period, impacts; or plane.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Write the cells of the window to a .csv or .nc (netCDF) file; windows of a class or extremes to a .csv file.",
-)
 @json_option
-def query(
+def query(store: str, point: tuple[str, ...], window: tuple[str, ...], select: tuple[str, ...], as_json: bool) -> None:
+    """The share of each regime in STORE or in a window of it; with --at all results of one cell.
+
+    Shares are of the area in the axes' own units. Also see: atlas regions, extremes, export, render.
+    """
+    if point and window:
+        raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
+    wanted = read_pairs("--at", point, read_number)
+    with _asked(store, select, window, counted=not point and not as_json) as (ds, bounds):
+        from atlas.query import queries as questions
+
+        found: dict[str, Any] = questions.at(ds, wanted) if point else dict(questions.fractions(leading(ds), bounds))
+        why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
+        if as_json:
+            click.echo(to_json(found | ({"reasons": why} if why else {})))
+        elif point:
+            _print_values(found, "coexisting")
+        else:
+            print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
+            click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
+
+
+@click.command(
+    epilog=examples(
+        "atlas export plane.zarr --window omega=2:3 -o part.csv", "atlas export stack.zarr --select R=0.7 -o plane.nc"
+    )
+)
+@store_argument
+@window_option
+@select_option
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="The file: .csv, or .nc for netCDF.")
+@json_option
+def export(store: str, window: tuple[str, ...], select: tuple[str, ...], out: Path, as_json: bool) -> None:
+    """Write the cells of STORE, or of a window of it, to a CSV or netCDF file."""
+    from atlas.query.export import check_path
+    from atlas.query.export import export as write
+
+    check_path(out)
+    with _asked(store, select, window) as (ds, bounds):
+        say("reading and writing")
+        message = {"file": str(out), "cells": write(ds, out, bounds)}
+        click.echo(to_json(message)) if as_json else _print_values(message)
+
+
+@click.command("basin-measures", epilog=examples("atlas basin-measures basins.zarr"))
+@store_argument
+@window_option
+@select_option
+@json_option
+def basin_measures(store: str, window: tuple[str, ...], select: tuple[str, ...], as_json: bool) -> None:
+    """Shares (basin stability), entropy and boundary dimension of the basins in STORE, a plane of initial states."""
+    with _asked(store, select, window, counted=not as_json) as (ds, bounds):
+        from atlas.query.basins import basins
+
+        found = basins(ds, bounds)
+        click.echo(to_json(found)) if as_json else _print_values(found, "attractors")
+
+
+@click.command(
+    epilog=examples(
+        "atlas regions plane.zarr period=3", "atlas regions plane.zarr period --min-cells 10 -o periods.csv"
+    )
+)
+@store_argument
+@click.argument("class_", metavar="CLASS")
+@window_option
+@select_option
+@click.option(
+    "--min-cells", type=int, default=1, show_default=True, metavar="N", help="Only regions of N cells or more."
+)
+@_list_option
+@json_option
+def regions(
     store: str,
-    point: tuple[str, ...],
+    class_: str,
     window: tuple[str, ...],
     select: tuple[str, ...],
-    windows: str | None,
-    least: int | None,
-    extremes: str | None,
-    basins: bool,
-    by: str | None,
+    min_cells: int,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """What STORE holds: the share of each regime, unless another question is asked.
+    """Connected regions of STORE whose cells have one CLASS: their size, area, centre and bounds.
 
-    At a point, in connected windows of one class, or where a variable has its extremes; everywhere, or where --window
-    limits the axes. Shares are of the area in the axes' own units. Also see: atlas render.
+    CLASS is period=3, impacts=3-2-2 or regime=chaotic; or period, impacts or regime alone, for all their values.
     """
-    from atlas.query.reads import counted
+    by, equals, value = class_.partition("=")
+    if by not in _PATTERN:
+        hint = "" if ":" not in value else f"; --window {class_} limits an axis"
+        raise InputError(f"{class_}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
+    meant = read_whole("period", value) if equals and by == "period" else value if equals else None
+    _check_csv(out)
+    with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
+        from atlas.query import connected
 
-    questions = (("--at", point), ("--windows", windows), ("--extremes", extremes), ("--basins", basins))
-    asked = [name for name, given in questions if given]
-    if len(asked) > 1:
-        raise InputError(f"{asked[0]} and {asked[1]} are two questions; give one of the two")
-    if point and window:
-        raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
-    if out is not None and point:
-        raise InputError("--at prints one cell, --out writes a window; give one of the two")
-    if out is not None and basins:
-        raise InputError("--basins prints its answer, -o writes a window; give one of the two")
-    if least is not None and not windows:
-        raise InputError("--least goes with --windows: it leaves out windows of fewer cells")
-    if by is not None and not extremes:
-        raise InputError("--by goes with --extremes; windows name their class themselves: --windows period=3")
-    wanted, bounds = read_pairs("--at", point, read_number), read_pairs("--window", window, read_bounds)
-    plane = read_pairs("--select", select, read_number)
-    with input_errors(), counted() as reads:
-        ds = selected(open_atlas(store), plane)
-        if windows:
-            _windows(leading(ds), windows, bounds, 1 if least is None else least, out, as_json)
-        elif basins:
-            _basins(ds, bounds, as_json)
-        elif extremes:
-            _extremes(leading(ds), extremes, by or "regime", bounds, out, as_json)
-        else:
-            _cells(ds, wanted, bounds, out, as_json)
-    if not point and out is None and not as_json:
-        say(f"{plural(reads.chunks, 'chunk')} read from the store")
+        found = connected.regions(leading(ds), by, meant, bounds, min_cells)
+        rows = [connected.flat(each) for each in found]
+        if not _answered({"by": by, "regions": found}, rows, out, as_json):
+            _print_regions(found, by)
 
 
-def _cells(
-    ds: "xr.Dataset", point: dict[str, float], bounds: dict[str, tuple[float, float]], out: Path | None, as_json: bool
+@click.command(
+    epilog=examples("atlas extremes plane.zarr largest", "atlas extremes plane.zarr max_impact_speed --by period")
+)
+@store_argument
+@click.argument("variable")
+@click.option("--by", metavar="CLASS", default="regime", show_default=True, help="regime, period or impacts; or all.")
+@window_option
+@select_option
+@_list_option
+@json_option
+def extremes(
+    store: str,
+    variable: str,
+    by: str,
+    window: tuple[str, ...],
+    select: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
 ) -> None:
-    """One cell, the shares in a window, or its cells as a file."""
-    from atlas.query import queries as questions
-    from atlas.query.export import check_path, export
+    """Where a VARIABLE of STORE, such as largest, has its smallest and largest values, in each class of cells."""
+    _check_csv(out)
+    with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
+        from atlas.query.extremes import extremes as find
 
-    found: dict[str, Any]
-    if out is not None:
-        check_path(out)
-    if out is not None:
-        say("reading and writing")
-        found = {"file": str(out), "cells": export(ds, out, bounds)}
-    else:
-        found = questions.at(ds, point) if point else dict(questions.fractions(leading(ds), bounds))
-    why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & found.keys() else {}
-    if as_json:
-        click.echo(to_json(found | ({"reasons": why} if why else {})))
-    elif point or out:
-        several = list(found.pop("coexisting", []))
-        print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
-        print_attractors(several)
-    else:
-        print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in found.items()])
-        click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
+        found = find(leading(ds), variable, by, bounds)
+        if _answered({"variable": variable, "by": by, "extremes": found}, found, out, as_json):
+            return
+        if not found:
+            click.echo(f"no cell has a value of {variable}")
+            return
+        columns = [key for key in found[0] if key != "cells"]
+        print_table("", columns, [tuple(text(each[key]) for key in columns) for each in found])
 
 
-def _basins(ds: "xr.Dataset", bounds: dict[str, tuple[float, float]], as_json: bool) -> None:
-    """Shares, entropy and boundary of basins."""
-    from atlas.query.basins import basins
+@contextmanager
+def _asked(
+    store: str, select: tuple[str, ...], window: tuple[str, ...], counted: bool = False
+) -> Iterator[tuple["xr.Dataset", "Window"]]:
+    """The dataset that a question is about and its window; with ``counted`` it ends by the number of chunks read."""
+    from atlas.query import reads
 
-    found = basins(ds, bounds)
-    if as_json:
-        click.echo(to_json(found))
-        return
-    several = found.pop("attractors")
+    bounds = read_pairs("--window", window, read_bounds)
+    plane = read_pairs("--select", select, read_number)
+    with input_errors(), reads.counted() as cost:
+        yield selected(open_atlas(store), plane), bounds
+    if counted:
+        say(f"{plural(cost.chunks, 'chunk')} read from the store")
+
+
+def _print_values(found: dict[str, Any], listed: str = "") -> None:
+    """Names and values as a table, and the attractors that one of them lists as another."""
+    several = list(found.pop(listed, []))
     print_table("", ["", ""], [(name, text(value)) for name, value in found.items()])
     print_attractors(several)
 
 
-def _windows(
-    ds: "xr.Dataset", given: str, bounds: dict[str, tuple[float, float]], least: int, out: Path | None, as_json: bool
-) -> None:
-    """Connected windows of one class."""
-    from atlas.query.connected import windows
-
-    by, equals, value = given.partition("=")
-    if by not in _PATTERN:
-        hint = "" if ":" not in value else f"; --window {given} limits an axis"
-        raise InputError(f"--windows {given}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
-    meant = read_whole("--windows period", value) if equals and by == "period" else value if equals else None
-    _check_csv(out)
-    found = windows(ds, by, meant, bounds, least)
-    if _answered({"by": by, "windows": found}, found, [_flat(each) for each in found], out, as_json):
-        return
-    none = "no such window" if not found else ""
+def _print_regions(found: Sequence[Mapping[str, Any]], by: str) -> None:
+    none = "no such region" if not found else ""
     rows = [
         (
             str(each["label"]),
@@ -191,41 +228,18 @@ def _windows(
         rest = sum(each["share"] for each in found[SHOWN:])
         none = f"and {len(found) - SHOWN} smaller ones, {100 * rest:.3g} % in all: --json or -o FILE.csv lists them"
     total = sum(each["share"] for each in found)
-    click.echo(none or f"{plural(len(found), 'window')}, {100 * total:.3g} % in all")
+    click.echo(none or f"{plural(len(found), 'region')}, {100 * total:.3g} % in all")
 
 
-def _extremes(
-    ds: "xr.Dataset", name: str, by: str, bounds: dict[str, tuple[float, float]], out: Path | None, as_json: bool
-) -> None:
-    """Where a variable has its smallest and its largest value."""
-    from atlas.query.extremes import extremes
-
-    _check_csv(out)
-    found = extremes(ds, name, by, bounds)
-    if _answered({"variable": name, "by": by, "extremes": found}, found, found, out, as_json):
-        return
-    if not found:
-        click.echo(f"no cell has a value of {name}")
-        return
-    columns = [key for key in found[0] if key != "cells"]
-    print_table("", columns, [tuple(text(each[key]) for key in columns) for each in found])
-
-
-def _answered(
-    message: Mapping[str, Any],
-    found: Sequence[Mapping[str, Any]],
-    rows: Sequence[Mapping[str, Any]],
-    out: Path | None,
-    as_json: bool,
-) -> bool:
+def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:
     """Write the rows where a file is asked for, print JSON where that is; False where neither is."""
     if out is not None:
         from atlas.query.export import write_rows
 
         write_rows(out, rows)
-        message = {"file": str(out), "rows": len(found)}
+        message = {"file": str(out), "rows": len(rows)}
         if not as_json:
-            print_table("", ["", ""], [(name, text(value)) for name, value in message.items()])
+            _print_values(dict(message))
     if as_json:
         click.echo(to_json(message))
     return out is not None or as_json
@@ -234,13 +248,3 @@ def _answered(
 def _check_csv(out: Path | None) -> None:
     if out is not None and out.suffix.lower() != ".csv":
         raise InputError(f"{out.name}: a list is written as .csv, found {out.suffix or 'no suffix'}")
-
-
-def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """A window as one row: a column for each axis of its centre, its cell and its box."""
-    row = {key: entry[key] for key in entry if key not in ("centre", "cell", "box", "cut")}
-    for key in ("centre", "cell"):
-        row |= {f"{key}_{name}": value for name, value in entry[key].items()}
-    for name, (low, high) in entry["box"].items():
-        row |= {f"{name}_from": low, f"{name}_to": high}
-    return row | {"cut": ", ".join(entry["cut"])}

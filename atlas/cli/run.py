@@ -1,11 +1,10 @@
-"""Commands that compute: plan, run, submit, cancel, extend."""
+"""Commands that compute: plan, run, basins, retry, submit, cancel, extend."""
 
 import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import click
 
@@ -38,7 +37,8 @@ from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
-from atlas.task.retry import RETRIABLE, checked_retry
+from atlas.store.store import read_header
+from atlas.task.retry import checked_retry
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
@@ -70,48 +70,93 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
-def _run_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of a run, whether this program coordinates it or a cluster does."""
+_out_option = click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed.")
+
+
+def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The files of an encrypted connection to a scheduler."""
     for option in (
-        points_option,
-        click.option("--survival", type=int, help="With --retry chaotic or aperiodic: watch those cells for longer."),
-        click.option("--max-periods", type=int, help="With --retry: the larger budget of the cells solved again."),
-        click.option(
-            "--retry",
-            metavar="REGIMES",
-            help=f"Solve these cells of finished tiles again: {', '.join(RETRIABLE)}.",
-        ),
         click.option("--tls-key", metavar="FILE", help="Its key."),
         click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
         click.option("--tls-ca-file", metavar="FILE", help="Authority for it; default: Dask's configuration."),
-        click.option("-o", "--out", required=True, help="The store, a path or a URL: made, or completed."),
-        click.argument("spec"),
     ):
         command = option(command)
     return command
 
 
-@click.command(
-    epilog=examples(
-        "atlas run plane.toml -o plane.zarr",
-        "atlas run plane.toml -o plane.zarr --retry undetermined --max-periods 100000",
-    )
-)
-@_run_options
+@click.command(epilog=examples("atlas run plane.toml -o plane.zarr"))
+@click.argument("spec")
+@_out_option
+@_tls_options
+@points_option
 @scheduler_option
 @workers_option
 @click.pass_context
-def run(ctx: click.Context, /, spec: str, out: str, scheduler: str | None, workers: int | None, **given: Any) -> None:
+def run(
+    ctx: click.Context,
+    /,
+    spec: str,
+    out: str,
+    points: str | None,
+    scheduler: str | None,
+    workers: int | None,
+    **tls: str | None,
+) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     check_workers(scheduler, workers)
-    points = given.pop("points")
     read = Spec.from_toml(spec, points)
-    options = RunOptions(workers, scheduler, estimate=estimated, timing=timing_of(ctx), **_run_only(read, **given))
-    words = {"points": points, "scheduler": scheduler, "workers": workers} | given
-    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in words.items() if value is not None]
-    line = shlex.join(["atlas", "run", spec, "-o", out, *(word for pair in pairs for word in pair)])
+    options = RunOptions(workers, scheduler, _tls(**tls), estimate=estimated, timing=timing_of(ctx))
+    line = _line("run", spec, "-o", out, points=points, scheduler=scheduler, workers=workers, **tls)
     with _shown(ctx, options, f"resume with\n  {line}") as shown:
         summary = run_spec(read, out, options=shown)
+    _report(ctx, summary)
+
+
+@click.command(
+    epilog=examples(
+        "atlas retry plane.zarr failed",
+        "atlas retry plane.zarr undetermined --max-periods 100000",
+        "atlas retry plane.zarr chaotic --survival 500000 --scheduler tcp://10.0.0.1:8786 --submit",
+    )
+)
+@store_argument
+@click.argument("regimes")
+@click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than the spec's.")
+@click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer watch than the spec's.")
+@_tls_options
+@scheduler_option
+@workers_option
+@click.option("--submit", "leave", is_flag=True, help="Have the cluster of --scheduler do it, and leave.")
+@click.pass_context
+def retry(
+    ctx: click.Context,
+    /,
+    store: str,
+    regimes: str,
+    max_periods: int | None,
+    survival: int | None,
+    scheduler: str | None,
+    workers: int | None,
+    leave: bool,
+    **tls: str | None,
+) -> None:
+    """Solve cells of finished tiles in STORE again, with more periods or a longer survival than its spec gives.
+
+    REGIMES is one or more of failed, undetermined, chaotic, aperiodic, separated by commas. Cells keep their old values
+    until the new ones are stored. The same command resumes a retry that was stopped.
+    """
+    check_workers(scheduler, workers)
+    if leave and scheduler is None:
+        raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
+    spec = read_header(store).spec
+    again = checked_retry(spec, regimes, max_periods, survival)
+    options = RunOptions(workers, scheduler, _tls(**tls), again, timing=timing_of(ctx))
+    if leave:
+        _submit(spec, store, options)
+        return
+    words = {"max_periods": max_periods, "survival": survival, "scheduler": scheduler, "workers": workers}
+    with _shown(ctx, options, f"resume with\n  {_line('retry', store, regimes, **words, **tls)}") as shown:
+        summary = run_spec(spec, store, options=shown)
     _report(ctx, summary)
 
 
@@ -125,7 +170,7 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
     """Basins of attraction of SPEC, whose axes are components of the initial state, into a store.
 
     Which attractors there are is found from the initial states of [attractors], by default 32. Then: atlas render and
-    atlas query --basins.
+    atlas basin-measures.
     """
     check_workers(scheduler, workers)
     read = Spec.from_toml(spec)
@@ -143,18 +188,25 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
 
 
 @click.command(epilog=examples("atlas submit plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786"))
-@_run_options
+@click.argument("spec")
+@_out_option
+@_tls_options
+@points_option
 @click.option("--scheduler", metavar="ADDRESS", required=True, help="A Dask scheduler, such as tcp://host:8786.")
 @click.pass_context
-def submit(ctx: click.Context, /, spec: str, out: str, scheduler: str, **given: Any) -> None:
+def submit(ctx: click.Context, /, spec: str, out: str, points: str | None, scheduler: str, **tls: str | None) -> None:
     """Have a cluster compute SPEC into a store, and leave."""
-    read = Spec.from_toml(spec, given.pop("points"))
-    options = RunOptions(scheduler=scheduler, timing=timing_of(ctx), **_run_only(read, **given))
+    options = RunOptions(scheduler=scheduler, tls=_tls(**tls), timing=timing_of(ctx))
+    _submit(Spec.from_toml(spec, points), out, options)
+
+
+def _submit(spec: Spec, out: str, options: RunOptions) -> None:
+    """Hand a run to the cluster of the options' scheduler, and print who coordinates it."""
     store = shlex.quote(out)
     advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
     try:
         with progress.reporter(sys.stderr) as show:
-            where = submit_spec(read, out, replace(options, on_progress=show))
+            where = submit_spec(spec, out, replace(options, on_progress=show))
     except KeyboardInterrupt:
         say(f"interrupted: the cluster may have begun already\n{advice}")
         raise
@@ -219,23 +271,15 @@ def _shown(ctx: click.Context, options: RunOptions, advice: str) -> Iterator[Run
         ctx.exit(INTERRUPTED)
 
 
-def _run_only(
-    spec: Spec,
-    retry: str | None,
-    max_periods: int | None,
-    survival: int | None,
-    tls_ca_file: str | None,
-    tls_cert: str | None,
-    tls_key: str | None,
-) -> dict[str, Any]:
-    """Fields of RunOptions that an extension does not have."""
-    for option, given in (("--max-periods", max_periods), ("--survival", survival)):
-        if retry is None and given is not None:
-            raise InputError(f"{option} is for cells solved again: give --retry too, or set it in the spec")
-    return {
-        "retry": None if retry is None else checked_retry(spec, retry, max_periods, survival),
-        "tls": Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None,
-    }
+def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> Tls | None:
+    """The files of an encrypted connection, None where none is given."""
+    return Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
+
+
+def _line(*words: str, **given: str | int | None) -> str:
+    """A command line: words, then the options that have a value."""
+    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
+    return shlex.join(["atlas", *words, *(word for pair in pairs for word in pair)])
 
 
 def _report(ctx: click.Context, summary: Summary) -> None:

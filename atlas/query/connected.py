@@ -1,9 +1,9 @@
-"""Windows in the parameters: connected sets of cells of one class, such as the period-3 windows in chaos.
+"""Connected regions of cells of one class, such as the period-3 windows in chaos.
 
 Cells are connected where they share an edge; a corner is not enough.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +24,10 @@ _TOGETHER = 1 << 20
 """Cells whose areas are added up at a time."""
 
 
-def windows(
-    ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, least: int = 1
+def regions(
+    ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, min_cells: int = 1
 ) -> list[dict[str, Any]]:
-    """Every connected window of equal regime, period or pattern of impacts, the one with the largest area first.
+    """Every connected region of equal regime, period or pattern of impacts, the one with the largest area first.
 
     Keys of each:
 
@@ -36,30 +36,40 @@ def windows(
     cells        their number
     area         of its cells in the axes' own units, from edge to edge (along a sweep its length)
     share        of the area of ``window``, by default of the plane
-    centre       of its area, by axis; it may lie outside where the window is bent
+    centre       of its area, by axis; outside a region that is bent
     cell         the parameters of its cell nearest to that, by axis: one to look at with ``at`` or ``portrait``
     box          the (low, high) edges of the box around it, by axis
-    cut          what it may go on beyond: ``lowest omega`` or ``highest b``, an edge of the plane or of ``window`` that
-                 it touches, and ``pending cells``; empty where it is whole
+    cut          where it may go on: ``lowest omega`` or ``highest b``, an edge of the plane or of ``window`` that it
+                 touches, and ``pending cells``; empty where it is whole
 
-    ``value`` takes one class, such as 3 for period 3, and ``least`` windows of at least so many cells.
+    ``value`` takes one class, such as 3 for period 3; smaller regions than ``min_cells`` are left out.
     Raises InputError for an unknown axis or class, and for a ``window`` without a cell.
     Reads the variables that tell the class, of tiles that have such cells. Takes about 15 bytes of memory a cell
-    and 2 kB a window.
+    and 2 kB a region.
     """
-    return _find(ds, by, value, window, least).listed()
+    return _find(ds, by, value, window, min_cells).listed()
+
+
+def flat(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A region as one row: a column for each axis of its centre, its cell and its box."""
+    row = {key: entry[key] for key in entry if key not in ("centre", "cell", "box", "cut")}
+    for key in ("centre", "cell"):
+        row |= {f"{key}_{name}": value for name, value in entry[key].items()}
+    for name, (low, high) in entry["box"].items():
+        row |= {f"{name}_from": low, f"{name}_to": high}
+    return row | {"cut": ", ".join(entry["cut"])}
 
 
 def labels(
-    ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, least: int = 1
+    ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, min_cells: int = 1
 ) -> "xr.DataArray":
-    """The label, as in ``windows``, of the window that each cell belongs to, 0 where it belongs to none."""
+    """The label, as in ``regions``, of the region that each cell belongs to; 0 for none."""
     import xarray
 
-    found, part = _find(ds, by, value, window, least), within(ds, window)
+    found, part = _find(ds, by, value, window, min_cells), within(ds, window)
     dims = part[REGIME.name].dims
     coords = {name: part[name] for name in dims} | {n: part[n] for n in part.coords if part[n].ndim == 0}
-    attrs = {"long_name": f"label of the window of equal {by}", "units": "1"}
+    attrs = {"long_name": f"label of the region of equal {by}", "units": "1"}
     return xarray.DataArray(found.as_given(), coords, dims, "label", attrs)
 
 
@@ -80,7 +90,7 @@ class _Side:
 
 @dataclass(frozen=True)
 class _Found:
-    """Windows: ``labels`` over the part with both dimensions rising, and what each window is called."""
+    """Regions: ``labels`` over the part with both dimensions rising, and the class of each."""
 
     by: str
     sides: tuple[_Side, ...]
@@ -96,7 +106,7 @@ class _Found:
         return made
 
     def listed(self) -> list[dict[str, Any]]:
-        """See ``windows``."""
+        """See ``regions``."""
         centres, nearest = _centres(self.labels, self.sides, len(self.values))
         cells = np.bincount(self.labels.ravel(), minlength=len(self.values) + 1)
         total = float(np.prod([(side.high - side.low).sum() for side in self.sides]))
@@ -125,10 +135,10 @@ class _Found:
                 yield f"highest {side.name}"
 
 
-def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, least: int) -> _Found:
-    if isinstance(least, bool) or not isinstance(least, int) or least < 1:
-        raise InputError(f"least: found {shown(least)}, must be a whole number of cells, 1 or more")
-    refuse_table(ds, "windows")
+def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_cells: int) -> _Found:
+    if isinstance(min_cells, bool) or not isinstance(min_cells, int) or min_cells < 1:
+        raise InputError(f"min_cells: found {shown(min_cells)}, must be a whole number of cells, 1 or more")
+    refuse_table(ds, "regions")
     classes, part = Classes(ds, by, value), within(ds, window)
     sides = tuple(_side(ds, part, name) for name in reversed(axis_names(ds)))
     shape = tuple(side.points.size for side in sides)
@@ -140,7 +150,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, least
     found, values = _labelled(numbers, classes.ordered())
     cells = np.bincount(found.ravel(), minlength=len(values) + 1)[1:]
     areas = _sums(found, sides, len(values))[0]
-    kept = np.flatnonzero(cells >= least)
+    kept = np.flatnonzero(cells >= min_cells)
     order = kept[np.argsort(-areas[kept], kind="stable")]
     renamed = np.zeros(len(values) + 1, np.int32)
     renamed[order + 1] = np.arange(1, order.size + 1)

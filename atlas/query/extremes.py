@@ -14,7 +14,7 @@ from workers.results import CHAOTIC, ERROR, LARGEST, NO_IMPACT, PENDING, PERIODI
 if TYPE_CHECKING:
     import xarray as xr
 
-PLANE = "plane"
+ALL = "all"
 """All cells together."""
 _OF_MOTIONS = (LARGEST.name, ERROR.name)
 _OF_ORBITS = ("period", "impacts_upper", "impacts_lower")
@@ -23,18 +23,18 @@ _OF_ORBITS = ("period", "impacts_upper", "impacts_lower")
 def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window | None = None) -> list[dict[str, Any]]:
     """The smallest and the largest value of a variable in each class of cells, and where it has them.
 
-    Two entries a class: ``by`` itself (see ``Classes``; none for "plane", all cells together), ``extreme`` ("smallest"
+    Two entries a class: ``by`` itself (see ``Classes``; none for "all", all cells together), ``extreme`` ("smallest"
     or "largest"), each axis with the cell's own parameter (of a table each column too), ``value``, ``error`` (of
     ``largest`` only: that of the exponent) and ``cells``, how many were compared. Of equal values the first
     counts, row by row.
     Compared are finite values of solved cells: an exponent of -inf is no number, one without a class no result (the
     average of an undetermined cell may be far off), a period one of periodic cells, and impacts that are infinitely
     many (where it sticks) are left out. Classes without such a value are too.
-    Raises InputError for a variable that is no number of each cell, and as ``windows`` does.
+    Raises InputError for a variable that is no number of each cell, and as ``regions`` does.
     Reads the variable, and what tells the class, of tiles that have such cells.
     """
     _check(ds, name)
-    classes, part = None if by == PLANE else Classes(ds, by), within(ds, window)
+    classes, part = None if by == ALL else Classes(ds, by), within(ds, window)
     codes = regimes_with(name)
     if classes is not None:
         codes = codes & {*classes.codes}

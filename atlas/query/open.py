@@ -1,6 +1,7 @@
 """Opening a store as a dataset."""
 
 import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, message_of
@@ -13,16 +14,26 @@ if TYPE_CHECKING:
     import xarray
 
 
-def open_atlas(store: str | os.PathLike[str]) -> "xarray.Dataset":
+Chunks = int | str | Mapping[Any, Any] | None
+"""Of Dask arrays, as ``xarray.open_dataset`` takes them; None for none."""
+
+
+def open_atlas(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
-    Where its attractors are labelled it has their ``label`` too. Reading a chunk of a finished tile that is missing or
-    damaged raises ChunkError.
+    ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too. Reading
+    a chunk of a finished tile that is missing or damaged raises ChunkError.
     """
     import xarray
 
     header = read_header(store)
-    opened = xarray.open_dataset(_guarded(header), engine="zarr", chunks=None, consolidated=True, zarr_format=3)
+    opened: Any = xarray.open_dataset(
+        _guarded(header),
+        engine="zarr",
+        chunks=chunks,
+        consolidated=True,
+        zarr_format=3,
+    )
     if header.spec.coexistence and group_attributes(header, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(header, LABELS)[LABEL.name]})
     opened.encoding["source"] = str(header.place)  # by which a view finds the overviews

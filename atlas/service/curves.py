@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.curves.finish import edge_share, finished
 from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, prepare, read_part
@@ -19,7 +19,7 @@ from atlas.service.cluster import leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Labour, Workers, outcomes
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.run import check_client, claimed_place, joined, worker_count
 from atlas.service.summary import TileFailure
@@ -93,12 +93,14 @@ def find_curves(
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
+    **fields: Unpack[RunFields],
 ) -> CurvesSummary:
     """Find the curves of a finished plane and keep them in its store; at once where it has those of these settings.
 
-    They are found on ``client`` or where ``options`` say, as by ``run``. The same call resumes a search that was
+    They are found on ``client`` or where the options say, as by ``run``. The same call resumes a search that was
     stopped. Raises InputError where the store is no finished plane; see also ``run``.
     """
+    options = options.updated(**fields)
     leave_if_bootstrapping()
     check_client(client, options)
     with reporting(options.on_progress) as report, ExitStack() as stack:

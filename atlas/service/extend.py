@@ -4,13 +4,13 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
 from atlas.errors import InputError, check_names, shown
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import Target, complete
 from atlas.service.summary import Summary
@@ -38,13 +38,14 @@ def extend(
     refine: int | Mapping[str, int] | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
+    **fields: Unpack[RunFields],
 ) -> Summary:
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
     ``spec`` is that of the new atlas: it may have other values on the same axes, and nothing else that differs. Or
     ``refine`` says by how much each axis, or the axes by name, become finer. ``store`` stays as it is, and has to
-    stay where it is until the new one is complete. The same call resumes an extension that was stopped; ``client``
-    and ``options`` are those of ``run``.
+    stay where it is until the new one is complete. The same call resumes an extension that was stopped; ``client``,
+    ``options`` and ``fields`` are those of ``run``.
     Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
     """
     old = read_header(store)
@@ -70,6 +71,7 @@ def extend(
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
     target = Target(grown, place, origin=Origin(str(old.place), old.run_id))
+    options = options.updated(**fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))

@@ -3,11 +3,11 @@
 import os
 import time
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 from atlas.labels.table import Count, labels_of, stored_count, write_labels
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import claimed_place
 from atlas.spec.system import refuse_drift
@@ -45,11 +45,14 @@ class LabelSummary:
         return "\n".join(lines)
 
 
-def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAULTS) -> LabelSummary:
+def label_attractors(
+    store: str | os.PathLike[str], options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
+) -> LabelSummary:
     """Label the attractors of a finished atlas so that a branch has one label from cell to cell; kept in its store.
 
     At once where the store has them. Raises InputError where the store is no finished atlas of all attractors.
     """
+    options = options.updated(**fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
         header = read_header(waiting(place_of(store), options.patience))

@@ -1,7 +1,8 @@
 """The options of a run beyond its spec and its store: where it computes, what it reports, how long it waits."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypedDict, Unpack
 
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
@@ -55,10 +56,27 @@ class RunOptions:
         if not self.patience >= 0:
             raise InputError(f"patience: found {shown(self.patience)}, must be 0 s or more")
 
+    def updated(self, **fields: Unpack["RunFields"]) -> "RunOptions":
+        """The options with these fields in place of their own; TypeError for a name that is no field."""
+        return replace(self, **fields) if fields else self
+
     def report(self, progress: Progress) -> None:
         """Hand a snapshot to ``on_progress``, where there is one."""
         if self.on_progress is not None:
             self.on_progress(progress)
+
+
+class RunFields(TypedDict, total=False):
+    """Fields of ``RunOptions`` as keywords of a call: ``run(spec, store, workers=4)``."""
+
+    workers: int | None
+    scheduler: str | None
+    tls: Tls | None
+    retry: Retry | None
+    estimate: Callable[[Spec, Plan, Report], Plan]
+    on_progress: Callable[[Progress], None] | None
+    patience: float
+    timing: Timing
 
 
 DEFAULTS = RunOptions()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from atlas.service.cluster import connected, count_threads, leave_if_bootstrappi
 from atlas.service.dispatch import Workers, tile_outcomes
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunOptions
+from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Due
@@ -46,17 +46,20 @@ def run(
     store: str | os.PathLike[str] | Place,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
+    **fields: Unpack[RunFields],
 ) -> Summary:
     """Compute an atlas into a store, or complete one that an earlier run of the same spec began.
 
-    The tiles run on ``client`` (used, not closed), or where ``options`` say: on the cluster of a scheduler, or on a
-    local one, the default. In a notebook a bar shows the progress, unless the options have a function for it.
-    A store at a URL that stops answering is waited for ``options.patience`` seconds.
+    ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
+    ``options``. The tiles run on ``client`` (used, not closed), or where the options say: on the cluster of a
+    scheduler, or on a local one, the default. In a notebook a bar shows the progress, unless there is an
+    ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where a
     server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
     """
+    options = options.updated(**fields)
     with reporting(options.on_progress) as report:
         return complete(Target(spec, place_of(store)), client, replace(options, on_progress=report))
 

@@ -83,7 +83,7 @@ def checked_retry(spec: Spec, names: str, max_periods: int | None = None, surviv
                 f"{needs.of_spec(spec)}"
             )
     if survival is not None and not {CHAOTIC, APERIODIC} & {*retry.regimes}:
-        raise InputError(f"survival: is for chaotic and aperiodic cells, found --retry {','.join(chosen)}")
+        raise InputError(f"survival: is for chaotic and aperiodic cells, found {','.join(chosen)}")
     return retry
 
 
