@@ -19,8 +19,8 @@ NAMES = frozenset((
     "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
     "unstable", "value",
     # arguments of calls and of addresses that take parameters by name as well
-    "along", "dpi", "font_size", "height", "legend", "log", "overlay", "path", "self", "style", "switch_branches", "title",
-    "variable", "vmax", "vmin", "width", "window",
+    "along", "dpi", "font_size", "height", "legend", "log", "overlay", "path", "self", "style", "switch_branches",
+    "title", "variable", "vmax", "vmin", "width", "window",
 ))  # fmt: skip
 
 
