@@ -58,6 +58,11 @@ def open(store: str | os.PathLike[str], chunks: Chunks = None) -> "xarray.Datase
     The store is a folder, a URL, or a zip file that ``pack`` made. ``chunks`` makes Dask arrays of its variables, as in
     ``xarray.open_dataset``: ``{}`` for the store's own chunks, ``"auto"``, or sizes by dimension.
     Raises atlas.errors.InputError where the store is not an atlas.
+
+    >>> import atlas
+    >>> ds = atlas.open("plane.zarr")
+    >>> ds.atlas.at(omega=3.0, b=0.3)["regime"]
+    'periodic'
     """
     import atlas.accessor  # noqa: F401  registers it
 
@@ -103,6 +108,11 @@ def branch(
     The result has the pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and draws
     itself: ``.plot("branch.png")``.
     Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
+
+    >>> import atlas
+    >>> found = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15))
+    >>> [(kind, round(b, 4)) for kind, b in zip(found.events["kind"], found.events["b"])]
+    [('symmetry_breaking', 0.087)]
     """
     from atlas.accessor import DrawnBranches
 

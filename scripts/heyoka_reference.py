@@ -53,21 +53,34 @@ def orthonormalise(flat: Array, growth: Array, size: int = 4) -> None:
             b -= np.sum(a * b) * a
 
 
+def equations(vectors: int) -> tuple[list[tuple[Any, Any]], Any]:
+    """The two-mass oscillator with so many tangent vectors, and its displacement x1; par[0:8] are two rows of A."""
+    parts = ["x1", "x2", "v1", "v2"] + [f"w{k}{i}" for k in range(vectors) for i in range(4)]
+    symbols = heyoka.make_vars(*parts)
+    par = heyoka.par
+    drive = heyoka.sin(par[10] * heyoka.time + par[11])
+
+    def rates_of(x: list[Any], force: bool) -> list[Any]:
+        a = [sum((par[4 * row + k] * x[k] for k in range(1, 4)), par[4 * row] * x[0]) for row in range(2)]
+        return [x[2], x[3], *(a[row] + par[8 + row] * drive if force else a[row] for row in range(2))]
+
+    rates = [rate for k in range(0, len(parts), 4) for rate in rates_of(list(symbols[k : k + 4]), k == 0)]
+    return list(zip(symbols, rates, strict=True)), symbols[0]
+
+
+def parameters(params: dict[str, float]) -> list[float]:
+    """The values of par[0:13]: two rows of A, the force on each mass, omega, tau and b."""
+    general = GeneralIntegrator(params, 1)
+    return [*general.A[2:].ravel(), *general.force, params["omega"], params["tau"], params["b"]]
+
+
 class Taylor:
     """One compiled integrator with so many tangent vectors, 0 to 4; the parameters are set per cell."""
 
     def __init__(self, vectors: int) -> None:
         self.vectors = vectors
-        parts = ["x1", "x2", "v1", "v2"] + [f"w{k}{i}" for k in range(vectors) for i in range(4)]
-        symbols = heyoka.make_vars(*parts)
+        system, x1 = equations(vectors)
         par = heyoka.par
-        drive = heyoka.sin(par[10] * heyoka.time + par[11])
-
-        def rates_of(x: list[Any], force: bool) -> list[Any]:
-            a = [sum((par[4 * row + k] * x[k] for k in range(1, 4)), par[4 * row] * x[0]) for row in range(2)]
-            return [x[2], x[3], *(a[row] + par[8 + row] * drive if force else a[row] for row in range(2))]
-
-        rates = [rate for k in range(0, len(parts), 4) for rate in rates_of(list(symbols[k : k + 4]), k == 0)]
         self.R, self.impacts = 1.0, 0
 
         def on_stop(integrator: Any, _: int) -> bool:
@@ -77,19 +90,17 @@ class Taylor:
 
         direction = heyoka.event_direction
         events = [
-            heyoka.t_event(symbols[0] - par[12], callback=on_stop, direction=direction.positive),
-            heyoka.t_event(symbols[0] + par[12], callback=on_stop, direction=direction.negative),
+            heyoka.t_event(x1 - par[12], callback=on_stop, direction=direction.positive),
+            heyoka.t_event(x1 + par[12], callback=on_stop, direction=direction.negative),
         ]
-        self.integrator = heyoka.taylor_adaptive(
-            list(zip(symbols, rates, strict=True)), [0.0] * len(parts), t_events=events, pars=[0.0] * 13, tol=1e-10
-        )
+        start = [0.0] * len(system)
+        self.integrator = heyoka.taylor_adaptive(system, start, t_events=events, pars=[0.0] * 13, tol=1e-10)
         self.state, self.pars = self.integrator.state, self.integrator.pars
         self.run(FIGURES["3"], (2,))  # compiles what Numba compiles
 
     def run(self, params: dict[str, float], lengths: tuple[int, ...]) -> list[tuple[int, float, Array]]:
         """(periods, processor seconds, exponents) at each length, a quarter of it dropped, from one run."""
-        general = GeneralIntegrator(params, 1)
-        self.pars[:] = [*general.A[2:].ravel(), *general.force, params["omega"], params["tau"], params["b"]]
+        self.pars[:] = parameters(params)
         self.R = params["R"]
         self.state[:] = 0.0
         self.state[4:] = 0.1 + 0.4 * np.eye(4)[: self.vectors].ravel()

@@ -296,7 +296,7 @@ def test_a_url_that_leads_nowhere_is_reported_in_one_line(bucket: str, url: str,
 
 def test_a_url_without_obstore_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obstore.store", None)
-    with pytest.raises(InputError, match=r"s3://x/y: .*; needs pip install 'impact-atlas\[cloud\]'"):
+    with pytest.raises(InputError, match=r"s3://x/y: .*; needs obstore: pip install obstore"):
         place_of("s3://x/y")
 
 

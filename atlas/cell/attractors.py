@@ -32,6 +32,11 @@ def attractors(
     there is none, ``regime`` and ``reason`` say what became of the cell's own initial state. And ``system``,
     ``parameters``, ``solve`` and ``search`` in full.
     Raises InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
+
+    >>> import atlas
+    >>> found = atlas.attractors({"omega": 4.0, "b": 0.1}, starts=8)
+    >>> [(each["regime"], each["period"], each["share"]) for each in found["coexisting"]]
+    [('periodic', 1, 0.625), ('periodic', 3, 0.375)]
     """
     from workers.attractors.waves import solve_attractors
 

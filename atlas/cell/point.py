@@ -22,6 +22,11 @@ def point(
     ``given`` are the parameters that differ from the defaults; ``system`` is a name, the path of a .toml file, or a
     System. ``reason`` is there where the cell could not be solved.
     Raises InputError for a parameter that does not exist or is out of range.
+
+    >>> import atlas
+    >>> cell = atlas.point({"omega": 4.0, "b": 0.15})
+    >>> cell["regime"], cell["period"], cell["impacts_upper"], cell["impacts_lower"], round(cell["largest"], 6)
+    ('periodic', 1, 1, 1, -0.206173)
     """
     from workers.tile import solve_tile
 

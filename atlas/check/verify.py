@@ -76,6 +76,10 @@ def verify(
     coordinates and missing overviews of finished tiles anew, and puts the records of all tiles together; it touches no
     tile that is only in doubt.
     Raises InputError where there is no store to verify, OSError where it cannot be read or repaired.
+
+    >>> import atlas
+    >>> atlas.verify("plane.zarr", sample=2).fine
+    True
     """
     if sample < 0:
         raise InputError(f"sample: found {sample}, must be 0 or more")

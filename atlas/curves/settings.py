@@ -19,6 +19,10 @@ class CurveSettings:
     curves   curves that are followed, at most
     points   points of all of them; a curve that the budget ends in the middle says so
     least    cells of a region beside which events are looked for: with 1 beside every cell, which takes long
+
+    >>> import atlas
+    >>> atlas.CurveSettings(seeds=40, points=2000).curves
+    300
     """
 
     seeds: int = 1000

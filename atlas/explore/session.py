@@ -81,7 +81,7 @@ def explore(
     try:
         import bokeh  # noqa: F401
     except ImportError:
-        raise InputError("explore needs Bokeh: pip install 'impact-atlas[explore]'") from None
+        raise InputError("explore needs Bokeh: pip install bokeh") from None
     if not tolerance > 0:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)

@@ -47,6 +47,13 @@ def extend(
     stay where it is until the new one is complete. The same call resumes an extension that was stopped; ``client``,
     ``options`` and ``fields`` are those of ``run``.
     Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
+
+    Of 7 x 5 cells, each axis twice as fine:
+
+    >>> import atlas
+    >>> summary = atlas.extend("plane.zarr", "finer.zarr", refine=2, client=client)
+    >>> atlas.open("finer.zarr").largest.shape
+    (9, 13)
     """
     old = read_header(store)
     if old.spec.points or (spec is not None and spec.points):

@@ -38,6 +38,10 @@ class RunOptions:
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
     timing        how long the run waits for everything else
+
+    >>> import atlas
+    >>> atlas.RunOptions(workers=2, on_progress=print).workers
+    2
     """
 
     workers: int | None = None

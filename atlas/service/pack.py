@@ -65,6 +65,10 @@ def pack(
     ChunkError where a chunk of a finished tile, or of a table, is missing: the file would be without it for good.
     Raises InputError for another suffix, where there is a file already, where there is no store, where something in it
     is a link or no file, and where a run is at work on it: of a tile that is being written the file would have a part.
+
+    >>> import atlas
+    >>> atlas.pack("plane.zarr", "plane.zip").complete
+    True
     """
     target = Path(file).absolute()
     if target.suffix.lower() != SUFFIX:

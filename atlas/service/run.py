@@ -58,6 +58,14 @@ def run(
     the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where a
     server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
+
+    ``client`` is a Dask client here:
+
+    >>> import atlas
+    >>> spec = atlas.Spec("two-mass", {"omega": [3.0, 3.5], "b": [0.1, 0.2]}, solve={"tolerance": 0.1, "survival": 0})
+    >>> summary = atlas.run(spec, "small.zarr", client)
+    >>> summary.cells_solved, summary.failures
+    (4, ())
     """
     options = options.updated(**fields)
     with reporting(options.on_progress) as report:

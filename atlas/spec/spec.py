@@ -47,6 +47,11 @@ class Spec:
     for that of its own. Where all axes are
     components of the initial state it asks for their basins: which of the attractors of the one machine each reaches.
     Raises InputError for anything that cannot be solved.
+
+    >>> import atlas
+    >>> spec = atlas.Spec("two-mass", {"omega": {"start": 2, "stop": 4, "num": 5}, "b": [0.1, 0.2]}, {"R": 0.6})
+    >>> spec.dims, spec.shape, spec.parameters["R"]
+    (('b', 'omega'), (2, 5), 0.6)
     """
 
     system: str

@@ -86,7 +86,7 @@ def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -
     try:
         _ = place.client  # a URL that cannot work is refused here
     except ImportError as error:
-        raise InputError(f"{place}: {first_line(error)}; needs pip install 'impact-atlas[cloud]'") from None
+        raise InputError(f"{place}: {first_line(error)}; needs obstore: pip install obstore") from None
     except Exception as error:
         raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
     return place

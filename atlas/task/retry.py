@@ -24,6 +24,10 @@ class Retry:
     """Which cells to solve again, ``Retry(("failed",))``, and the settings they get, None for those they had.
 
     ``regimes`` are names, "failed" and "undetermined", or codes, which they become. InputError for an unknown name.
+
+    >>> import atlas
+    >>> atlas.Retry(("failed", "undetermined"), max_periods=100_000).regimes
+    (6, 4)
     """
 
     regimes: tuple[int | str, ...]
