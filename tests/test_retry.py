@@ -270,7 +270,7 @@ def test_chaotic_cells_come_out_as_in_an_atlas_with_that_survival(watched: Path,
     still = after["regime"] == CHAOTIC
     assert (after["survived"][still] >= LONG // 32).all()
     assert summary.changed == (chaotic & ~still).sum()
-    assert "of another regime than before" in str(summary)
+    assert "changed regime" in str(summary)
 
 
 def test_a_retry_of_chaotic_cells_leaves_a_store_that_is_sound_to_the_bit(watched: Path, client: Client) -> None:
@@ -286,7 +286,7 @@ def test_a_survival_changed_by_hand_is_a_fault(watched: Path, client: Client) ->
     cell = tuple(np.argwhere(whole(watched)["regime"] == CHAOTIC)[0].tolist())
     zarr.open_group(watched, mode="r+")["survival"][cell] = LONG + 1
     (fault,) = verify(watched, sample=0).faults
-    assert fault.what.startswith("its chunks are not those that were written here together")
+    assert fault.what.startswith("its chunks were not written together here")
 
 
 def test_a_retry_of_chaotic_cells_done_twice_solves_nothing_the_second_time(watched: Path, client: Client) -> None:

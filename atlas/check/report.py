@@ -26,18 +26,18 @@ class Fault:
 class Report:
     """What a verification found.
 
-    tiles, tiles_done, chunks    in all; finished; their chunks read whole, their checksums right
-    overview_chunks              read whole, and held against the cells below them
+    tiles, tiles_done, chunks    in all; finished; their chunks read whole, with correct checksums
+    overview_chunks              read whole, and compared with the cells below them
     digests                      whether the tiles have digests, by which an exchange of tiles is found
-    cells_checked                held against the rules
-    cells_solved                 of the sample that was asked for, solved again
+    cells_checked                checked against the rules
+    cells_solved                 of the sample, solved again
     comparison                   "bits", "error", or why none was made
-    faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
-    doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
+    faults                       proved: damage, contradictions, cells whose results differ on the same machine
+    doubts                       cells whose results differ, beyond their errors, on another kind of machine
     repaired                     tiles made unfinished, so that the next run solves them again
     dropped                      chunks of overviews that were wrong, and made missing
-    removed                      names among the chunks that are none
-    mended                       what else a repair did, each in a line
+    removed                      names among the chunks that are not chunks
+    mended                       what else a repair did, one line each
     sheets                       of the zoom levels, verified as the stores that they are
     """
 
@@ -73,17 +73,15 @@ class Report:
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
         lines = [
             f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
-            f"chunks   {self.chunks} read, their checksums right",
+            f"chunks   {self.chunks} read, checksums correct",
             f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
-            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
-            f"cells    {self.cells_checked} held against the rules",
+            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below",
+            f"cells    {self.cells_checked} checked against the rules",
             f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
             if self.comparison in how
             else f"sample   not solved again: {self.comparison}",
         ]
-        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells held against the same"] * bool(
-            self.sheets
-        )
+        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells checked likewise"] * bool(self.sheets)
         for title, found in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
             lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []

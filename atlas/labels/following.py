@@ -1,4 +1,4 @@
-"""Which attractors of neighbouring cells are one: the orbit of the one cell is followed to the parameters of the other.
+"""Which attractors of neighbouring cells are the same: the orbit of one is followed to the other's parameters.
 
 There Newton's method on its state and times of impacts finds it, from one cell to the next in a few steps. Where
 one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
@@ -38,7 +38,7 @@ class Links(NamedTuple):
 
     cell, image (A + unseen,)  of each orbit; its mirror image's row, -1 where the machine is not symmetric
     known (A,)  which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
-    one_way     pairs left out: followed from one cell an orbit becomes that of the other cell, but not back
+    one_way     pairs omitted: followed from one cell an orbit becomes that of the other cell, but not back
     """
 
     pairs: Rows

@@ -159,7 +159,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _Side:
-    """Edges are those that the cells have in the whole atlas."""
+    """Edges are the edges of the cells in the whole atlas."""
     points, edges = axis_values(part, name), cell_edges(ds, name)
     order = np.argsort(points)
     place = np.searchsorted(np.sort(axis_values(ds, name)), points[order])

@@ -95,10 +95,10 @@ def find_curves(
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunFields],
 ) -> CurvesSummary:
-    """Find the curves of a finished plane and keep them in its store; at once where it has those of these settings.
+    """Find the curves of a finished plane and keep them in its store; at once where it has them for these settings.
 
-    They are found on ``client`` or where the options say, as by ``run``. The same call resumes a search that was
-    stopped. Raises InputError where the store is no finished plane; see also ``run``.
+    The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
+    Raises InputError where the store is not a finished plane; see also ``run``.
     """
     options = options.updated(**fields)
     leave_if_bootstrapping()
@@ -120,7 +120,7 @@ def find_curves(
 
 
 def _stored(header: Header, digest: str) -> Curves | None:
-    """The curves that the store has, if they are those of a search."""
+    """The curves that the store has, if that search found them."""
     try:
         stored = read_curves(header)
     except ChunkError:
@@ -200,7 +200,7 @@ class _Coordinator:
     def _tick(self, workers: Workers) -> None:
         self.claim.check()
         self.workers = max(self.workers, workers.threads)
-        doing = self.search.doing if workers.threads else "waiting for a worker: there is none left"
+        doing = self.search.doing if workers.threads else "no worker left: waiting for one"
         self._report(workers.trouble or doing)
 
     def _report(self, doing: str) -> None:

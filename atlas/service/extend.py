@@ -1,4 +1,4 @@
-"""Extending an atlas: a new store of more cells, which reuses those that an old one has."""
+"""Extending an atlas: a new store of more cells, which reuses the cells of an old one."""
 
 import math
 import os
@@ -42,11 +42,11 @@ def extend(
 ) -> Summary:
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
-    ``spec`` is that of the new atlas: it may have other values on the same axes, and nothing else that differs. Or
-    ``refine`` says by how much each axis, or the axes by name, become finer. ``store`` stays as it is, and has to
-    stay where it is until the new one is complete. The same call resumes an extension that was stopped; ``client``,
-    ``options`` and ``fields`` are those of ``run``.
-    Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
+    ``spec`` is the spec of the new atlas; only the values on its axes may differ. Or ``refine`` is the factor by which
+    all axes, or the axes by name, become finer. ``store`` does not change, and has to stay where it is until the new
+    one is complete. The same call resumes an extension that was stopped. ``client``, ``options`` and
+    ``fields``: as for ``run``.
+    Raises InputError, before anything is written, where the two atlases do not fit together; see also ``run``.
 
     Of 7 x 5 cells, each axis twice as fine:
 
@@ -100,7 +100,7 @@ def extended(old: Header, given: Spec) -> Spec:
 
 
 def refined(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[int, ...] | None = None) -> Spec:
-    """The spec with each axis so many times finer: new values between the old ones, which stay to the bit.
+    """The spec with each axis finer by a factor: new values between the old ones, which stay to the bit.
 
     ``refine`` is one factor for all axes with more than one value, or factors by name. New values divide the step
     between two old ones evenly, on a log axis their ratio. n values become (n - 1) factor + 1.

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ATTEMPTS = 3
-"""How often a patch that raises, or whose workers die, is tried before it is left alone."""
+"""How often a patch that raises, or whose workers die, is tried."""
 SPARE = 1
 """Patches under way beyond one for each thread: the next begins as soon as one ends, and little is to be dropped."""
 RATE_SECONDS = 10.0
-"""The rate is that of so many last seconds."""
+"""The rate is taken over this number of last seconds."""
 
 _LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
@@ -51,12 +51,12 @@ class State:
 
 @dataclass(frozen=True)
 class Events:
-    """Who is told, from a thread of this service.
+    """The callbacks, called from a thread of this service.
 
     make      the patch of a key, just before it is sent; None where it is known meanwhile
     solved    the cells of a patch
     failed    a patch that was tried ATTEMPTS times, and what it raised
-    dropped   a patch that was sent and comes to nothing: ``make`` is asked for it again where it is wanted still
+    dropped   a patch that was sent and failed: ``make`` is called for it again if it is still wanted
     """
 
     make: Callable[[Hashable], Patch | None]
@@ -85,7 +85,7 @@ class Patches:
         self._thread.start()
 
     def want(self, who: Hashable, keys: Iterable[Hashable]) -> None:
-        """These patches, in this order, are what somebody wants from now on; none any more where there are none."""
+        """From now on these patches are wanted, in this order; an empty list cancels all."""
         wanted = deque(keys)
         with self._lock:
             if wanted:
@@ -159,7 +159,7 @@ class Patches:
     def _looked(self, client: "Client") -> int:
         """Threads of the cluster now, which the state reports."""
         threads = sum(worker_threads(client).values())
-        self._say("" if threads else "waiting for a worker: there is none", threads)
+        self._say("" if threads else "no worker: waiting for one", threads)
         return threads
 
     def _say(self, trouble: str, workers: int = 0) -> None:

@@ -175,7 +175,7 @@ def _finish(
     held: Callable[[], None],
     options: RunOptions,
 ) -> None:
-    """What is left to the end: labels of basins, the overviews that no worker has made, the records put together."""
+    """The end of a run: labels of basins, overviews that no worker has made, records in one chunk."""
     if header.spec.basins:
         options.report(totals.progress("labelling the attractors"))
         complete_basins(header, held, lambda index, row: records.add(index, row.tolist()))
@@ -264,7 +264,7 @@ class _Work:
     """The work of a run.
 
     due                      mask of the tiles due
-    tiles, cells             in all: of the atlas, or in a retry of those to be solved again
+    tiles, cells             in all: of the atlas, or in a retry of the tiles to solve again
     tiles_done, cells_done   how many of these are done
     retry                    whether the tiles due are finished ones
     records                  of the tiles done, None where the store is still to be made
@@ -327,7 +327,7 @@ def _hand_out(
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
         totals.trouble = workers.trouble
         claim.report(totals.report(workers.threads) | {"holds": records.counts})
-        doing = "solving" if workers.threads else "waiting for a worker: there is none left"
+        doing = "solving" if workers.threads else "no worker left: waiting for one"
         options.report(totals.progress(workers.trouble or doing))
 
     job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience, claim.token)

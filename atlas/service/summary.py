@@ -28,7 +28,7 @@ class TileFailure:
 class Summary:
     """What a run did.
 
-    tiles, tiles_done              in all (of those to be solved again, where some are); done now
+    tiles, tiles_done              in all (in a retry, of the tiles to solve again); done now
     tiles_solved, cells_solved     by this run
     counts, reasons                cells solved by regime; those without a certain result by the reason
     seconds                        from the first tile to the last
@@ -92,7 +92,7 @@ class Summary:
             shares(self.counts),
         ]
         if self.retried:
-            lines.append(f"{plural(self.changed, 'cell')} came out of another regime than before")
+            lines.append(f"{plural(self.changed, 'cell')} changed regime")
         return "\n".join(lines + reason_lines(self.reasons))
 
 

@@ -45,7 +45,7 @@ def is_free(place: Place, spec: Spec) -> bool:
     ours = {MACHINES, TILES, *coordinate_names(spec)} | {variable.name for variable in spec.variables}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
+            raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
     return True
 
 
@@ -101,7 +101,7 @@ def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
 
 
 def check_replaceable(place: Place) -> None:
-    """Try to put the root there is, if there is none: for want of a permission that is refused another way."""
+    """Try to write the root if there is none: a missing permission is refused in another way."""
     root = place.get(ROOT)
     if root:
         place.put_new(ROOT, root)

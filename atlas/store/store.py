@@ -81,7 +81,7 @@ class Header:
         """The spec that the store was made from; what has been added to specs since is at its default.
 
         The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
-        InputError where this version cannot read it, and where the store's cells are not those of the spec.
+        InputError where this version cannot read it, and where the store's cells differ from the spec's.
         """
         try:
             whole = self.format_version == 1
@@ -196,7 +196,7 @@ def create(
 
 
 def read_header(store: str | os.PathLike[str] | Place) -> Header:
-    """The header of a store; InputError where there is none, or it is not ours, or of a unknown format.
+    """The header of a store; InputError where there is none, or it is not ours, or of an unknown format.
 
     Where the disk or the server refused, its OSError is that InputError's cause. NetworkError where the server does
     not answer.
@@ -267,7 +267,7 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
             "their numbers do not mix: choose another path"
         )
     if not _is_of(header, spec):
-        raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
+        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
     if header.unknown:
         names = ", ".join(variable.name for variable in header.unknown)
         raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")

@@ -33,7 +33,7 @@ from workers.results import REGIME, Variable
 
 REPLACED = f"{REGIME.name}/replaced/"
 """Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
-EXCHANGED = "its chunks are not those that were written here together: exchanged with another tile's, or altered"
+EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
 
 
 def write_tile(
@@ -116,7 +116,7 @@ def listed_tiles(header: Header) -> tuple[set[tuple[int, ...]], set[tuple[int, .
 def drop_tile(header: Header, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
 
-    Its record goes first: an empty one is put in its place, which counts in place of one among those of all tiles.
+    Its record goes first: an empty one replaces it, and takes precedence over the row in the records of all tiles.
     """
     put_record(header, index, np.zeros(WIDTH))
     header.place.remove(chunk_key(header.regime, index))
@@ -169,7 +169,7 @@ def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Var
 def digest_faults(
     header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
 ) -> tuple[str, ...]:
-    """What speaks against ``values``, all variables covered, being those of that tile, by an older store's digests."""
+    """Why ``values``, of all variables, cannot belong to that tile, by an older store's digests."""
     stored = _read(digests, index)
     key = "/".join([digests.path, "c", *map(str, index)])
     if isinstance(stored, str):

@@ -1,4 +1,4 @@
-"""Solving some cells of finished tiles again: those that failed, or that more forcing periods may decide otherwise."""
+"""Solving some cells of finished tiles again: failed cells, and cells that more forcing periods may decide."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,7 +21,7 @@ NEEDED = (REGIME.name, *(each.name for each in ALLOWANCES))
 
 @dataclass(frozen=True)
 class Retry:
-    """Which cells to solve again, ``Retry(("failed",))``, and the settings they get, None for those they had.
+    """Which cells to solve again, ``Retry(("failed",))``, and with which settings; None keeps a setting.
 
     ``regimes`` are names, "failed" and "undetermined", or codes, which they become. InputError for an unknown name.
 
