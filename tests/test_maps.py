@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
+from atlas.query import grazing
 from atlas.query.queries import boundary
-from atlas.render import combined, error, grazing, impacts, maps, overlays, period, scalar, sticking, symmetry
+from atlas.render import combined, error, impacts, maps, overlays, period, scalar, sticking, symmetry
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -402,8 +403,8 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
 
 def test_the_legend_names_the_overlays() -> None:
     found = labels(render.figure(plane(), "period", overlay=render.MAP_OVERLAYS))
-    assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
-    assert found[-4:] == ["fold", "period doubling", "graze", "codimension two"]
+    assert found[-8:-5] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    assert found[-5:-1] == ["fold", "period doubling", "graze", "codimension two"]
 
 
 def test_there_are_lines_for_every_overlay() -> None:

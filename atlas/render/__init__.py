@@ -129,7 +129,7 @@ def render(
     """
     target, suffix = target_of(path)
     from atlas.render.page import page as page_of
-    from atlas.render.style import provenance_of
+    from atlas.render.provenance import provenance_of
 
     page = page_of(**look)
     lines, kinds = _as_tuple(overlay), chosen_curves(curves)
@@ -196,7 +196,7 @@ def _several(
 ) -> "Figure":
     page.fit(drawn)
     if target is not None:
-        from atlas.render.style import provenance_of
+        from atlas.render.provenance import provenance_of
 
         write(drawn, *target, provenance_of(*atlases), page)
     return drawn
@@ -218,10 +218,10 @@ def render_orbit(orbit: "CellOrbit", path: str | Path, drawn: "Figure | None" = 
     ``drawn`` is the orbit's figure where there is one already.
     """
     target, suffix = target_of(path)
-    from atlas.render import orbit as picture
+    from atlas.render.provenance import provenance_of
 
     page = _orbit_page(look)
-    return write(drawn or orbit_figure(orbit, **look), target, suffix, picture.provenance(orbit), page)
+    return write(drawn or orbit_figure(orbit, **look), target, suffix, provenance_of(orbit), page)
 
 
 def _orbit_page(look: "Look") -> "Page":
@@ -269,11 +269,12 @@ def branch_figure(branches: "Branches", path: str | Path | None = None, **look: 
     target = None if path is None else target_of(path)
     from atlas.render import branch as picture
     from atlas.render.page import page as page_of
+    from atlas.render.provenance import provenance_of
 
     page = page_of(**look)
     page.refuse_ends("branches are lines")
     drawn: Figure = picture.figure(branches, page)
     page.fit(drawn)
     if target is not None:
-        write(drawn, *target, picture.provenance(branches), page)
+        write(drawn, *target, provenance_of(branches), page)
     return drawn

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from atlas.branches.table import Branches
 from atlas.errors import InputError
 from atlas.query import attractors as query
-from atlas.render import axes, labels, machine, style, sweep
+from atlas.query import machine
+from atlas.render import axes, gap, labels, style, sweep
 from atlas.render.page import STANDARD, Page
 from workers.results import ATTRACTOR, LABEL, LARGEST, PENDING, REGIME, SECTION
 
@@ -68,7 +69,7 @@ def _sections(known: xr.Dataset | None) -> sweep.Panel:
             for cells, color in _groups(here, known):
                 shown = np.isfinite(section) & cells[:, None]
                 _points(ax, at[shown], section[shown], color, sweep.point_size(x, 1.1, page))
-        ax.set_ylabel(machine.gap_label(ds))
+        ax.set_ylabel(gap.gap_label(ds))
 
     return draw
 

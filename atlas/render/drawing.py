@@ -57,13 +57,15 @@ def draw(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
     check_units(ds)
-    module, shown = import_module(f"atlas.render.{kind}"), within(every if kind == "coexistence" else ds, window)
+    module = import_module(f"atlas.render.{'sweep' if kind == 'hysteresis' else kind}")
+    shown = within(every if kind == "coexistence" else ds, window)
     picture: Figure
     with counted() as reads:
         if len(axes) == 1:
-            sweeps = [shown] if against is None else [shown, within(against, window)]
-            through = [within(ds, window), *sweeps[1:]]
-            picture = module.figure(*sweeps, page, _branches(through) if "branches" in lines else None)
+            sweeps = [within(ds, window)] + ([] if against is None else [within(against, window)])
+            branches = _branches(sweeps) if "branches" in lines else None
+            draw_sweep = module.figure if against is None else module.figure_of_two
+            picture = draw_sweep(shown, *sweeps[1:], page, branches)
         else:
             from atlas.render import maps
 

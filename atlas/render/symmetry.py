@@ -8,7 +8,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.render import machine, maps, overlays, style
+from atlas.query import machine
+from atlas.render import maps, overlays, style
 from workers.results import PERIODIC
 
 SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
