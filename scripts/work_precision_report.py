@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,8 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
     """Work-precision diagram: a panel for periodic and one for chaotic cells."""
     import matplotlib
 
+    from atlas.render.provenance import computed_here, metadata
+
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
@@ -79,7 +82,10 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
         panel.grid(alpha=0.3)
     axes[0].set_ylabel("milliseconds per cell, one core")
     axes[0].legend(frameon=False)
-    figure.savefig(path, dpi=160)
+    settings = {method: sorted({point.setting for point in points if point.method == method}) for method in looks}
+    spec = {"system": "two-mass", "cells": [cell.params for cell in cells], "settings": settings}
+    kind = Path(path).suffix.removeprefix(".")
+    figure.savefig(path, dpi=160, metadata=metadata(computed_here("two-mass, time against error", spec), kind))
     pyplot.close(figure)
 
 
