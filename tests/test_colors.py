@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import combined, events, hysteresis, impacts, period, spectrum, style, symmetry
+from atlas.render import classes, events, hysteresis, impacts, scales, spectrum, style
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -24,19 +24,19 @@ _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "perio
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined")}
-_PERIODS = {f"period {first}": color for first, _, color in period.CLASSES}
-_CHAOS = {f"chaos {i}": tuple(combined.COLORMAP(i / 4)[:3]) for i in range(5)}
+_PERIODS = {f"period {first}": color for first, _, color in classes.PERIODS}
+_CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
 
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(impacts.UNLISTED)}
 
 OF_A_COLOR = {"impact_lost", "contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
 """Kinds of events with the colour of another: grazes of some kind, and those of what sticks or slides."""
 PALETTES = {
-    "period": _REGIMES | {f"period {first}": color for first, _, color in period.CLASSES},
+    "period": _REGIMES | {f"period {first}": color for first, _, color in classes.PERIODS},
     "combined": _COLD | _PERIODS,
     "combined with chaos": _PLAIN | _PERIODS | _CHAOS,
     "impacts": _REGIMES | {color: color for pair in impacts.HUES.values() for color in pair} | _UNLISTED,
-    "symmetry": _REGIMES | {color: color for color in symmetry.NAMES},
+    "symmetry": _REGIMES | {color: color for color in classes.SYMMETRIES},
     "spectrum": {f"exponent {i}": spectrum.color(i) for i in range(4)},
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
@@ -112,14 +112,14 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_any_two_classes_of_periods_are_told_apart(sight: str) -> None:
     """Above 10 two colours are seen as different at a glance; with all receptors twice as much is asked for."""
-    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in period.CLASSES]
+    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in classes.PERIODS]
     closest = min(ciede2000(one, other) for one, other in itertools.combinations(seen, 2))
     assert closest > (20.0 if sight == "normal" else 12.0)
 
 
 def test_one_period_at_most_is_blue_or_nearly_black_to_the_eye() -> None:
     """Of the first eight periods: hues of blue lie between 240 and 300 degrees in L*a*b*, and black has L* near 0."""
-    colors = [lab(color, SIGHT["normal"]) for first, _, color in period.CLASSES if first <= 7]
+    colors = [lab(color, SIGHT["normal"]) for first, _, color in classes.PERIODS if first <= 7]
     hues = [np.degrees(np.arctan2(b, a)) % 360 for L, a, b in colors if np.hypot(a, b) > 12]
     assert sum(240 < hue < 300 for hue in hues) == 1
     assert min(L for L, _, _ in colors) > 20

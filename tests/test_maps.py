@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import boundary
-from atlas.render import combined, error, grazing, impacts, maps, overlays, period, scalar, sticking, symmetry
+from atlas.render import classes, grazing, impacts, maps, overlays, scales
+from atlas.render.kinds import TABLE
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -174,18 +175,18 @@ def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow()
 
 def test_the_combined_map_gives_periods_their_class_and_chaos_its_exponent() -> None:
     cells, ds = drawn(render.figure(plane(), "combined")), plane()
-    assert tuple(cells[1, 0][:3]) == rgb(period.CLASSES[0][2])
-    assert tuple(cells[1, 4][:3]) == rgb(period.CLASSES[1][2])
+    assert tuple(cells[1, 0][:3]) == rgb(classes.PERIODS[0][2])
+    assert tuple(cells[1, 4][:3]) == rgb(classes.PERIODS[1][2])
     chaotic = cells[ds["regime"].values == CHAOTIC][:, :3].astype(int)
     assert len({tuple(cell) for cell in chaotic}) > 2
     assert np.all(chaotic[:, 0] > chaotic[:, 2])
 
 
 def test_the_combined_map_keeps_periods_cool_and_chaos_warm() -> None:
-    for _, _, color in period.CLASSES:
+    for _, _, color in classes.PERIODS:
         red, _, blue = rgb(color)
         assert blue >= red
-    assert np.all([red > blue for red, _, blue, _ in combined.COLORMAP(np.linspace(0, 1, 9))])
+    assert np.all([red > blue for red, _, blue, _ in scales.CHAOS(np.linspace(0, 1, 9))])
 
 
 def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() -> None:
@@ -204,10 +205,10 @@ def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
     upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
     symmetric = np.array([[True, False, False, False, False]])
     every = np.ones((1, 5), bool)
-    rgba, legend = symmetry.paint(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower, every)
-    expected = [symmetry.SYMMETRIC, symmetry.UPPER, symmetry.LOWER, symmetry.UNTOLD, symmetry.UNTOLD]
-    assert [tuple(cell[:3]) for cell in rgba[0]] == [rgb(color) for color in expected]
-    assert len(legend) == 4
+    painted = classes.symmetries(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower, every)
+    expected = [classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.UNTOLD]
+    assert [tuple(cell[:3]) for cell in painted.rgba[0]] == [rgb(color) for color in expected]
+    assert len(painted.legend) == 4
 
 
 def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
@@ -264,7 +265,10 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     assert len(render.figure(ds, "sticking").axes) == 1
 
 
-@pytest.mark.parametrize("colormap", [*error.COLORMAPS.values(), sticking.COLORMAP, combined.COLORMAP])
+DARKENING = [scales.colormap_of(TABLE[kind].scale.colors) for kind in ("combined", "cost", "sticking", "scalar")]
+
+
+@pytest.mark.parametrize("colormap", [*(colormap for colormap, _ in scales.ERRORS.values()), *DARKENING])
 def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
     """What darkens is read in grey, and without red or green."""
     shades = colormap(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]
@@ -272,7 +276,7 @@ def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
 
 
 def test_a_log_scale_spans_a_decade_at_least() -> None:
-    norm = scalar.color_norm(np.array([50.0, 60.0]), log=True)
+    norm = scales.color_norm(np.array([50.0, 60.0]), log=True)
     assert (norm.vmax or 0) / (norm.vmin or 1) >= 10
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from atlas.branches.table import Branches
 from atlas.errors import InputError
 from atlas.query import attractors as query
-from atlas.render import axes, labels, machine, style, sweep
+from atlas.render import axes, classes, machine, style, sweep
 from atlas.render.page import STANDARD, Page
 from workers.results import ATTRACTOR, LABEL, LARGEST, PENDING, REGIME, SECTION
 
@@ -45,7 +45,7 @@ def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArra
     label = here[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
         yield (regime == code) & (label < 0), style.INK[int(code)]
-    colors = np.array(labels.colors(known) if known is not None else [], dtype=str)
+    colors = np.array(classes.branch_colors(known) if known is not None else [], dtype=str)
     for color in np.unique(colors[label[label >= 0]]):
         yield (label >= 0) & (colors[np.maximum(label, 0)] == color), str(color)
 
@@ -54,7 +54,7 @@ def _legend(read: xr.Dataset, known: xr.Dataset | None) -> list[Artist]:
     if known is None:
         return sweep.regime_legend(read[REGIME.name].values)
     label = read[LABEL.name].values
-    return [*labels.entries(known, label), *sweep.regime_legend(read[REGIME.name].values[label < 0])]
+    return [*classes.branch_entries(known, label), *sweep.regime_legend(read[REGIME.name].values[label < 0])]
 
 
 def _sections(known: xr.Dataset | None) -> sweep.Panel:

@@ -12,10 +12,11 @@ import numpy as np
 import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.legend_handler import HandlerPatch
 from matplotlib.mathtext import MathTextParser
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
-from numpy.typing import NDArray
 
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name, stored_system
@@ -92,10 +93,30 @@ def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TE
     return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
 
 
-def beyond(values: NDArray[np.float64], low: float, high: float) -> str:
-    """At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
-    below, above = bool(np.any(values < low)), bool(np.any(values > high))
-    return {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}[below, above]
+class Gradient(Patch):
+    """A legend entry: a box of a colour that darkens to a share of its brightness from left to right."""
+
+    def __init__(self, color: ColorType, dark: float, label: str) -> None:
+        super().__init__(facecolor=color, edgecolor="#404040", linewidth=0.5, label=label)
+        self.dark = dark
+
+
+class _GradientHandler(HandlerPatch):
+    """Draws the box of a ``Gradient`` in stripes."""
+
+    def create_artists(self, legend, orig_handle, xdescent, ydescent, width, height, fontsize, trans):  # type: ignore[no-untyped-def]
+        shades, stripes = np.linspace(1.0, orig_handle.dark, 16), []
+        for k, shade in enumerate(shades):
+            color = shade * np.array(to_rgb(orig_handle.get_facecolor()))
+            left = -xdescent + k * width / shades.size
+            stripes.append(Rectangle((left, -ydescent), 1.02 * width / shades.size, height, color=color, linewidth=0))
+        frame = Rectangle((-xdescent, -ydescent), width, height, fill=False, edgecolor="#404040", linewidth=0.5)
+        for each in (*stripes, frame):
+            each.set_transform(trans)
+        return [*stripes, frame]
+
+
+Legend.update_default_handler_map({Gradient: _GradientHandler()})
 
 
 def ink_on(color: ColorType) -> str:
