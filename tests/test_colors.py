@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
@@ -107,6 +108,42 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 ) -> None:
     """Sharma, Wu & Dalal (2005), Color Res. Appl. 30, 21: table 1."""
     assert ciede2000(np.array(one, float), np.array(other, float)) == pytest.approx(difference, abs=1e-4)
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> None:
+    """So every exponent has a grey of its own, and none below zero that of one above."""
+    lightness = [lab(scales.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
+    assert np.all(np.diff(lightness) < -0.4)
+    assert lightness[0] > 95.0 and lightness[-1] < 12.0
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
+    below, above = (lab(scales.EXPONENT(each)[:3], EVERY_SIGHT[sight]) for each in (0.4999, 0.5001))
+    assert ciede2000(below, above) > 40.0
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_a_labelled_branch_is_seen_on_white_and_differs_from_its_mirror_image(sight: str) -> None:
+    table = {"regime": [PERIODIC, PERIODIC] * 8 + [NO_IMPACT], "mirror": [i ^ 1 for i in range(16)] + [16]}
+    known = xr.Dataset({name: ("branch", values) for name, values in table.items()})
+    seen = [lab(color, EVERY_SIGHT[sight]) for color in classes.branch_colors(known, ink=True)]
+    assert max(L for L, _, _ in seen) < 80.0
+    assert min(ciede2000(*seen[i : i + 2]) for i in range(0, 16, 2)) > 12.0
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+@pytest.mark.parametrize("kind", events.LOOKS)
+def test_a_curve_is_told_from_its_ground_by_its_colour_or_by_its_white_casing(kind: str, sight: str) -> None:
+    """Of every ground: by its own colour where the ground is pale, elsewhere by the white beside it, which
+    test_maps finds under every curve.
+    """
+    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (events.LOOKS[kind].color, "white"))
+    chaos = {f"chaos {v}": tuple(scales.EXPONENT(v)[:3]) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
+    for name, color in (_REGIMES | _PERIODS | chaos).items():
+        ground = lab(color, EVERY_SIGHT[sight])
+        assert max(ciede2000(line, ground), min(ciede2000(line, casing), ciede2000(casing, ground))) > 20.0, name
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)

@@ -63,9 +63,9 @@ def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("kind", render.MAPS)
-def test_every_map_has_its_axes_with_symbols_and_units_and_the_fixed_parameters(kind: str) -> None:
+def test_every_map_has_its_axes_with_symbols_and_the_fixed_parameters(kind: str) -> None:
     ax = render.figure(plane(), kind).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$ [–]", "clearance $b$ [–]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$", "clearance $b$")
     assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
@@ -414,6 +414,14 @@ def test_there_are_lines_for_every_overlay() -> None:
     assert tuple(overlays.DRAW) == render.MAP_OVERLAYS
 
 
+def test_every_curve_over_a_map_has_a_white_casing() -> None:
+    """Without it some could not be told from the cells below them: see test_colors."""
+    lines = [each for each in render.figure(plane(), "period", overlay="curves").axes[0].collections if each.get_gid()]
+    cased = [each for each in render.figure(plane(), "period", overlay="curves").axes[0].collections
+             if each.get_zorder() == 3.1 and colors.same_color(each.get_edgecolor(), "white")]  # fmt: skip
+    assert len(lines) == len(cased) == 3
+
+
 def test_exponents_without_a_slope_have_no_isolines() -> None:
     n = 6
     regime = np.full((n, n), PERIODIC, np.int8)
@@ -454,6 +462,11 @@ def test_a_lone_cell_without_a_result_is_marked_where_it_is(code: int) -> None:
     (marks,) = dense(code, [(0, 399), (200, 100)]).axes[0].lines
     assert colors.same_color(marks.get_color(), np.array(colour(code)) / 255)
     assert np.sort(marks.get_xdata()) == pytest.approx([1 + 100 / 399, 2.0], rel=1e-3)
+
+
+def test_the_legend_says_where_single_cells_are_drawn_larger_than_they_are() -> None:
+    assert labels(dense(UNDETERMINED, [(0, 399)])) == ["undetermined (single cells enlarged)"]
+    assert labels(dense(UNDETERMINED, [(i, j) for i in range(20) for j in range(20)])) == ["undetermined"]
 
 
 def test_cells_without_a_result_that_are_seen_anyway_are_not_marked() -> None:

@@ -56,7 +56,7 @@ def rgb(color: str) -> tuple[int, ...]:
 
 def test_a_variable_is_drawn_on_its_scale_with_its_name_and_unit() -> None:
     figure = render.figure(speeds(), variable="max_impact_speed")
-    assert figure.axes[1].get_ylabel() == "fastest impact [–]"
+    assert figure.axes[1].get_ylabel() == "fastest impact"
     cells = drawn(figure)
     lightness = cells[2, :, :3] @ [0.2126, 0.7152, 0.0722]
     assert np.all(np.diff(lightness) < 0)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from atlas.query.basins import table
 from atlas.render import maps, style
-from atlas.render.classes import colors_of
+from atlas.render.classes import PALER, colors_of
 from atlas.render.maps import Painted, View
-from workers.results import ATTRACTOR, LABEL, PERIODIC, SETTLED
+from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
 
 COLORS = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#8fb8d8", "#c9703f", "#6d6d6d")
 """Colours of attractors by their labels; they begin anew where there are more."""
@@ -29,7 +29,7 @@ def paint(view: View) -> Painted:
     A mirror image has a paler tone of its twin's hue.
     """
     known, plane = table(view.ds), view.plane
-    colors = colors_of(known, COLORS)
+    colors = colors_of(known, COLORS, PALER, style.COLORS[NO_IMPACT])
     labels = np.rint(plane[LABEL.name]).astype(np.int64)
     painted = painted_basins(plane.regime, labels, plane[SETTLED.name], colors, known)
     points = partial(_draw_points, known=known, plane=plane, colors=colors)

@@ -48,11 +48,13 @@ COUNTS = {1: "#dfe8ee", 2: "#8fb8d8", 3: "#4a7fb5", 4: "#f0b13c", 5: "#d9622b", 
 """The colour of each number of attractors; the last of all larger ones."""
 
 PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3aa6a6", "#8c7a2e")
-"""Colours of the branches of largest share; each also in a paler tone, of its mirror image."""
-REST = "#7d7d7d"
+"""Colours of the branches of largest share; each also in a darker tone, of its mirror image: as a point on white a
+paler one would not be seen.
+"""
+REST = "#4d4d4d"
 """The colour of all other branches."""
-MIRROR_LIGHTNESS = 0.8
-"""Lightness of a mirror image's colour, whose hue is that of its twin, on the way to white 1."""
+PALER, DARKER = 0.8, 0.25
+"""Lightness of the colour of a mirror image, whose hue is that of its twin, on the way from black 0 to white 1."""
 
 
 def colored(
@@ -161,7 +163,7 @@ def attractors(view: View) -> Painted:
 def labels(view: View) -> Painted:
     """Which branch the attractor of each cell is on, that with the largest share unless another one was selected.
 
-    A mirror image has a paler tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
+    A mirror image has a darker tone of its twin's hue; chaos and tori, which have no label, the colour of their regime.
     """
     known, regime = branches(view.ds), view.plane.regime
     label = np.rint(view.plane[LABEL.name]).astype(np.int64)
@@ -171,8 +173,11 @@ def labels(view: View) -> Painted:
     return Painted(rgba, [*branch_entries(known, label), *maps.paint_regimes(rgba, regime, ~there)], beside="")
 
 
-def colors_of(known: xr.Dataset, palette: Sequence[str], rest: str | None = None) -> list[str]:
-    """The colour of every attractor of a table: that of a mirror image is a paler tone of its twin's.
+def colors_of(
+    known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
+) -> list[str]:
+    """The colour of every attractor of a table: that of a mirror image has the hue of its twin's and this lightness,
+    that of no impact is ``quiet``.
 
     Where the palette is used up it begins anew, or ``rest`` is the colour of all others.
     """
@@ -180,9 +185,9 @@ def colors_of(known: xr.Dataset, palette: Sequence[str], rest: str | None = None
     used = 0
     for k, (regime, mirror) in enumerate(zip(known["regime"].values, known["mirror"].values, strict=True)):
         if regime == NO_IMPACT:
-            found.append(style.COLORS[NO_IMPACT])
+            found.append(quiet)
         elif 0 <= mirror < k:
-            found.append(found[mirror] if found[mirror] == rest else _paler(found[mirror]))
+            found.append(found[mirror] if found[mirror] == rest else _toned(found[mirror], mirrored))
         elif rest is not None and used >= len(palette):
             found.append(rest)
         else:
@@ -191,19 +196,20 @@ def colors_of(known: xr.Dataset, palette: Sequence[str], rest: str | None = None
     return found
 
 
-def _paler(color: str) -> str:
-    hue, lightness, saturation = colorsys.rgb_to_hls(*to_rgb(color))
-    return to_hex(colorsys.hls_to_rgb(hue, max(MIRROR_LIGHTNESS, lightness), saturation))
+def _toned(color: str, lightness: float) -> str:
+    hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(color))
+    return to_hex(colorsys.hls_to_rgb(hue, lightness, saturation))
 
 
-def branch_colors(known: xr.Dataset) -> list[str]:
-    """The colour of every branch, by its label; small ones share one."""
-    return colors_of(known, PALETTE, REST)
+def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
+    """The colour of every branch, by its label; small ones share one. ``ink``: of points on white."""
+    quiet = style.INK[NO_IMPACT] if ink else style.COLORS[NO_IMPACT]
+    return colors_of(known, PALETTE, DARKER, quiet, REST)
 
 
-def branch_entries(known: xr.Dataset, label: NDArray[np.int64]) -> list[Patch]:
+def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[Patch]:
     """Legend entries of the branches among these labels."""
-    there, own = np.unique(label[label >= 0]), branch_colors(known)
+    there, own = np.unique(label[label >= 0]), branch_colors(known, ink)
     named = [k for k in there.tolist() if own[k] != REST]
     made = [style.swatch(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
     return made + ([style.swatch(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])

@@ -17,9 +17,12 @@ if TYPE_CHECKING:
 
     from atlas.render.page import Page
 
-STABLE = ("#06103a", "#123a7c", "#2c6fb3", "#6aa7d6", "#b3d4ec", "#eff6fc")
-CHAOTIC = ("#fff3c4", "#fdd27a", "#f79a3f", "#df5327", "#a81c24", "#4f0717")
-"""Colours of exponents below and above zero, from the least to the largest."""
+STABLE = ("#f8fbfe", "#dfecf6", "#c3dbee", "#a5cae5", "#86b6db", "#64a1d2")
+CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
+"""Colours of exponents below and above zero, from the least to the largest.
+
+They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too.
+"""
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,10 @@ def regime_entry(code: int, label: str) -> Patch:
 
 def lay(ax: Axes, plane: Plane, painted: Painted, options: Options) -> list[Artist]:
     """Draw what was painted into a plot, and return its legend entries."""
-    draw(ax, plane, painted.rgba, options)
+    enlarged = draw(ax, plane, painted.rgba, options)
+    for entry in painted.legend:
+        if entry.get_label() in enlarged:
+            entry.set_label(f"{entry.get_label()} (single cells enlarged)")
     for cells, pattern, ink, outlined in painted.textures:
         axes.hatch(ax, plane.x, plane.y, cells, pattern, ink)
         if outlined is not None:
@@ -216,10 +219,11 @@ def lay(ax: Axes, plane: Plane, painted: Painted, options: Options) -> list[Arti
     return [*painted.legend, *(painted.over(ax) if painted.over else [])]
 
 
-def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> None:
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> set[str]:
     """Draw the cells in these colours (y, x, 4), with textures over those that show their regime's colour.
 
-    Such cells without a result that would be too small to be seen get a mark of a visible size.
+    Such cells without a result that would be too small to be seen get a mark of a visible size; the names of regimes
+    that have such marks.
     """
     axes.draw_cells(ax, plane.x, plane.y, rgba)
     shown = {
@@ -228,22 +232,25 @@ def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> N
     }
     for code in (QUASIPERIODIC, INVALID, FAILED):
         axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
-    for code in (UNDETERMINED, INVALID, FAILED):
-        _mark_small(ax, plane, shown[code], code, options.size)
+    without = (UNDETERMINED, INVALID, FAILED)
+    return {style.name_of(code) for code in without if _mark_small(ax, plane, shown[code], code, options.size)}
 
 
-def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> None:
+def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> bool:
+    """Mark the small ones of these cells unless they are seen anyway, or are too many; whether there are marks."""
     width, height = np.array(size) / np.array(plane.regime.shape[::-1])
     if max(width, height) >= _VISIBLE:
-        return
+        return False
     regions, _ = ndimage.label(cells)
     small = [
         (rows, columns)
         for rows, columns in ndimage.find_objects(regions)
         if (rows.stop - rows.start) * height < _VISIBLE and (columns.stop - columns.start) * width < _VISIBLE
     ]
-    if 0 < len(small) <= _MOST_MARKS:
-        x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
-        y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
-        look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
-        ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
+    if not 0 < len(small) <= _MOST_MARKS:
+        return False
+    x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
+    y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
+    look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
+    ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
+    return True

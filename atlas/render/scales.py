@@ -51,8 +51,7 @@ def _part(name: str, low: float, high: float) -> Colormap:
 
 
 def _two_colours() -> LinearSegmentedColormap:
-    # Each half has lightness of its own from zero outwards, so that it reads in grey and without red or green;
-    # the small step at zero keeps the border of chaos sharp where exponents on both sides are small.
+    # The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
     stable = list(zip(np.linspace(0.0, 0.5, len(STABLE)), STABLE, strict=True))
     chaotic = list(zip(np.linspace(0.5, 1.0, len(CHAOTIC_COLORS)), CHAOTIC_COLORS, strict=True))
     return LinearSegmentedColormap.from_list("exponent", stable + chaotic, N=1024)
@@ -72,7 +71,7 @@ ERRORS = {
 
 
 def exponent(view: View) -> Painted:
-    """The chaos map: the largest Lyapunov exponent, blue where motion is stable, yellow to red in chaos."""
+    """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos."""
     largest = known_exponents(view.plane)
     return exponents(view.plane.regime, largest, two_sided(view.page, *scale_ends(largest)))
 
@@ -272,7 +271,7 @@ def variable_label(ds: xr.Dataset, name: str) -> str:
     """What the variable is and its unit, as a colour bar says it."""
     attributes = ds[name].attrs
     meaning = str(attributes.get("long_name", name)).split(";")[0]
-    return f"{meaning} [{style.unit_text(str(attributes.get('units', '1')))}]"
+    return meaning + style.unit_ending(str(attributes.get("units", "1")))
 
 
 # Errors
@@ -313,7 +312,7 @@ def draw_bars(
 ) -> None:
     """Draw the scales of plots to the right of them, or below: one along all plots, several stacked beside the first.
 
-    A scale of both signs has a line at zero, and pointed ends where values lie beyond them.
+    Ends are pointed where values lie beyond them. The scale of exponents has a line at zero, where its step may change.
     """
     for place, bar in enumerate(bars):
         low, high = float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 1.0)
@@ -329,7 +328,8 @@ def draw_bars(
             made = drawn.colorbar(
                 mappable, ax=list(panels), location=side, extend=extend, aspect=28, pad=0.02, extendfrac=0.03
             )
-            made.set_label(bar.label)
+            two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
+            made.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
         made.outline.set_linewidth(0.6)
         if isinstance(bar.norm, LogNorm):
             log_ticks(made, most=4 if len(bars) > 1 else 8)

@@ -154,16 +154,21 @@ def shown_symbol(symbol: str, name: str) -> str:
 
 
 def axis_label(ds: xr.Dataset, name: str) -> str:
-    r"""Meaning, symbol and unit of an axis, as ``forcing frequency $\omega$ [–]``; the dash: dimensionless."""
+    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none."""
     parameter = parameter_of(ds, name)
     attrs = ds[name].attrs
     meaning = str(attrs.get("long_name") or (parameter.meaning if parameter else "")).split(":")[0]
     unit = str(attrs.get("units") or (parameter.unit if parameter else "1"))
-    return f"{meaning} ${symbol(ds, name)}$ [{unit_text(unit)}]".strip()
+    return f"{meaning} ${symbol(ds, name)}${unit_ending(unit)}".strip()
+
+
+def unit_ending(unit: str) -> str:
+    """How a label ends that has this CF unit: in brackets; nothing for the 1 of pure numbers."""
+    return "" if unit == "1" else f" [{unit_text(unit)}]"
 
 
 def unit_text(unit: str) -> str:
-    """A CF unit as an axis shows it: a dash for the dimensionless 1."""
+    """A CF unit as an axis shows it."""
     return {"1": "–", "1/period": "per forcing period"}.get(unit, unit)
 
 
