@@ -79,8 +79,10 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
             chosen = [i for i, p in enumerate(points) if p.method == method and cells[p.cell].kind == kind]
             chosen = [i for i in chosen if math.isfinite(errors[i])]
             if method == "DOP853":
-                place = np.maximum(errors[chosen], LEAST), [1e3 * points[i].seconds for i in chosen]
-                panel.plot(*place, look.marker, color=look.color, ms=5, label=look.name)
+                times = [1e3 * points[i].seconds for i in chosen]
+                panel.plot(
+                    np.maximum(errors[chosen], LEAST), times, look.marker, color=look.color, ms=5, label=look.name
+                )
                 continue
             rows = curves.get(method, {}).get(kind, [])
             if not rows:

@@ -9,6 +9,7 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from atlas.render import classes, events, hysteresis, impacts, scales, spectrum, style
+from atlas.render.kinds import TABLE
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -116,6 +117,17 @@ def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> 
     lightness = [lab(scales.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
     assert np.all(np.diff(lightness) < -0.4)
     assert lightness[0] > 95.0 and lightness[-1] < 12.0
+
+
+SCALES = {name: scales.colormap_of(kind.scale.colors) for name, kind in TABLE.items() if kind.scale.colors}
+SCALES |= {"exponent": scales.EXPONENT, **{f"error, {name}": each for name, (each, _) in scales.ERRORS.items()}}
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_lightness_of_a_scale_rises_or_falls_all_the_way(scale: str, sight: str) -> None:
+    steps = np.diff([lab(SCALES[scale](v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 33)])
+    assert np.all(steps > 0.0) or np.all(steps < 0.0)
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)

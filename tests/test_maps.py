@@ -13,7 +13,6 @@ from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import boundary
 from atlas.render import classes, grazing, impacts, maps, overlays, scales
-from atlas.render.kinds import TABLE
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -263,16 +262,6 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     ds = plane()
     ds["stuck_fraction"] = ds["stuck_fraction"] * 0.0
     assert len(render.figure(ds, "sticking").axes) == 1
-
-
-DARKENING = [scales.colormap_of(TABLE[kind].scale.colors) for kind in ("combined", "cost", "sticking", "scalar")]
-
-
-@pytest.mark.parametrize("colormap", [*(colormap for colormap, _ in scales.ERRORS.values()), *DARKENING])
-def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
-    """What darkens is read in grey, and without red or green."""
-    shades = colormap(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]
-    assert np.all(np.diff(shades) < 0)
 
 
 def test_a_log_scale_spans_a_decade_at_least() -> None:

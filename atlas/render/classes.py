@@ -2,6 +2,8 @@
 
 import colorsys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -57,11 +59,23 @@ PALER, DARKER = 0.8, 0.25
 """Lightness of the colour of a mirror image, whose hue is that of its twin, on the way from black 0 to white 1."""
 
 
+Class: TypeAlias = tuple[NDArray[np.bool_], str, str]
+"""Cells (y, x), their colour and their name."""
+
+
 def colored(
-    regime: NDArray[np.int8], classes: Iterable[tuple[NDArray[np.bool_], str, str]], beside: str | None = None
+    regime: NDArray[np.int8],
+    classes: Iterable[Class],
+    beside: str | None = None,
+    rgba: NDArray[np.uint8] | None = None,
+    known: NDArray[np.bool_] | None = None,
 ) -> Painted:
-    """Cells (y, x) in the colours of their classes, each with its name, and all others in those of their regimes."""
-    rgba, legend, others = np.zeros((*regime.shape, 4), np.uint8), [], np.ones(regime.shape, bool)
+    """Cells in the colours of their classes, and those of no class in the colours of their regimes.
+
+    ``known`` ones keep the colour that they have in ``rgba`` (y, x, 4).
+    """
+    rgba = np.zeros((*regime.shape, 4), np.uint8) if rgba is None else rgba
+    others, legend = np.ones(regime.shape, bool) if known is None else ~known, []
     for cells, color, name in classes:
         others &= ~cells
         if cells.any():
@@ -167,10 +181,9 @@ def labels(view: View) -> Painted:
     """
     known, regime = branches(view.ds), view.plane.regime
     label = np.rint(view.plane[LABEL.name]).astype(np.int64)
-    rgba, there = np.zeros((*regime.shape, 4), np.uint8), label >= 0
-    table = np.array([style.rgb(color) for color in branch_colors(known)], np.uint8).reshape(-1, 4)
-    rgba[there] = table[label[there]]
-    return Painted(rgba, [*branch_entries(known, label), *maps.paint_regimes(rgba, regime, ~there)], beside="")
+    table = np.array([style.rgb(color) for color in [*branch_colors(known), "white"]], np.uint8)
+    painted = colored(regime, (), "", table[label], label >= 0)
+    return replace(painted, legend=[*branch_entries(known, label), *painted.legend])
 
 
 def colors_of(

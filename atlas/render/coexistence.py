@@ -91,7 +91,13 @@ def _numbers(name: str, known: xr.Dataset | None) -> sweep.Panel:
                 shown = np.isfinite(values) & cells
                 if name == "share" and INTERVAL[0] in here:
                     low, high = (here[end].values[shown] for end in INTERVAL)
-                    look = {"color": color, "linewidth": 0.7, "alpha": _PALE, "zorder": 2, "rasterized": True}
+                    look: dict[str, Any] = {
+                        "color": color,
+                        "linewidth": 0.7,
+                        "alpha": _PALE,
+                        "zorder": 2,
+                        "rasterized": True,
+                    }
                     ax.vlines(x.values[shown], low, high, **look)
                 _points(ax, x.values[shown], values[shown], color, sweep.point_size(x, _POINT, page))
         ax.set_ylabel(LABELS[name])

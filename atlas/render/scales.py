@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import matplotlib as mpl
@@ -13,7 +14,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -78,16 +78,14 @@ def exponent(view: View) -> Painted:
 
 def exponents(regime: NDArray[np.int8], largest: Array, norm: TwoSlopeNorm) -> Painted:
     """The same of arrays (y, x) on a given scale. Impact-free cells have exponents as others do: they are textured."""
-    known, quiet = ~np.isnan(largest), (regime == NO_IMPACT) & ~np.isnan(largest)
-    rgba = EXPONENT(norm(np.where(known, largest, 0.0)), bytes=True)
-    legend, textures = maps.paint_regimes(rgba, regime, ~known), []
-    if quiet.any():
-        color = EXPONENT(norm(np.median(largest[quiet])))
-        textures.append(Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), _without_dust(quiet)))
-        legend.append(style.swatch(color, style.name_of(NO_IMPACT), *textures[0][1:3]))
-    lost, entries = _lost(largest, EXPONENT)
-    bar = Bar(EXPONENT, norm, largest, TABLE["exponent"].scale.label)
-    return Painted(rgba, legend + entries, [bar], textures + lost)
+    painted = _scaled(regime, largest, Bar(EXPONENT, norm, largest, TABLE["exponent"].scale.label))
+    quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
+    if not quiet.any():
+        return painted
+    color = EXPONENT(norm(np.median(largest[quiet])))
+    texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), _without_dust(quiet))
+    entry = style.swatch(color, style.name_of(NO_IMPACT), texture.hatch, texture.ink)
+    return replace(painted, legend=[*painted.legend, entry], textures=[texture, *painted.textures])
 
 
 def known_exponents(plane: maps.Plane) -> Array:
@@ -133,15 +131,6 @@ def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
 
 
-def _lost(values: Array, colormap: Colormap) -> tuple[list[Texture], list[Patch]]:
-    """The texture of cells whose exponent is -inf, off any scale, over its lowest colour; the legend entry, if any."""
-    cells, ink = np.isneginf(values), style.ink_on(colormap(0.0))
-    if not cells.any():
-        return [], []
-    label = r"$-\infty$: rest on a stop erases disturbances"
-    return [Texture(cells, style.LOST_HATCH, ink)], [style.swatch(colormap(0.0), label, style.LOST_HATCH, ink)]
-
-
 def combined(view: View) -> Painted:
     """The period where motion is periodic, the largest exponent where it is chaotic."""
     regime = view.plane.regime
@@ -171,19 +160,28 @@ def cost(view: View) -> Painted:
 
 
 def _numbers(view: View, values: Array) -> Painted:
-    """Numbers (y, x) on the scale of their kind; cells that are NaN show their regime.
-
-    Cells that are 0 may have a colour and a name of their own; where there are no others there is no bar.
-    """
+    """Numbers (y, x) on the scale of their kind; where all are 0, with a name of its own, there is no bar."""
     scale = view.kind.scale
-    norm, colormap = color_norm(values, scale.log, view.page), colormap_of(scale.colors)
-    rgba, legend = on_scale(values, norm, colormap), []
-    if scale.zero is not None and np.any(values == 0.0):
-        rgba[values == 0.0] = style.rgb(scale.zero[0])
-        legend.append(style.swatch(*scale.zero))
-    legend += maps.paint_regimes(rgba, view.plane.regime, ~np.isfinite(values))
-    bars = [Bar(colormap, norm, values, scale.label)] if scale.zero is None or np.any(values > 0.0) else []
-    return Painted(rgba, legend, bars)
+    bar = Bar(colormap_of(scale.colors), color_norm(values, scale.log, view.page), values, scale.label)
+    painted = _scaled(view.plane.regime, values, bar, [] if scale.zero is None else [(values == 0.0, *scale.zero)])
+    return replace(painted, bars=[bar] if scale.zero is None or np.any(values > 0.0) else [])
+
+
+def _scaled(regime: NDArray[np.int8], values: Array, bar: Bar, others: Sequence[classes.Class] = ()) -> Painted:
+    """Values (y, x) in the colours of a scale, and other cells in theirs; those that are NaN show their regime.
+
+    Exponents of -inf, which are off any scale, have a texture over its lowest colour.
+    """
+    painted = classes.colored(regime, others, None, on_scale(values, bar.norm, bar.colormap), ~np.isnan(values))
+    color, lost = bar.colormap(0.0), np.isneginf(values)
+    if not lost.any():
+        return replace(painted, bars=[bar])
+    texture, label = (
+        Texture(lost, style.LOST_HATCH, style.ink_on(color)),
+        r"$-\infty$: rest on a stop erases disturbances",
+    )
+    entry = style.swatch(color, label, texture.hatch, texture.ink)
+    return replace(painted, legend=[*painted.legend, entry], bars=[bar], textures=[texture])
 
 
 def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> NDArray[np.uint8]:
@@ -224,18 +222,12 @@ def scalar(view: View) -> Painted:
     if log and np.any(values < 0.0):
         raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
     norm, known = color_norm(values, log, view.page), ~np.isnan(values)
-    colormap = signed_colormap(norm)
-    rgba, legend = on_scale(values, norm, colormap), []
     zero = known & (values == 0.0) & log
     none = ~known & maps.determined(regime) & (regime != NO_IMPACT)
-    if zero.any() or none.any():
-        rgba[zero | none] = style.rgb(NEUTRAL)
-        words = [word for word, cells in (("0", zero), ("no such number", none)) if cells.any()]
-        legend.append(style.swatch(NEUTRAL, " or ".join(words)))
-    legend += maps.paint_regimes(rgba, regime, ~known & ~none)
-    textures, entries = _lost(values, colormap)
-    bars = [Bar(colormap, norm, values, variable_label(view.ds, name))] if np.isfinite(values).any() else []
-    return Painted(rgba, legend + entries, bars, textures)
+    words = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
+    bar = Bar(signed_colormap(norm), norm, values, variable_label(view.ds, name))
+    painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, words)])
+    return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
 
 
 def checked(ds: xr.Dataset, name: str) -> list[str]:
