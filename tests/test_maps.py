@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import boundary
-from atlas.render import classes, grazing, impacts, maps, overlays, scales
+from atlas.render import classes, grazing, impacts, kinds, maps, overlays, scales
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -102,6 +102,11 @@ def test_a_torus_is_textured_where_it_shows_its_class_and_not_where_it_shows_its
     }
     assert "++" in hatches["period"]
     assert "++" not in hatches["exponent"]
+
+
+@pytest.mark.parametrize("kind", kinds.TABLE)
+def test_every_row_of_the_table_names_a_function_that_draws_it(kind: str) -> None:
+    assert callable(kinds.drawn_by(kind))
 
 
 # Impact pairs
@@ -454,7 +459,7 @@ def test_a_lone_cell_without_a_result_is_marked_where_it_is(code: int) -> None:
 
 
 def test_the_legend_says_where_single_cells_are_drawn_larger_than_they_are() -> None:
-    assert labels(dense(UNDETERMINED, [(0, 399)])) == ["undetermined (single cells enlarged)"]
+    assert labels(dense(UNDETERMINED, [(0, 399)])) == ["undetermined,\nsingle cells enlarged"]
     assert labels(dense(UNDETERMINED, [(i, j) for i in range(20) for j in range(20)])) == ["undetermined"]
 
 

@@ -62,6 +62,13 @@ def test_a_variable_is_drawn_on_its_scale_with_its_name_and_unit() -> None:
     assert np.all(np.diff(lightness) < 0)
 
 
+def test_a_unit_that_a_meaning_ends_with_is_written_once() -> None:
+    ds = plane()
+    ds["largest"].attrs.update(long_name="largest Lyapunov exponent per forcing period", units="1/period")
+    bar = render.figure(ds, variable="largest").axes[1]
+    assert bar.get_ylabel() == "largest Lyapunov exponent [per forcing period]"
+
+
 def test_the_kind_scalar_is_what_a_named_variable_is_drawn_as() -> None:
     one, other = (render.figure(speeds(), kind, variable="max_impact_speed") for kind in (None, "scalar"))
     np.testing.assert_array_equal(drawn(one), drawn(other))

@@ -81,7 +81,7 @@ TABLE = {
              Scale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
         Kind("period", 2, ("period",), "one colour for each period", "classes.period"),
         Kind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop",
-             "impacts.figure"),
+             "impacts.motions"),
         Kind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
              "periodic motions that are their own mirror image, and those with a twin", "classes.symmetry"),
         Kind("regions", 2, _MOTIONS,

@@ -156,6 +156,7 @@ class Painted:
     bars       scales, from below
     textures   over cells
     over       draws what lies on the cells and returns its legend entries
+    names      cells (y, x), their name, written into them where it fits, and the colour that it is seen on
     """
 
     rgba: NDArray[np.uint8]
@@ -164,6 +165,7 @@ class Painted:
     textures: Sequence[Texture] = ()
     beside: str | None = None
     over: Callable[[Axes], list[Artist]] | None = None
+    names: Sequence[tuple[NDArray[np.bool_], str, str]] = ()
 
 
 def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
@@ -211,7 +213,7 @@ def lay(ax: Axes, plane: Plane, painted: Painted, options: Options) -> list[Arti
     enlarged = draw(ax, plane, painted.rgba, options)
     for entry in painted.legend:
         if entry.get_label() in enlarged:
-            entry.set_label(f"{entry.get_label()} (single cells enlarged)")
+            entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
     for cells, pattern, ink, outlined in painted.textures:
         axes.hatch(ax, plane.x, plane.y, cells, pattern, ink)
         if outlined is not None:

@@ -263,7 +263,8 @@ def variable_label(ds: xr.Dataset, name: str) -> str:
     """What the variable is and its unit, as a colour bar says it."""
     attributes = ds[name].attrs
     meaning = str(attributes.get("long_name", name)).split(";")[0]
-    return meaning + style.unit_ending(str(attributes.get("units", "1")))
+    unit = str(attributes.get("units", "1"))
+    return meaning.removesuffix(f" {style.unit_text(unit)}") + style.unit_ending(unit)  # some meanings end with it
 
 
 # Errors

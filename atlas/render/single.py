@@ -1,10 +1,10 @@
-"""The way from a kind to its map, the same for all of them: read, paint, frame, draw, overlays, bars, legend."""
+"""The way from a kind to its map, the same for all: read, paint, frame, draw, overlays, bars, legend, names."""
 
 import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from atlas.render import maps, overlays, scales
+from atlas.render import impacts, maps, overlays, scales
 from atlas.render.kinds import TABLE, drawn_by
 
 
@@ -26,4 +26,8 @@ def draw_map(
         entries: list[Artist] = [*maps.lay(ax, plane, painted, options), *overlays.draw(ax, ds, plane, options)]
         scales.draw_bars(drawn, [ax], painted.bars, page)
         page.legend(drawn, entries, beside=painted.beside)
+        if painted.names and options.names:
+            page.fit(drawn)
+            drawn.draw_without_rendering()  # from here on the plot has its size
+            impacts.name_regions(ax, plane, painted.names, impacts.LABEL_SIZE * page.scale)
     return drawn
