@@ -14,7 +14,7 @@ from atlas.cell import orbit as cell
 from atlas.cell.orbit import CellOrbit, cell_orbit, describe
 from atlas.errors import InputError
 from atlas.query import grazing, hysteresis, machine
-from atlas.render import gap, symmetry
+from atlas.render import classes, gap
 from tests.pictures import labels
 from tests.test_maps import drawn
 from workers.model.system import System, find_system
@@ -153,7 +153,7 @@ def test_a_symmetry_map_without_mirror_images_is_refused_with_the_reason(
 
 def test_a_symmetry_map_tells_twins_only_where_the_machine_is_symmetric() -> None:
     figure = render.figure(periodic_plane(SINGLE, {"s": [0.5, 1.0], "omega": [0.5, 0.7]}), "symmetry")
-    colors = [tuple(round(255 * part) for part in to_rgb(each)) for each in (symmetry.ALONE, symmetry.UPPER)]
+    colors = [tuple(round(255 * part) for part in to_rgb(each)) for each in (classes.ALONE, classes.UPPER)]
     assert [tuple(each[:3]) for each in drawn(figure)[0]] == colors
 
 

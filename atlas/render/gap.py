@@ -14,7 +14,7 @@ _TERMS = 3
 def unit_of(units: set[str]) -> str:
     """The unit of a quantity as its label ends: nothing for pure numbers, or where its parts have several units."""
     (unit, *others) = units
-    return "" if others or unit == "1" else f" [{style.unit_text(unit)}]"
+    return "" if others else style.unit_ending(unit)
 
 
 def gap_label(ds: xr.Dataset) -> str:

@@ -4,13 +4,10 @@ from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
-import xarray as xr
-from matplotlib.artist import Artist
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from atlas.render import axes, maps, names, overlays, style
+from atlas.render import maps, style
 from workers.results import PERIODIC
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
@@ -35,7 +32,8 @@ UNLISTED = ("#d7ab9f", "#1d0335", "#0100f9", "#ffff8e")
 STICKS, STICKS_HATCH = "#d5ece6", "----"
 """Colour and texture of periodic motions that rest on a stop: their impacts are infinitely many."""
 
-_LABEL_SIZE = 7.5
+LABEL_SIZE = 7.5
+"""Points of the type of names on a map."""
 _NAMED = 3
 """Motions that the legend names at most for a colour that several share."""
 
@@ -56,25 +54,15 @@ class ImpactPattern(NamedTuple):
         return f"{self.n}-{self.p}-{self.q}" if self.p >= 0 else "periodic, sticks"
 
 
-def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
-    """The impact map as a figure; InputError where the atlas holds no impact counts."""
-    plane = overlays.read(ds, VARIABLES, "impacts", options)
-    counts = tuple(plane[name] for name in VARIABLES)
-    with options.page.context():
-        drawn, ax = maps.frame(ds, options.page)
-        rgba, legend, colors = paint(plane.regime, *counts)
-        maps.draw(ax, plane, rgba, options)
-        rests = (plane.regime == PERIODIC) & (counts[1] < 0)
-        axes.hatch(ax, plane.x, plane.y, rests, STICKS_HATCH, style.TEXTURE)
-        entries: list[Artist] = [*legend, *overlays.draw(ax, ds, plane, options)]
-        options.page.legend(drawn, entries, beside="$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below")
-        if not options.names:
-            return drawn
-        options.page.fit(drawn)
-        drawn.draw_without_rendering()  # from here on the plot has its size
-        named = [(_cells_of(motion, plane.regime, counts), motion.label, color) for motion, color in colors.items()]
-        names.in_regions(ax, plane, named, [_LABEL_SIZE * options.page.scale])
-    return drawn
+def motions(view: maps.View) -> maps.Painted:
+    """The periodic motions of a plane, the large ones with their names on them."""
+    plane = view.plane
+    regime, counts = plane.regime, tuple(plane[name] for name in VARIABLES)
+    rgba, legend, colors = paint(regime, *counts)
+    rests = maps.Texture((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
+    named = [(_cells_of(motion, regime, counts), motion.label, color) for motion, color in colors.items()]
+    beside = "$n$-$p$-$q$: $n$ periods,\n$p$ impacts above, $q$ below"
+    return maps.Painted(rgba, legend, textures=[rests], beside=beside, names=named)
 
 
 def color_of(motion: ImpactPattern) -> str:

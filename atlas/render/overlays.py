@@ -43,10 +43,10 @@ _LABEL_ROOM = 30.0
 """Points between labels of isolines."""
 
 
-def read(ds: xr.Dataset, variables: Iterable[str], kind: str, options: maps.Options) -> maps.Plane:
+def read(ds: xr.Dataset, variables: Iterable[str], kind: str, options: maps.Options, lacking: str = "") -> maps.Plane:
     """Read what a map with overlays takes: its own variables and theirs, as ``maps.read`` does."""
     extra = (LARGEST.name,) if "isolines" in options.overlays else ()
-    return maps.read(ds, (*variables, *extra), kind, options.pixels)
+    return maps.read(ds, (*variables, *extra), kind, options.pixels, lacking)
 
 
 def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
