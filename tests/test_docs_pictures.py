@@ -4,16 +4,17 @@
 """
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from distributed import Client
 from PIL import Image
 
 import atlas
-from atlas import render
-from atlas.render.page import page
+from atlas.cli.main import main
 from scripts.make_pictures import DOCS, commands, pictures
 from workers import SOLVER_VERSION
 
@@ -40,26 +41,16 @@ def test_every_picture_is_shown_on_a_page_beside_the_commands_that_make_it(name:
 
 
 def test_a_picture_shows_cell_by_cell_what_the_present_solver_computes(tmp_path: Path, client: Client) -> None:
-    """Of the map that is computed fastest; everything inside its frame, after the spec in its own metadata."""
+    """Of the map that is computed fastest. A cell has more than this share of the pixels, of which type has few."""
     name = "energy-harvester"
     *_, drawing = commands(f"{name}.png", pictures()[f"{name}.png"])
-    assert drawing.endswith("--kind combined --width 5in --dpi 110")
-    store = tmp_path / f"{name}.zarr"
+    store, new = tmp_path / f"{name}.zarr", tmp_path / f"{name}.png"
     atlas.run(atlas.Spec.from_toml(name), store, client=client)
-    ds = atlas.open(store)
-    figure = ds.atlas.plot("combined", width="5in", dpi=110)
-    render.render(ds, tmp_path / "new.png", "combined", width="5in", dpi=110)
-    assert words(DOCS / f"{name}.png")["Spec"] == ds.attrs["spec"]
-    with (
-        page(width="5in", dpi=110).context(),
-        Image.open(DOCS / f"{name}.png") as old,
-        Image.open(tmp_path / "new.png") as new,
-    ):
-        figure.draw_without_rendering()
-        frame = figure.axes[0].get_window_extent()
-        shown = [np.asarray(image.convert("RGB")) for image in (old, new)]
+    places = {f"{name}.zarr": str(store), f"{name}.png": str(new)}
+    drawn = CliRunner().invoke(main, [places.get(word, word) for word in shlex.split(drawing)[1:]])
+    assert drawn.exit_code == 0, drawn.output
+    assert words(DOCS / f"{name}.png")["Spec"] == words(new)["Spec"]
+    with Image.open(DOCS / f"{name}.png") as one, Image.open(new) as other:
+        shown = [np.asarray(image.convert("RGB")) for image in (one, other)]
     assert shown[0].shape == shown[1].shape
-    height = shown[0].shape[0]
-    rows = slice(int(height - frame.y1) + 2, int(height - frame.y0) - 2)
-    columns = slice(int(frame.x0) + 2, int(frame.x1) - 2)
-    assert np.array_equal(*(image[rows, columns] for image in shown))
+    assert np.mean(np.any(shown[0] != shown[1], axis=-1)) < 1e-4

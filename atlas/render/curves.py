@@ -35,7 +35,7 @@ _BESIDE = 6.0
 """Distance in points within which two curves crowd each other."""
 _MARKER, _END, _TYPE = 4.0, 2.6, 7.5
 """Size in points of the mark of a point of codimension two, of an end, and of the name of such a point."""
-_KEY_WIDTH = 26
+_KEY_WIDTH = 38
 """Letters in a line of the key to such names, at most where there are several in it."""
 _HARD_SPACE = "\N{NO-BREAK SPACE}"
 _SAME = 1.0
