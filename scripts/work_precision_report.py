@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,47 +41,100 @@ class Point(NamedTuple):
     stated: float
 
 
+class Look(NamedTuple):
+    """How a method is drawn: its name, its colour and marker, and where the labels of its settings stand, in points."""
+
+    name: str
+    color: str
+    marker: str
+    beside: tuple[float, float]
+
+
+LOOKS = {
+    "adaptive": Look("this solver, with its tolerance", "#0072b2", "o", (9.0, 6.0)),
+    "fixed": Look("this solver, fixed schedule, with its periods", "#c46a00", "s", (-9.0, 3.0)),
+    "heyoka": Look("heyoka, the same schedules", "#00785a", "^", (9.0, -9.0)),
+    "DOP853": Look("scipy DOP853, one marker a cell", "#b5528c", "D", (0.0, 0.0)),
+}
+LEAST = 1e-17
+"""Errors below are drawn here: what is exact has no place on a logarithmic axis."""
+SPREAD = (16.0, 84.0)
+"""Per cent of cells between which bars reach."""
+
+
 def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell], curves: dict[str, Any]) -> None:
-    """Work-precision diagram: a panel for periodic and one for chaotic cells."""
+    """Work-precision diagram: a panel for periodic and one for chaotic cells.
+
+    A marker for each setting of a method, with its name, at the typical error and the median time; bars reach over the
+    middle 68 % of the cells.
+    """
     import matplotlib
+
+    from atlas.render.provenance import computed_here, metadata
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.patheffects import withStroke
 
-    looks = {
-        "adaptive": ("#0072b2", "o"),
-        "fixed": ("#e69f00", "s"),
-        "heyoka": ("#009e73", "^"),
-        "DOP853": ("#cc79a7", "D"),
-    }
-    names = {"adaptive": "this solver, adaptive", "fixed": "this solver, fixed schedule", "heyoka": "heyoka",
-             "DOP853": "scipy DOP853"}  # fmt: skip
-    figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 4.4), sharey=True, layout="constrained")
+    figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 5.0), sharey=True, layout="constrained")
     for panel, kind in zip(axes, TARGET, strict=True):
-        for method, (colour, marker) in looks.items():
+        for method, look in LOOKS.items():
             chosen = [i for i, p in enumerate(points) if p.method == method and cells[p.cell].kind == kind]
-            if not chosen:
-                continue
-            panel.plot(
-                np.maximum(errors[chosen], 1e-17), [1e3 * points[i].seconds for i in chosen], marker,
-                color=colour, ms=2.5, mew=0, alpha=0.25 if method != "DOP853" else 1.0,
-                label=names[method] if method == "DOP853" else None,
-            )  # fmt: skip
-            rows = curves.get(method, {}).get(kind, [])
-            if rows:
+            chosen = [i for i in chosen if math.isfinite(errors[i])]
+            if method == "DOP853":
+                times = [1e3 * points[i].seconds for i in chosen]
                 panel.plot(
-                    [row["error"] for row in rows], [1e3 * row["median_seconds"] for row in rows], marker + "-",
-                    color=colour, ms=7, mec="white", label=names[method],
+                    np.maximum(errors[chosen], LEAST), times, look.marker, color=look.color, ms=5, label=look.name
+                )
+                continue
+            rows = curves.get(method, {}).get(kind, [])
+            if not rows:
+                continue
+            at = np.array([[max(row["error"], LEAST), 1e3 * row["median_seconds"]] for row in rows])
+            panel.plot(*at.T, "-", color=look.color, lw=1.2, zorder=2)
+            for row, place in zip(rows, at, strict=True):
+                own = [i for i in chosen if points[i].setting == row["setting"]]
+                ends = [
+                    np.percentile(values, SPREAD)
+                    for values in (np.maximum(errors[own], LEAST), np.array([1e3 * points[i].seconds for i in own]))
+                ]
+                panel.plot(ends[0], [place[1]] * 2, color=look.color, lw=2.5, alpha=0.35, solid_capstyle="butt")
+                panel.plot([place[0]] * 2, ends[1], color=look.color, lw=2.5, alpha=0.35, solid_capstyle="butt")
+            panel.plot(*at.T, look.marker, color=look.color, ms=6.5, mec="white", mew=0.7, zorder=3, label=look.name)
+            for place, text in labels(at, [row["setting"] for row in rows]):
+                side = "left" if look.beside[0] > 0.0 else "right"
+                panel.annotate(
+                    text, tuple(place), xytext=look.beside, textcoords="offset points", ha=side, fontsize=8.5,
+                    color=look.color, zorder=4, path_effects=[withStroke(linewidth=2.0, foreground="white")],
                 )  # fmt: skip
         panel.set_xscale("log")
         panel.set_yscale("log")
-        panel.set_xlabel("true error of the largest exponent (per forcing period)")
-        panel.set_title(f"{kind} cells")
+        panel.margins(0.08)
+        panel.set_xlabel("true error of the largest exponent [per forcing period]")
+        panel.set_title(f"{kind} cells; bars: the middle 68 % of them")
         panel.grid(alpha=0.3)
     axes[0].set_ylabel("milliseconds per cell, one core")
-    axes[0].legend(frameon=False)
-    figure.savefig(path, dpi=160)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    settings = {method: sorted({point.setting for point in points if point.method == method}) for method in LOOKS}
+    spec = {"system": "two-mass", "cells": [cell.params for cell in cells], "settings": settings}
+    kind = Path(path).suffix.removeprefix(".")
+    figure.savefig(path, dpi=200, metadata=metadata(computed_here("two-mass, time against error", spec), kind))
     pyplot.close(figure)
+
+
+def labels(at: Array, settings: list[float]) -> list[tuple[Array, str]]:
+    """The names of settings and where they stand (x, y), those of one place in one text.
+
+    >>> labels(np.array([[1e-15, 2.0], [1.1e-15, 2.0], [1e-3, 9.0]]), [0.1, 0.03, 0.01])[0][1]
+    '0.1, 0.03'
+    """
+    found: list[tuple[Array, str]] = []
+    for place, setting in zip(at, settings, strict=True):
+        if found and np.all(np.abs(np.log10(place / found[-1][0])) < [0.4, 0.06]):
+            found[-1] = found[-1][0], f"{found[-1][1]}, {setting:g}"
+        else:
+            found.append((place, f"{setting:g}"))
+    return found
 
 
 def report(result: dict[str, Any]) -> None:

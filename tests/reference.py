@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import patch
 
 from matplotlib.figure import Figure
 
 from atlas import render
-from atlas.render import basins, labels
+from atlas.render.single import draw_map
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
@@ -22,6 +23,18 @@ def regions() -> Figure:
     return drawn
 
 
+def basins() -> Figure:
+    ds, table = basin()
+    with patch("atlas.render.basins.table", return_value=table):
+        return draw_map("basins", ds)
+
+
+def labels() -> Figure:
+    ds, table = labelled()
+    with patch("atlas.render.classes.branches", return_value=table):
+        return draw_map("labels", ds)
+
+
 PICTURES: dict[str, Callable[[], Figure]] = {
     **{
         kind: (lambda kind=kind: render.figure(plane(), kind))  # type: ignore[misc]
@@ -33,8 +46,8 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "spectrum": lambda: render.figure(line(), "spectrum"),
     "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),
     "coexistence": lambda: render.figure(branches()),
-    "basins": lambda: basins.picture(*basin()),
-    "labels": lambda: labels.picture(*labelled()),
+    "basins": basins,
+    "labels": labels,
     "portrait": lambda: render.orbit_figure(orbit()),
 }
 

@@ -4,10 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import combined, events, hysteresis, impacts, period, spectrum, style, symmetry
+from atlas.render import classes, events, impacts, orbit, scales, spectrum, style, sweep
+from atlas.render.kinds import TABLE
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -24,25 +26,25 @@ _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "perio
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined")}
-_PERIODS = {f"period {first}": color for first, _, color in period.CLASSES}
-_CHAOS = {f"chaos {i}": tuple(combined.COLORMAP(i / 4)[:3]) for i in range(5)}
+_PERIODS = {f"period {first}": color for first, _, color in classes.PERIODS}
+_CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
 
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(impacts.UNLISTED)}
 
-OF_A_COLOR = {"impact_lost", "contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
-"""Kinds of events with the colour of another: grazes of some kind, and those of what sticks or slides."""
+OF_A_COLOR = {"contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
+"""Kinds of events with the colour of another: losses of some kind, and those of what sticks or slides."""
 PALETTES = {
-    "period": _REGIMES | {f"period {first}": color for first, _, color in period.CLASSES},
+    "period": _REGIMES | {f"period {first}": color for first, _, color in classes.PERIODS},
     "combined": _COLD | _PERIODS,
     "combined with chaos": _PLAIN | _PERIODS | _CHAOS,
     "impacts": _REGIMES | {color: color for pair in impacts.HUES.values() for color in pair} | _UNLISTED,
-    "symmetry": _REGIMES | {color: color for color in symmetry.NAMES},
+    "symmetry": _REGIMES | {color: color for color in classes.SYMMETRIES},
     "spectrum": {f"exponent {i}": spectrum.color(i) for i in range(4)},
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
     },
     "events": {kind: look.color for kind, look in events.LOOKS.items() if kind not in OF_A_COLOR},
-    "hysteresis": dict(zip("ab", hysteresis.COLORS, strict=True)),
+    "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),
 }
 
 
@@ -64,6 +66,20 @@ def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str)
     seen = {name: lab(color, SIGHT[sight]) for name, color in PALETTES[palette].items()}
     closest = min((float(np.linalg.norm(seen[a] - seen[b])), a, b) for a, b in itertools.combinations(seen, 2))
     assert closest[0] > 14.0, closest
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_impacts_of_a_portrait_are_told_from_each_other_and_from_all_else_in_it(sight: str) -> None:
+    (upper, lower), others = (look[1] for look in orbit.IMPACTS.values()), [orbit.LINE, orbit.STOP]
+    others += [spectrum.color(i) for i in range(4)] + list(style.INK.values())
+    seen = {color: lab(color, EVERY_SIGHT[sight]) for color in (upper, lower, *others)}
+    for own, rest in ((upper, others), (lower, [*others, upper])):
+        closest = min((float(np.linalg.norm(seen[own] - seen[other])), own, other) for other in rest)
+        assert closest[0] > 14.0, closest
+
+
+def test_impacts_of_a_portrait_differ_in_their_marker_too() -> None:
+    assert len({marker for marker, _, _ in orbit.IMPACTS.values()}) == len(orbit.IMPACTS)
 
 
 def test_events_of_one_colour_differ_in_line_and_marker() -> None:
@@ -110,16 +126,63 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> None:
+    """So every exponent has a grey of its own, and none below zero that of one above."""
+    lightness = [lab(scales.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
+    assert np.all(np.diff(lightness) < -0.4)
+    assert lightness[0] > 95.0 and lightness[-1] < 12.0
+
+
+SCALES = {name: scales.colormap_of(kind.scale.colors) for name, kind in TABLE.items() if kind.scale.colors}
+SCALES |= {"exponent": scales.EXPONENT, **{f"error, {name}": each for name, (each, _) in scales.ERRORS.items()}}
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_lightness_of_a_scale_rises_or_falls_all_the_way(scale: str, sight: str) -> None:
+    steps = np.diff([lab(SCALES[scale](v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 33)])
+    assert np.all(steps > 0.0) or np.all(steps < 0.0)
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
+    below, above = (lab(scales.EXPONENT(each)[:3], EVERY_SIGHT[sight]) for each in (0.4999, 0.5001))
+    assert ciede2000(below, above) > 40.0
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_a_labelled_branch_is_seen_on_white_and_differs_from_its_mirror_image(sight: str) -> None:
+    table = {"regime": [PERIODIC, PERIODIC] * 8 + [NO_IMPACT], "mirror": [i ^ 1 for i in range(16)] + [16]}
+    known = xr.Dataset({name: ("branch", values) for name, values in table.items()})
+    seen = [lab(color, EVERY_SIGHT[sight]) for color in classes.branch_colors(known, ink=True)]
+    assert max(L for L, _, _ in seen) < 80.0
+    assert min(ciede2000(*seen[i : i + 2]) for i in range(0, 16, 2)) > 12.0
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+@pytest.mark.parametrize("kind", events.LOOKS)
+def test_a_curve_is_told_from_its_ground_by_its_colour_or_by_its_white_casing(kind: str, sight: str) -> None:
+    """Of every ground: by its own colour where the ground is pale, elsewhere by the white beside it, which
+    test_maps finds under every curve.
+    """
+    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (events.LOOKS[kind].color, "white"))
+    chaos = {f"chaos {v}": tuple(scales.EXPONENT(v)[:3]) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
+    for name, color in (_REGIMES | _PERIODS | chaos).items():
+        ground = lab(color, EVERY_SIGHT[sight])
+        assert max(ciede2000(line, ground), min(ciede2000(line, casing), ciede2000(casing, ground))) > 20.0, name
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_any_two_classes_of_periods_are_told_apart(sight: str) -> None:
     """Above 10 two colours are seen as different at a glance; with all receptors twice as much is asked for."""
-    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in period.CLASSES]
+    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in classes.PERIODS]
     closest = min(ciede2000(one, other) for one, other in itertools.combinations(seen, 2))
     assert closest > (20.0 if sight == "normal" else 12.0)
 
 
 def test_one_period_at_most_is_blue_or_nearly_black_to_the_eye() -> None:
     """Of the first eight periods: hues of blue lie between 240 and 300 degrees in L*a*b*, and black has L* near 0."""
-    colors = [lab(color, SIGHT["normal"]) for first, _, color in period.CLASSES if first <= 7]
+    colors = [lab(color, SIGHT["normal"]) for first, _, color in classes.PERIODS if first <= 7]
     hues = [np.degrees(np.arctan2(b, a)) % 360 for L, a, b in colors if np.hypot(a, b) > 12]
     assert sum(240 < hue < 300 for hue in hues) == 1
     assert min(L for L, _, _ in colors) > 20

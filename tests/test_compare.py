@@ -14,7 +14,7 @@ from atlas.errors import InputError
 from atlas.query.compare import Comparison
 from atlas.query.reads import counted
 from atlas.render import together
-from atlas.render.exponent import scale_ends
+from atlas.render.scales import scale_ends
 from atlas.store import store
 from tests import pictures
 from tests.pictures import labels

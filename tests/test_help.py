@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from atlas.cli.main import main
 from atlas.cli.options import SETTING_MEANINGS
 from atlas.render import KINDS, OVERLAYS, SCALAR
-from atlas.render.meanings import KIND_MEANINGS, OVERLAY_MEANINGS
+from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
 from atlas.spec.spec import Spec
 from tests.test_docs import parse

@@ -20,7 +20,7 @@ from atlas.errors import InputError
 from atlas.labels.attractors import Attractors, attractors_of
 from atlas.labels.components import branches
 from atlas.labels.following import Links, _Follower, followed
-from atlas.labels.table import labels_of
+from atlas.labels.table import labels_of, mirrors
 from atlas.service.labels import label_attractors
 from atlas.store.store import read_header
 from workers.continuation import branch, family_of, orbit_from_state, section_state
@@ -101,6 +101,25 @@ def test_the_mirror_image_of_a_branch_is_a_branch(seed: int) -> None:
     found, cut = branches(150, both, np.tile(change, 2)[order], cell, image)
     assert cut > 0 and len({*zip(found.tolist(), cell.tolist(), strict=True)}) == 150
     assert len({*zip(found.tolist(), found[image].tolist(), strict=True)}) == found.max() + 1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_whose_mirror_image_a_branch_is_is_mutual(seed: int) -> None:
+    """As above, with orbits that have no label, and images that no cell has."""
+    rng = np.random.default_rng(seed)
+    image = np.concatenate([np.arange(120).reshape(60, 2)[:, ::-1].ravel(), np.arange(120, 150)])
+    cell = np.empty(150, dtype=np.int64)
+    cell[:120], cell[120:] = np.repeat(rng.integers(0, 25, 60), 2), rng.integers(0, 25, 30)
+    pairs, change = rng.integers(0, 150, (90, 2)), rng.random(90)
+    found, _ = branches(150, np.concatenate([pairs, image[pairs]]), np.tile(change, 2), cell, image)
+    order = np.concatenate([np.arange(0, 120, 2), np.arange(120, 150), np.arange(1, 120, 2)])  # the last are unseen
+    branch, image = found[order], np.argsort(order)[image[order]]
+    seen = np.where(rng.random(110) < 0.8, branch[:110], -1)
+    number = np.where(seen >= 0, np.unique(seen, return_inverse=True)[1] - 1, -1)
+    mirror = mirrors(number, branch, image)
+    with_image = np.flatnonzero(mirror >= 0)
+    assert len(mirror) == number.max() + 1 and len(with_image) > 10 and np.any(mirror == -1)
+    assert mirror[mirror[with_image]].tolist() == with_image.tolist()
 
 
 # Labels

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
+from atlas.query import grazing
 from atlas.query.queries import boundary
-from atlas.render import combined, error, grazing, impacts, maps, overlays, period, scalar, sticking, symmetry
+from atlas.render import classes, impacts, kinds, maps, names, overlays, scales
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -62,9 +63,9 @@ def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("kind", render.MAPS)
-def test_every_map_has_its_axes_with_symbols_and_units_and_the_fixed_parameters(kind: str) -> None:
+def test_every_map_has_its_axes_with_symbols_and_the_fixed_parameters(kind: str) -> None:
     ax = render.figure(plane(), kind).axes[0]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$ [–]", "clearance $b$ [–]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$", "clearance $b$")
     assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
@@ -102,6 +103,11 @@ def test_a_torus_is_textured_where_it_shows_its_class_and_not_where_it_shows_its
     }
     assert "++" in hatches["period"]
     assert "++" not in hatches["exponent"]
+
+
+@pytest.mark.parametrize("kind", kinds.TABLE)
+def test_every_row_of_the_table_names_a_function_that_draws_it(kind: str) -> None:
+    assert callable(kinds.drawn_by(kind))
 
 
 # Impact pairs
@@ -163,10 +169,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = impacts.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = names.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert impacts.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert names.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -174,18 +180,18 @@ def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow()
 
 def test_the_combined_map_gives_periods_their_class_and_chaos_its_exponent() -> None:
     cells, ds = drawn(render.figure(plane(), "combined")), plane()
-    assert tuple(cells[1, 0][:3]) == rgb(period.CLASSES[0][2])
-    assert tuple(cells[1, 4][:3]) == rgb(period.CLASSES[1][2])
+    assert tuple(cells[1, 0][:3]) == rgb(classes.PERIODS[0][2])
+    assert tuple(cells[1, 4][:3]) == rgb(classes.PERIODS[1][2])
     chaotic = cells[ds["regime"].values == CHAOTIC][:, :3].astype(int)
     assert len({tuple(cell) for cell in chaotic}) > 2
     assert np.all(chaotic[:, 0] > chaotic[:, 2])
 
 
 def test_the_combined_map_keeps_periods_cool_and_chaos_warm() -> None:
-    for _, _, color in period.CLASSES:
+    for _, _, color in classes.PERIODS:
         red, _, blue = rgb(color)
         assert blue >= red
-    assert np.all([red > blue for red, _, blue, _ in combined.COLORMAP(np.linspace(0, 1, 9))])
+    assert np.all([red > blue for red, _, blue, _ in scales.CHAOS(np.linspace(0, 1, 9))])
 
 
 def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() -> None:
@@ -204,10 +210,10 @@ def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
     upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
     symmetric = np.array([[True, False, False, False, False]])
     every = np.ones((1, 5), bool)
-    rgba, legend = symmetry.paint(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower, every)
-    expected = [symmetry.SYMMETRIC, symmetry.UPPER, symmetry.LOWER, symmetry.UNTOLD, symmetry.UNTOLD]
-    assert [tuple(cell[:3]) for cell in rgba[0]] == [rgb(color) for color in expected]
-    assert len(legend) == 4
+    painted = classes.symmetries(np.full((1, 5), PERIODIC, np.int8), symmetric, upper, lower, every)
+    expected = [classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.UNTOLD]
+    assert [tuple(cell[:3]) for cell in painted.rgba[0]] == [rgb(color) for color in expected]
+    assert len(painted.legend) == 4
 
 
 def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
@@ -264,15 +270,8 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     assert len(render.figure(ds, "sticking").axes) == 1
 
 
-@pytest.mark.parametrize("colormap", [*error.COLORMAPS.values(), sticking.COLORMAP, combined.COLORMAP])
-def test_a_scale_darkens_all_the_way(colormap: colors.Colormap) -> None:
-    """What darkens is read in grey, and without red or green."""
-    shades = colormap(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]
-    assert np.all(np.diff(shades) < 0)
-
-
 def test_a_log_scale_spans_a_decade_at_least() -> None:
-    norm = scalar.color_norm(np.array([50.0, 60.0]), log=True)
+    norm = scales.color_norm(np.array([50.0, 60.0]), log=True)
     assert (norm.vmax or 0) / (norm.vmin or 1) >= 10
 
 
@@ -402,12 +401,20 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
 
 def test_the_legend_names_the_overlays() -> None:
     found = labels(render.figure(plane(), "period", overlay=render.MAP_OVERLAYS))
-    assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
-    assert found[-4:] == ["fold", "period doubling", "graze", "codimension two"]
+    assert found[-8:-5] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    assert found[-5:-1] == ["fold", "period doubling", "graze", "codimension two"]
 
 
 def test_there_are_lines_for_every_overlay() -> None:
     assert tuple(overlays.DRAW) == render.MAP_OVERLAYS
+
+
+def test_every_curve_over_a_map_has_a_white_casing() -> None:
+    """Without it some could not be told from the cells below them: see test_colors."""
+    lines = [each for each in render.figure(plane(), "period", overlay="curves").axes[0].collections if each.get_gid()]
+    cased = [each for each in render.figure(plane(), "period", overlay="curves").axes[0].collections
+             if each.get_zorder() == 3.1 and colors.same_color(each.get_edgecolor(), "white")]  # fmt: skip
+    assert len(lines) == len(cased) == 3
 
 
 def test_exponents_without_a_slope_have_no_isolines() -> None:
@@ -450,6 +457,11 @@ def test_a_lone_cell_without_a_result_is_marked_where_it_is(code: int) -> None:
     (marks,) = dense(code, [(0, 399), (200, 100)]).axes[0].lines
     assert colors.same_color(marks.get_color(), np.array(colour(code)) / 255)
     assert np.sort(marks.get_xdata()) == pytest.approx([1 + 100 / 399, 2.0], rel=1e-3)
+
+
+def test_the_legend_says_where_single_cells_are_drawn_larger_than_they_are() -> None:
+    assert labels(dense(UNDETERMINED, [(0, 399)])) == ["undetermined,\nsingle cells enlarged"]
+    assert labels(dense(UNDETERMINED, [(i, j) for i in range(20) for j in range(20)])) == ["undetermined"]
 
 
 def test_cells_without_a_result_that_are_seen_anyway_are_not_marked() -> None:

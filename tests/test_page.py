@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,8 +20,9 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from atlas.render import basins, labels, maps
+from atlas.render import maps
 from atlas.render.page import page as page_of
+from atlas.render.single import draw_map
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 from tests.synthetic import complete
 
@@ -51,8 +53,10 @@ def draw(kind: str, **look: Any) -> Figure:
     if kind in (render.BASINS, "labels"):
         page = page_of(**look)
         options = maps.Options(page=page)
-        of_basins = kind == render.BASINS
-        figure = basins.picture(*basin(), options) if of_basins else labels.picture(*labelled(), options)
+        where = "basins.table" if kind == render.BASINS else "classes.branches"
+        ds, table = basin() if kind == render.BASINS else labelled()
+        with patch(f"atlas.render.{where}", return_value=table):
+            figure = draw_map(kind, ds, options)
         page.fit(figure)
         return figure
     if kind in render.MAPS:

@@ -13,7 +13,7 @@ from PIL import Image
 from atlas import render
 from atlas.errors import InputError
 from atlas.query.queries import cell_edges
-from atlas.render import exponent, period, style
+from atlas.render import classes, scales, style
 from tests.pictures import NAN, atlas, colour, every_regime, labels, pixel, section, sweep
 from workers.model.system import System
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, REGIMES, UNDETERMINED
@@ -113,7 +113,7 @@ def test_a_path_that_cannot_be_written_is_said_to_be_one(tmp_path: Path) -> None
 
 
 def test_zero_lies_in_the_middle_of_the_scale_and_each_half_has_its_own_end() -> None:
-    low, high = exponent.scale_ends(np.array([-4.0, -2.0, 0.5, NAN]))
+    low, high = scales.scale_ends(np.array([-4.0, -2.0, 0.5, NAN]))
     assert (low, high) == pytest.approx((-4.0, 0.5), rel=0.03)
     bar = render.figure(every_regime()).axes[1]
     assert bar.transAxes.inverted().transform(bar.transData.transform((0, 0.0)))[1] == pytest.approx(0.5)
@@ -121,21 +121,21 @@ def test_zero_lies_in_the_middle_of_the_scale_and_each_half_has_its_own_end() ->
 
 def test_outliers_do_not_stretch_the_scale() -> None:
     values = np.concatenate([np.linspace(-1, 0, 1000), [-500.0, -np.inf], np.linspace(0, 2, 1000), [300.0]])
-    assert exponent.scale_ends(values) == pytest.approx((-1.0, 2.0), rel=0.05)
+    assert scales.scale_ends(values) == pytest.approx((-1.0, 2.0), rel=0.05)
 
 
 @pytest.mark.parametrize("values", [[0.0], [NAN], [-np.inf]])
 def test_a_scale_exists_without_any_finite_sign(values: list[float]) -> None:
-    assert exponent.scale_ends(np.array(values)) == (-1.0, 1.0)
+    assert scales.scale_ends(np.array(values)) == (-1.0, 1.0)
 
 
 def test_a_sign_that_does_not_occur_gets_the_other_ones_range() -> None:
-    assert exponent.scale_ends(np.array([-0.5, -0.5])) == (-0.5, 0.5)
+    assert scales.scale_ends(np.array([-0.5, -0.5])) == (-0.5, 0.5)
 
 
 def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent() -> None:
     codes = np.array([[PERIODIC, CHAOTIC]], np.int8)
-    rgba, _ = exponent.paint(codes, np.array([[-1e-6, 1e-6]]), colors.TwoSlopeNorm(0.0, -2.0, 1.0))
+    rgba = scales.exponents(codes, np.array([[-1e-6, 1e-6]]), colors.TwoSlopeNorm(0.0, -2.0, 1.0)).rgba
     stable, chaotic = rgba[0].astype(int)
     assert stable[2] > stable[0]
     assert chaotic[0] > chaotic[2]
@@ -143,14 +143,14 @@ def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent()
 
 def test_cells_without_exponent_have_the_colour_of_their_regime() -> None:
     ds = every_regime()
-    rgba, _ = exponent.paint(ds.regime.values, ds.largest.values, colors.TwoSlopeNorm(0.0, -1.0, 1.0))
+    rgba = scales.exponents(ds.regime.values, ds.largest.values, colors.TwoSlopeNorm(0.0, -1.0, 1.0)).rgba
     for code in (UNDETERMINED, INVALID, FAILED):
         assert tuple(rgba[ds.regime.values == code][0]) == colour(code)
 
 
 def test_pending_cells_show_the_texture_behind_them() -> None:
     ds = every_regime()
-    rgba, _ = exponent.paint(ds.regime.values, ds.largest.values, colors.TwoSlopeNorm(0.0, -1.0, 1.0))
+    rgba = scales.exponents(ds.regime.values, ds.largest.values, colors.TwoSlopeNorm(0.0, -1.0, 1.0)).rgba
     assert rgba[0, 0, 3] == 0
     assert render.figure(ds).axes[0].patch.get_hatch()
 
@@ -173,6 +173,8 @@ def test_the_colour_bar_has_label_and_units_and_arrows_where_values_lie_beyond()
     )
     figure = render.figure(ds)
     assert figure.axes[1].get_ylabel() == r"largest Lyapunov exponent $\lambda_1$ [per forcing period]"
+    two = render.figure(ds, vmin=-2.0, vmax=1.0).axes[1].get_ylabel()
+    assert two.endswith("\n(two linear scales, joined at 0)")
     assert figure.axes[1]._colorbar.extend == "both"  # type: ignore[attr-defined]
 
 
@@ -182,7 +184,7 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
     figure = render.figure(ds)
     assert pixel(path, figure, 2.0, 0.2) == colour(UNDETERMINED)[:3]
     assert pixel(path, figure, 4.0, 0.2) == colour(FAILED)[:3]
-    expected = exponent.COLORMAP(colors.TwoSlopeNorm(0.0, *exponent.scale_ends(ds.largest.values))(1.0), bytes=True)
+    expected = scales.EXPONENT(colors.TwoSlopeNorm(0.0, *scales.scale_ends(ds.largest.values))(1.0), bytes=True)
     assert pixel(path, figure, 1.0, 0.2) == tuple(int(part) for part in expected[:3])
 
 
@@ -191,21 +193,23 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
 
 def test_every_regime_has_its_own_colour_in_the_period_map() -> None:
     codes = np.array([[each.code for each in REGIMES]], np.int8)
-    rgba, legend = period.paint(codes, (codes == PERIODIC).astype(np.int32))
+    painted = classes.periods(codes, (codes == PERIODIC).astype(np.int32))
+    rgba, legend = painted.rgba, painted.legend
     assert len({tuple(cell) for cell in rgba[0]}) == len(legend) == len(REGIMES)
     assert "aperiodic" in [entry.get_label() for entry in legend]
 
 
 def test_every_class_of_periods_has_its_own_colour() -> None:
     periods = np.array([[1, 2, 3, 4, 5, 6, 7, 8, 9, 17, 65]], np.int32)
-    rgba, legend = period.paint(np.full(periods.shape, PERIODIC, np.int8), periods)
+    painted = classes.periods(np.full(periods.shape, PERIODIC, np.int8), periods)
+    rgba, legend = painted.rgba, painted.legend
     taken = {tuple(cell) for cell in rgba[0]} | {colour(each.code) for each in REGIMES if each.code != PERIODIC}
     assert len(taken) == 9 + len(REGIMES) - 1
     assert [entry.get_label() for entry in legend][-3:] == ["period 7–8", "period 9–16", "period ≥ 17"]
 
 
 def test_periods_of_one_class_share_a_colour() -> None:
-    rgba, _ = period.paint(np.full((1, 2), PERIODIC, np.int8), np.array([[9, 16]], np.int32))
+    rgba = classes.periods(np.full((1, 2), PERIODIC, np.int8), np.array([[9, 16]], np.int32)).rgba
     assert tuple(rgba[0, 0]) == tuple(rgba[0, 1])
 
 
@@ -219,7 +223,7 @@ def test_the_legend_of_the_period_map_names_the_classes_present_alone() -> None:
 
 
 def test_impact_free_cells_are_their_own_class_and_not_period_1() -> None:
-    rgba, _ = period.paint(np.array([[NO_IMPACT, PERIODIC]], np.int8), np.array([[1, 1]], np.int32))
+    rgba = classes.periods(np.array([[NO_IMPACT, PERIODIC]], np.int8), np.array([[1, 1]], np.int32)).rgba
     assert tuple(rgba[0, 0]) == colour(NO_IMPACT)
     assert tuple(rgba[0, 1]) == colour(PERIODIC)
 
@@ -229,8 +233,8 @@ def test_impact_free_cells_are_their_own_class_and_not_period_1() -> None:
 
 def test_axes_have_symbols_and_units() -> None:
     ax = render.figure(every_regime()).axes[0]
-    assert ax.get_xlabel() == r"forcing frequency $\omega$ [–]"
-    assert ax.get_ylabel() == "clearance $b$ [–]"
+    assert ax.get_xlabel() == r"forcing frequency $\omega$"
+    assert ax.get_ylabel() == "clearance $b$"
 
 
 def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
@@ -241,8 +245,8 @@ def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
     x, v = (System.from_mapping(hammer).parameter(name) for name in ("x", "v"))
     attributes = {p.name: {"long_name": p.meaning, "units": p.unit, "symbol": p.symbol} for p in (x, v)}
     ds = xr.Dataset(coords={name: (name, [0.0, 1.0], attributes[name]) for name in ("x", "v")})
-    assert style.axis_label(ds, "x") == "initial displacement $x(0)$ [–]"
-    assert style.axis_label(ds, "v") == r"initial velocity $\dot x(0)$ [–]"
+    assert style.axis_label(ds, "x") == "initial displacement $x(0)$"
+    assert style.axis_label(ds, "v") == r"initial velocity $\dot x(0)$"
 
 
 def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -> None:
@@ -271,7 +275,7 @@ def test_numbers_read_as_they_are_written_by_hand(value: float, text: str) -> No
 
 def test_the_first_axis_is_drawn_to_the_right() -> None:
     ds = atlas({"b": [0.1, 0.2, 0.3], "omega": [1, 2]}, regime=np.full((2, 3), 1, np.int8), largest=-np.ones((2, 3)))
-    assert render.figure(ds).axes[0].get_xlabel() == "clearance $b$ [–]"
+    assert render.figure(ds).axes[0].get_xlabel() == "clearance $b$"
 
 
 def uneven(axes: dict[str, Any], scales: dict[str, str] | None = None) -> xr.Dataset:
@@ -369,9 +373,9 @@ def test_an_atlas_without_a_single_result_is_drawn_as_pending(tmp_path: Path) ->
 
 def test_a_sweep_draws_the_section_over_the_exponent_on_one_axis() -> None:
     top, bottom = render.figure(sweep(largest=[1.0, -1, -1, 1], error=[0.1] * 4, section=section())).axes
-    assert top.get_ylabel() == "displacement of mass 1\n$x_1$ at $t = kT$ [–]"
+    assert top.get_ylabel() == "displacement of mass 1\n$x_1$ at $t = kT$"
     assert bottom.get_ylabel() == "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
-    assert bottom.get_xlabel() == r"forcing frequency $\omega$ [–]"
+    assert bottom.get_xlabel() == r"forcing frequency $\omega$"
     assert top.get_xlim() == bottom.get_xlim()
 
 

@@ -16,7 +16,8 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.overview.coarsen import coarsen, from_cells
 from atlas.query.extremes import extremes
-from atlas.render import variable
+from atlas.render import scales
+from atlas.render.kinds import TABLE
 from tests.pictures import colour, labels, line, pixel, plane
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PERIODIC, UNDETERMINED
@@ -55,10 +56,17 @@ def rgb(color: str) -> tuple[int, ...]:
 
 def test_a_variable_is_drawn_on_its_scale_with_its_name_and_unit() -> None:
     figure = render.figure(speeds(), variable="max_impact_speed")
-    assert figure.axes[1].get_ylabel() == "fastest impact [–]"
+    assert figure.axes[1].get_ylabel() == "fastest impact"
     cells = drawn(figure)
     lightness = cells[2, :, :3] @ [0.2126, 0.7152, 0.0722]
     assert np.all(np.diff(lightness) < 0)
+
+
+def test_a_unit_that_a_meaning_ends_with_is_written_once() -> None:
+    ds = plane()
+    ds["largest"].attrs.update(long_name="largest Lyapunov exponent per forcing period", units="1/period")
+    bar = render.figure(ds, variable="largest").axes[1]
+    assert bar.get_ylabel() == "largest Lyapunov exponent [per forcing period]"
 
 
 def test_the_kind_scalar_is_what_a_named_variable_is_drawn_as() -> None:
@@ -70,7 +78,7 @@ def test_cells_without_such_a_number_are_neutral_and_those_without_a_result_as_e
     ds = speeds()
     figure = render.figure(ds, variable="max_impact_speed")
     cells, regime = drawn(figure), ds["regime"].values
-    assert tuple(cells[1, 0, :3]) == rgb(variable.NEUTRAL)
+    assert tuple(cells[1, 0, :3]) == rgb(scales.NEUTRAL)
     assert "no such number" in labels(figure)
     for code in (NO_IMPACT, UNDETERMINED, INVALID, FAILED):
         assert tuple(cells[regime == code][0]) == colour(code)
@@ -78,7 +86,7 @@ def test_cells_without_such_a_number_are_neutral_and_those_without_a_result_as_e
 
 def test_zero_is_neutral_on_a_logarithmic_scale_and_said_to_be() -> None:
     figure = render.figure(speeds(), variable="max_impact_speed", log=True)
-    assert tuple(drawn(figure)[1, 1, :3]) == rgb(variable.NEUTRAL)
+    assert tuple(drawn(figure)[1, 1, :3]) == rgb(scales.NEUTRAL)
     assert "0 or no such number" in labels(figure)
 
 
@@ -134,20 +142,15 @@ def test_the_command_draws_a_variable_of_an_older_store_or_says_why_not_and_writ
     assert out.exists()
 
 
-def test_a_scale_of_any_variable_darkens_all_the_way() -> None:
-    shades = variable.COLORMAP(np.linspace(0, 1, 30))[:, :3] @ [0.2126, 0.7152, 0.0722]
-    assert np.all(np.diff(shades) < 0)
-
-
 def test_a_scale_of_both_signs_is_pale_at_zero_and_as_dark_on_either_side_of_it() -> None:
-    colormap = variable.colormap_of(colors.Normalize(-1.0, 2.0))
+    colormap = scales.signed_colormap(colors.Normalize(-1.0, 2.0))
     lightness = colormap(np.array([1 / 6, 1 / 3, 1 / 2]))[:, :3] @ [0.2126, 0.7152, 0.0722]
     assert lightness[1] > 0.9
     assert lightness[0] == pytest.approx(lightness[2], abs=0.02)
     below, above = colormap(1 / 6), colormap(1 / 2)
     assert below[1] > below[0] and above[0] > above[1]  # green, purple
     for ends in ((0.0, 2.0), (-2.0, -1.0)):
-        assert variable.colormap_of(colors.Normalize(*ends)) is variable.COLORMAP
+        assert scales.signed_colormap(colors.Normalize(*ends)) is scales.colormap_of(TABLE["scalar"].scale.colors)
 
 
 # Exponents of -inf

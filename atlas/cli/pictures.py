@@ -26,7 +26,7 @@ from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.render import CURVES, FORMATS, OVERLAYS, check_path, side_by_side
 from atlas.render import render as draw
-from atlas.render.meanings import KIND_MEANINGS, OVERLAY_MEANINGS
+from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.service.options import RunOptions
 from atlas.service.progress import reporter
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError
-from atlas.labels.attractors import Array, Attractors, Rows, attractors_of
+from atlas.labels.attractors import Array, Rows, attractors_of
 from atlas.labels.components import branches
 from atlas.labels.following import followed
 from atlas.store.groups import read_group
@@ -22,7 +22,7 @@ from atlas.store.tables import LABELS, write_table
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
 
-VERSION = 2
+VERSION = 3
 """Of the way in which labels are found: raised whenever any may change."""
 
 BRANCH = "branch"
@@ -72,8 +72,7 @@ def labels_of(header: Header) -> Labels:
     every, kept = attractors_of(header)
     links = followed(every)
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
-    branch = np.where(links.known, branch[: len(every)], -1)
-    number, total = _numbered(branch, every.share)
+    number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
     cells = np.bincount(number[number >= 0], minlength=len(total))
     values = np.full((len(every.values), every.keep), UNKNOWN_LABEL, dtype=np.int64)
     values[every.cell, every.place] = number
@@ -94,7 +93,7 @@ def labels_of(header: Header) -> Labels:
         values=values.reshape(*every.shape, every.keep),
         cells=cells,
         total=total,
-        mirror=_mirrors(number, every, len(total)),
+        mirror=mirrors(number, branch, links.image),
         kinds={name: getattr(every, name)[first] for name in names},
         count=count,
     )
@@ -111,15 +110,20 @@ def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
     return number, np.asarray(total[order], dtype=np.float64)
 
 
-def _mirrors(number: Rows, every: Attractors, count: int) -> Rows:
-    """The label of the mirror image of each branch, where most mirror images of either's orbits are on the other."""
-    twin = np.where(every.twin >= 0, number[every.twin], -1)
-    seen = (number >= 0) & (twin >= 0)
-    pairs, times = np.unique(np.stack([number[seen], twin[seen]], axis=1), axis=0, return_counts=True)
-    most = np.full(count, -1)
-    for k in np.argsort(times, kind="stable"):  # the most frequent one comes last
-        most[pairs[k, 0]] = pairs[k, 1]
-    return np.where(most[most] == np.arange(count), most, -1)
+def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
+    """The label of the mirror image of each branch: its own where it is symmetric, -1 where no cell has it or none is.
+
+    number (A,)         the label of every orbit, -1 for none
+    branch, image (N,)  the branch and the mirror image of these and of images that no cell has
+
+    The mirror image of a branch is a branch, so that the image of any of its orbits says which. Who is whose image is
+    mutual: ``mirrors(...)[m] == k`` wherever ``mirrors(...)[k] == m >= 0``.
+    """
+    there = np.flatnonzero(number >= 0)
+    label = np.full(branch.max(initial=-1) + 1, -1)
+    label[branch[there]] = number[there]
+    first = there[np.unique(number[there], return_index=True)[1]]
+    return np.where(image[first] >= 0, label[branch[image[first]]], -1)
 
 
 def write_labels(header: Header, found: Labels) -> None:

@@ -1,11 +1,10 @@
-"""Pictures: one file per kind, drawn from a dataset or an orbit alone, without a display and without pyplot.
+"""Pictures, drawn from a dataset or an orbit alone, without a display and without pyplot.
 
-To add a kind: write ``figure`` in a file of its own, for a map ``figure(ds, options) -> Figure`` with
-``maps.Options``, for a sweep ``figure(ds, page, branches) -> Figure``, and name the file in ``kinds.py``. The tests
-take it up from there; ``python -m tests.reference`` draws the reference picture that they ask for.
+To add a kind of map: a row in ``kinds.py``, and its ``paint`` in ``classes.py`` or ``scales.py``. The tests take it up
+from there; ``python -m tests.reference`` draws the reference picture that they ask for.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -27,19 +26,19 @@ from atlas.render.kinds import (
     has_scale,
     needs,
 )
-from atlas.render.options import Look, Sheet, takes
+from atlas.render.options import Look, MapLook, Sheet, takes
 from workers import Settings
 from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
     from atlas.query.compare import Comparison
     from atlas.render.page import Page
+    from atlas.render.provenance import Provenance
 
 LOOK = tuple(Look.__annotations__)
 """The options of every picture that has a scale."""
@@ -73,15 +72,8 @@ def figure(
     kind: str | None = None,
     window: Window | None = None,
     *,
-    overlay: str | Sequence[str] = (),
-    curves: str | Sequence[str] | None = None,
-    names: bool = True,
-    against: "xr.Dataset | None" = None,
     pixels: tuple[int, int] | None = None,
-    variable: str | None = None,
-    log: bool = False,
-    ax: "Axes | Sequence[Axes] | None" = None,
-    **look: "Unpack[Look]",
+    **options: "Unpack[MapLook]",
 ) -> Any:
     """A matplotlib Figure of an atlas, which a notebook shows; arguments and errors as in ``render``.
 
@@ -89,12 +81,8 @@ def figure(
     ``ax`` are axes of yours to draw into, for a sweep one for each of its plots; they are returned in place of a
     figure, and keep their own size and type.
     """
-    from atlas.render.page import page as page_of  # with it matplotlib
-
-    lines, kinds = _as_tuple(overlay), chosen_curves(curves)
-    wanted = Wanted(page_of(ax, **look), kind, window, lines, kinds, names, against, pixels, variable, log)
-    drawn = draw(ds, wanted)
-    return drawn if ax is None else ax
+    drawn = draw(ds, _wanted(kind, window, pixels, options))
+    return drawn if options.get("ax") is None else options["ax"]
 
 
 def render(
@@ -102,25 +90,15 @@ def render(
     path: str | Path,
     kind: str | None = None,
     window: Window | None = None,
-    *,
-    overlay: str | Sequence[str] = (),
-    curves: str | Sequence[str] | None = None,
-    names: bool = True,
-    against: "xr.Dataset | None" = None,
-    variable: str | None = None,
-    log: bool = False,
-    **look: "Unpack[Look]",
+    **options: "Unpack[MapLook]",
 ) -> Path:
     """Draw an atlas to a file and return its path.
 
     Arguments: ``ds`` as ``atlas.open`` returns it, half done or whole; ``path`` ends in .png, .svg or .pdf;
     ``kind`` is one of KINDS, by default "exponent" for two axes, "period" where there are no exponents, and "sweep"
     for one axis; a stack of up to MOST_PANELS planes is drawn as maps on one scale, of "exponent" or "period";
-    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``overlay`` is of OVERLAYS, one or
-    several; ``curves`` are kinds of exact curves, of CURVES, by default all; without ``names`` none stand on a map;
-    ``against`` is the sweep the other way, which makes the kind "hysteresis"; ``variable`` names a number of
-    each cell to map, the kind "scalar", by its logarithm if ``log``; ``look`` is size, type, resolution and scale, see
-    ``options.MEANINGS``.
+    ``window`` gives, for any axis, the (low, high) ends of the part to draw; ``options`` as in ``options.MEANINGS``:
+    overlays, a variable for the kind "scalar", the sweep the other way for "hysteresis", size, type and scale.
     Raises InputError, in one line, for another suffix, for a kind that does not fit the number of axes, where the
     atlas does not hold what the kind draws, and for a path that cannot be written.
     Reads only the variables that the kind draws, of a map only the chunks in view, from the overview whose cells are
@@ -128,18 +106,37 @@ def render(
     same software.
     """
     target, suffix = target_of(path)
-    from atlas.render.page import page as page_of
-    from atlas.render.style import provenance_of
+    from atlas.render.provenance import provenance_of
 
-    page = page_of(**look)
-    lines, kinds = _as_tuple(overlay), chosen_curves(curves)
-    wanted = Wanted(page, kind, window, lines, kinds, names, against, None, variable, log)
-    provenance = provenance_of(ds, *([] if against is None else [against]))
-    return write(draw(ds, wanted), target, suffix, provenance, page)
+    wanted = _wanted(kind, window, None, options)
+    provenance = provenance_of(ds, *([] if wanted.against is None else [wanted.against]))
+    return write(draw(ds, wanted), target, suffix, provenance, wanted.page)
 
 
-def _as_tuple(names: str | Sequence[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else tuple(names)
+def _wanted(kind: str | None, window: Window | None, pixels: tuple[int, int] | None, options: "MapLook") -> Wanted:
+    given: dict[str, Any] = dict(options)
+    overlay, curves = given.pop("overlay", ()), chosen_curves(given.pop("curves", None))
+    own = {name: given.pop(name) for name in ("names", "against", "variable", "log") if name in given}
+    lines = (overlay,) if isinstance(overlay, str) else tuple(overlay)
+    return Wanted(_page(given), kind, window, lines, curves, pixels=pixels, **own)
+
+
+def _page(look: Mapping[str, Any]) -> "Page":
+    from atlas.render.page import page  # with it matplotlib
+
+    return page(**look)
+
+
+def _finished(
+    make: "Callable[[Page], Figure]", page: "Page", path: str | Path | None, provenance: "Callable[[], Provenance]"
+) -> "Figure":
+    """Draw a figure, and write it too where a path is given, which is refused before anything is drawn."""
+    target = None if path is None else target_of(path)
+    drawn = make(page)
+    page.fit(drawn)
+    if target is not None:
+        write(drawn, *target, provenance(), page)
+    return drawn
 
 
 def side_by_side(
@@ -158,13 +155,14 @@ def side_by_side(
     Raises InputError for fewer than two atlases, for another kind, where axes or variables are not the same, and for a
     path that cannot be written.
     """
-    target = None if path is None else target_of(path)
-    from atlas.render import together
+    shown = [leading(ds) for ds in atlases]
 
-    page, atlases = _several_page(look), [leading(ds) for ds in atlases]
-    for ds in atlases:
-        check_units(ds)
-    return _several(together.side_by_side(atlases, kind, window, names, page), page, target, atlases)
+    def make(page: "Page") -> "Figure":
+        from atlas.render import together
+
+        return together.side_by_side(shown, kind, window, names, page)
+
+    return _several(make, shown, path, look)
 
 
 def compared_figure(compared: "Comparison", path: str | Path | None = None, **look: "Unpack[Look]") -> "Figure":
@@ -174,62 +172,48 @@ def compared_figure(compared: "Comparison", path: str | Path | None = None, **lo
     there are no exponents, the second alone.
     Raises InputError for atlases with one axis and for a path that cannot be written.
     """
-    target = None if path is None else target_of(path)
-    from atlas.render import together
 
-    page, both = _several_page(look), (compared.one, compared.other)
-    for ds in both:
-        check_units(ds)
-    return _several(together.difference(compared, page), page, target, both)
+    def make(page: "Page") -> "Figure":
+        from atlas.render import together
 
+        return together.difference(compared, page)
 
-def _several_page(look: "Look") -> "Page":
-    from atlas.render.page import page as page_of
-
-    if "ax" in look:
-        raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
-    return page_of(**look)
+    return _several(make, (compared.one, compared.other), path, look)
 
 
 def _several(
-    drawn: "Figure", page: "Page", target: tuple[Path, str] | None, atlases: "Sequence[xr.Dataset]"
+    make: "Callable[[Page], Figure]", atlases: "Sequence[xr.Dataset]", path: str | Path | None, look: "Look"
 ) -> "Figure":
-    page.fit(drawn)
-    if target is not None:
-        from atlas.render.style import provenance_of
+    if "ax" in look:
+        raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
+    for ds in atlases:
+        check_units(ds)
+    from atlas.render.provenance import provenance_of
 
-        write(drawn, *target, provenance_of(*atlases), page)
-    return drawn
-
-
-def orbit_figure(orbit: "CellOrbit", **look: "Unpack[Look]") -> "Figure":
-    """A matplotlib Figure of one cell's orbit; ``look`` as in ``render``, less the ends of a scale."""
-    from atlas.render import orbit as picture
-
-    page = _orbit_page(look)
-    drawn: Figure = picture.figure(orbit, page)
-    page.fit(drawn)
-    return drawn
+    return _finished(make, _page(look), path, lambda: provenance_of(*atlases))
 
 
-def render_orbit(orbit: "CellOrbit", path: str | Path, drawn: "Figure | None" = None, **look: "Unpack[Look]") -> Path:
-    """Draw one cell's orbit to a file and return its path; suffixes, metadata and errors as in ``render``.
-
-    ``drawn`` is the orbit's figure where there is one already.
+def orbit_figure(orbit: "CellOrbit", path: str | Path | None = None, **look: "Unpack[Look]") -> "Figure":
+    """A matplotlib Figure of one cell's orbit; written to ``path`` too if given; ``look`` as in ``render``, less the
+    ends of a scale.
     """
-    target, suffix = target_of(path)
     from atlas.render import orbit as picture
+    from atlas.render.provenance import provenance_of
 
     page = _orbit_page(look)
-    return write(drawn or orbit_figure(orbit, **look), target, suffix, picture.provenance(orbit), page)
+    return _finished(lambda page: picture.figure(orbit, page), page, path, lambda: provenance_of(orbit))
+
+
+def render_orbit(orbit: "CellOrbit", path: str | Path, **look: "Unpack[Look]") -> Path:
+    """Draw one cell's orbit to a file and return its path; suffixes, metadata and errors as in ``render``."""
+    orbit_figure(orbit, path, **look)
+    return Path(path)
 
 
 def _orbit_page(look: "Look") -> "Page":
-    from atlas.render.page import page as page_of
-
     if look.get("vmin") is not None or look.get("vmax") is not None:
         raise InputError("a portrait has no scale that vmin and vmax could end")
-    return page_of(**look)
+    return _page(look)
 
 
 @takes(Sheet)
@@ -253,11 +237,7 @@ def portrait(
     if path is not None:
         check_path(path)
     _orbit_page(look)  # refuses what is wrong before the cell is solved
-    orbit = cell_orbit(given or {}, system, settings)
-    drawn = orbit_figure(orbit, **look)
-    if path is not None:
-        render_orbit(orbit, path, drawn, **look)
-    return drawn
+    return orbit_figure(cell_orbit(given or {}, system, settings), path, **look)
 
 
 def branch_figure(branches: "Branches", path: str | Path | None = None, **look: "Unpack[Look]") -> "Figure":
@@ -266,14 +246,9 @@ def branch_figure(branches: "Branches", path: str | Path | None = None, **look: 
     ``look`` is size, type and resolution, as in ``render``, without the ends of a scale. Raises InputError for a path
     that cannot be written.
     """
-    target = None if path is None else target_of(path)
     from atlas.render import branch as picture
-    from atlas.render.page import page as page_of
+    from atlas.render.provenance import provenance_of
 
-    page = page_of(**look)
+    page = _page(look)
     page.refuse_ends("branches are lines")
-    drawn: Figure = picture.figure(branches, page)
-    page.fit(drawn)
-    if target is not None:
-        write(drawn, *target, picture.provenance(branches), page)
-    return drawn
+    return _finished(lambda page: picture.figure(branches, page), page, path, lambda: provenance_of(branches))

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError
@@ -10,7 +9,17 @@ from atlas.query.attractors import leading
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.query.window import Window, axis_names, within
-from atlas.render.kinds import AXES, KINDS, MOST_PANELS, SCALAR, axes_of, check_overlays, chosen_kind, scalar_variable
+from atlas.render.kinds import (
+    AXES,
+    KINDS,
+    MOST_PANELS,
+    SCALAR,
+    axes_of,
+    check_overlays,
+    chosen_kind,
+    drawn_by,
+    scalar_variable,
+)
 from atlas.spec.spec import MOST_AXES
 from workers.results import ATTRACTOR, FAILED, INVALID, LARGEST, PENDING, REGIMES, SECTION, UNDETERMINED
 
@@ -51,25 +60,25 @@ def draw(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     if len(axes) == MOST_AXES:
         return _stack(ds, wanted)
     variable = scalar_variable(ds, wanted.kind, wanted.variable, against) if wanted.is_scalar else None
-    kind = "variable" if variable is not None else chosen_kind(ds, wanted.kind, against, page)
+    kind = SCALAR if variable is not None else chosen_kind(ds, wanted.kind, against, page)
     lines = wanted.overlays
     if wanted.curves is not None and "curves" not in lines and kind != "regions":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
     check_units(ds)
-    module, shown = import_module(f"atlas.render.{kind}"), within(every if kind == "coexistence" else ds, window)
+    shown = within(every if kind == "coexistence" else ds, window)
     picture: Figure
     with counted() as reads:
         if len(axes) == 1:
-            sweeps = [shown] if against is None else [shown, within(against, window)]
-            through = [within(ds, window), *sweeps[1:]]
-            picture = module.figure(*sweeps, page, _branches(through) if "branches" in lines else None)
+            sweeps = [within(ds, window)] + ([] if against is None else [within(against, window)])
+            branches = _branches(sweeps) if "branches" in lines else None
+            picture = drawn_by(kind)(shown, *sweeps[1:], page, branches)
         else:
             from atlas.render import maps
+            from atlas.render.single import draw_map
 
             options = maps.Options(lines, page, wanted.pixels, wanted.curves, wanted.names)
-            scalar = () if variable is None else (variable, wanted.log)
-            picture = module.figure(shown, *scalar, options)
+            picture = draw_map(kind, shown, options, variable, wanted.log)
     if ds.attrs.get(ATTRACTOR, 0):
         _say_fewer(picture, ds.attrs[ATTRACTOR])
     if max(reads.block) > 1 and page.title:

@@ -1,8 +1,12 @@
-"""The kinds of picture and the overlays: what each draws, which one fits an atlas, and what is said where none does."""
+"""The table of kinds and overlays: what each draws and means, which one fits an atlas, and the errors where none does.
+
+It needs neither matplotlib nor xarray, since the command's help lists it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError
 from atlas.query.window import axis_names
@@ -13,18 +17,149 @@ if TYPE_CHECKING:
 
     from atlas.render.page import Page
 
+STABLE = ("#f8fbfe", "#dfecf6", "#c3dbee", "#a5cae5", "#86b6db", "#64a1d2")
+CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
+"""Colours of exponents below and above zero, from the least to the largest.
+
+They darken all the way: every exponent has a grey of its own, for eyes without red, green or blue receptors too.
+"""
+
 
 @dataclass(frozen=True)
-class _Kind:
-    """How many axes and how many atlases a kind of picture draws, a variable that it cannot do without, and whether
-    it draws numbers on a scale, which may be given ends; of maps, the ``others`` that they draw.
+class Scale:
+    """The numbers that a kind draws: what their colour bar says, their colours from the lower end to the upper.
+
+    zero   colour and name of cells that are exactly 0
+    log    whether the scale is logarithmic
     """
 
+    label: str
+    colors: tuple[str, ...] = ()
+    zero: tuple[str, str] | None = None
+    log: bool = False
+
+
+CLASSES = Scale("")
+"""The scale of kinds that draw no numbers."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of picture.
+
+    axes, atlases   how many it draws
+    variables       of a map those that it reads besides the regimes; without the first there is nothing to draw
+    meaning         in the words of the command's help
+    paint           "module.function" in atlas/render: of a map the colours of its cells, ``maps.Painted`` of a
+                    ``maps.View``; of other kinds the whole figure
+    scale           of its numbers, whose ends may be given; CLASSES where it draws none
+    lacking         what to do for an atlas to hold its variables
+    """
+
+    name: str
     axes: int
-    variable: str
+    variables: tuple[str, ...]
+    meaning: str
+    paint: str
+    scale: Scale = CLASSES
     atlases: int = 1
-    scale: bool = True
-    others: tuple[str, ...] = ()
+    lacking: str = ""
+
+
+BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
+"""The kinds that are drawn of planes of initial states, of labelled attractors, and of a variable that is named."""
+
+_PER_PERIOD = "[per forcing period]"
+_EXPONENTS = Scale(rf"$\lambda_i$ {_PER_PERIOD}")
+_MOTIONS = ("impacts_upper", "impacts_lower", "period")
+
+# The first of each number of axes whose variable the atlas holds is the kind drawn unasked.
+TABLE = {
+    kind.name: kind
+    for kind in (
+        Kind("exponent", 2, (LARGEST.name,), "the largest exponent, on a scale around zero", "scales.exponent",
+             Scale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
+        Kind("period", 2, ("period",), "one colour for each period", "classes.period"),
+        Kind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop",
+             "impacts.motions"),
+        Kind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
+             "periodic motions that are their own mirror image, and those with a twin", "classes.symmetry"),
+        Kind("regions", 2, _MOTIONS,
+             "the exact curves of a plane and the motions between them by name, as papers print it", "regions.figure"),
+        Kind("combined", 2, (LARGEST.name, "period"),
+             "the period where motion is periodic, the exponent where it is chaotic", "scales.combined",
+             Scale(rf"chaotic: $\lambda_1$ {_PER_PERIOD}", CHAOTIC)),
+        Kind("error", 2, (ERROR.name,), "error of the exponent", "scales.error",
+             Scale(rf"error of $\lambda_1$ {_PER_PERIOD}", log=True)),
+        Kind("cost", 2, ("periods_used",), "forcing periods simulated", "scales.cost",
+             Scale("forcing periods simulated", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
+                   ("#dddddd", "none needed"), log=True)),
+        Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest on a stop", "scales.number",
+             Scale("share of the time at rest on a stop",
+                   ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
+                   ("#f3f1ea", "never at rest"))),
+        Kind("attractors", 2, ("attractors",), "how many attractors a cell has", "classes.attractors"),
+        Kind("share", 2, ("share",),
+             "the share of initial states that reach the attractor shown, the one of most unless another is chosen",
+             "scales.number",
+             Scale("share of the initial states",
+                   ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
+        Kind(LABELS, 2, (LABEL.name,),
+             "which branch the attractor shown is on, in colours that persist from cell to cell, by atlas label",
+             "classes.labels", lacking="label its attractors by atlas label"),
+        Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
+             "basins.paint",
+             lacking="both axes must be initial states, and the spec have [attractors]"),
+        Kind(SCALAR, 2, (), "any number of each cell, which --variable names", "scales.scalar",
+             Scale("", ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f"))),
+        Kind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
+             "coexistence.figure", _EXPONENTS),
+        Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", "sweep.figure",
+             _EXPONENTS),
+        Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents", "spectrum.figure",
+             _EXPONENTS),
+        Kind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
+             "sweep.figure_of_two", _EXPONENTS, atlases=2),
+    )
+}  # fmt: skip
+
+KINDS = tuple(name for name in TABLE if name != SCALAR)
+"""The kinds that an atlas has by itself: "exponent" to "basins" of two axes, the others of one; "hysteresis" takes two
+atlases.
+"""
+
+MAPS = tuple(name for name in KINDS if TABLE[name].axes == 2 and name not in (BASINS, LABELS))
+"""Those of them that are drawn over two axes of a parameter plane, of its cells alone."""
+
+KIND_MEANINGS = {name: kind.meaning for name, kind in TABLE.items()}
+"""What each kind of picture shows, in the words of the command's help."""
+
+AXES = {1: "one axis", 2: "two axes"}
+"""How many axes in words."""
+
+MOST_PANELS = 12
+"""Planes of a stack that are drawn together."""
+
+MAP_OVERLAYS = ("grazing", "boundaries", "isolines", "curves")
+"""Lines over a map: |Y| = b, borders of regimes, lines of equal exponent, the curves that its store keeps."""
+
+OVERLAYS = (*MAP_OVERLAYS, "branches")
+"""Lines over a picture: those of maps; over a sweep the branches of its orbits."""
+
+OVERLAY_MEANINGS = {
+    "grazing": "where motion without impact would just touch a stop",
+    "boundaries": "borders between regimes",
+    "isolines": "lines of equal exponent",
+    "curves": "the exact bifurcations and grazes that atlas curves has found in the store",
+    "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
+}
+"""What each overlay shows, in the same words."""
+
+CURVES = (
+    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
+    "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "codimension_two",
+)  # fmt: skip
+"""What of the curves of a store can be drawn alone: each kind, and the points of codimension two."""
 
 
 class OverlayError(InputError):
@@ -35,100 +170,49 @@ class OverlayError(InputError):
         self.overlay = overlay
 
 
-BASINS, LABELS = "basins", "labels"
-"""The kinds that are drawn of planes of initial states, and of labelled attractors."""
-
-# The first of each number of axes whose variable the atlas holds is the kind drawn unasked. Each is a module here,
-# imported at first use: the command's help needs the names and neither matplotlib nor xarray.
-_KINDS = {
-    "exponent": _Kind(axes=2, variable=LARGEST.name),
-    "period": _Kind(axes=2, variable="period", scale=False),
-    "impacts": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
-    "symmetry": _Kind(axes=2, variable="symmetric", scale=False, others=("impacts_upper", "impacts_lower")),
-    "regions": _Kind(axes=2, variable="impacts_upper", scale=False, others=("impacts_lower", "period")),
-    "combined": _Kind(axes=2, variable=LARGEST.name, others=("period",)),
-    "error": _Kind(axes=2, variable=ERROR.name),
-    "cost": _Kind(axes=2, variable="periods_used"),
-    "sticking": _Kind(axes=2, variable="stuck_fraction"),
-    "attractors": _Kind(axes=2, variable="attractors", scale=False),
-    "share": _Kind(axes=2, variable="share"),
-    LABELS: _Kind(axes=2, variable="share", scale=False, others=(LABEL.name,)),
-    BASINS: _Kind(axes=2, variable=SETTLED.name, scale=False, others=(LABEL.name,)),
-    "coexistence": _Kind(axes=1, variable="share"),
-    "sweep": _Kind(axes=1, variable=REGIME.name),
-    "spectrum": _Kind(axes=1, variable=SPECTRUM.name),
-    "hysteresis": _Kind(axes=1, variable=REGIME.name, atlases=2),
-}
-AXES = {1: "one axis", 2: "two axes"}
-"""How many axes in words."""
-
-MOST_PANELS = 12
-"""Planes of a stack that are drawn together."""
-
-KINDS = tuple(_KINDS)
-"""The kinds of picture: "exponent" to "basins" for two axes, the others for one; "hysteresis" takes two atlases."""
-
-MAPS = tuple(name for name, kind in _KINDS.items() if kind.axes == 2 and name not in (BASINS, LABELS))
-"""Those of them that are drawn over two axes of a parameter plane, of its cells alone."""
-
-SCALAR = "scalar"
-"""The kind that maps a variable that is named, any number that an atlas holds."""
-
-_OVERLAYS = {"grazing": 2, "boundaries": 2, "isolines": 2, "curves": 2, "branches": 1}
-"""How many axes an overlay is drawn over."""
-
-OVERLAYS = tuple(_OVERLAYS)
-"""Lines over a picture. On a map of two axes: |Y| = b, borders of regimes, lines of equal exponent, the curves that its
-store keeps. On a sweep: the branches of its orbits.
-"""
-
-CURVES = (
-    "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
-    "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "codimension_two",
-)  # fmt: skip
-"""What of the curves of a store can be drawn alone: each kind, and the points of codimension two."""
-
-MAP_OVERLAYS = tuple(name for name, axes in _OVERLAYS.items() if axes == 2)
-"""Those of a map."""
-
-
 def axes_of(kind: str) -> int:
     """How many axes a kind of picture draws."""
-    return _KINDS[kind].axes
+    return TABLE[kind].axes
+
+
+def drawn_by(kind: str) -> Any:
+    """The function that ``paint`` of a kind names; its module is imported at first use, and with it matplotlib."""
+    module, function = TABLE[kind].paint.split(".")
+    return getattr(import_module(f"atlas.render.{module}"), function)
 
 
 def needs(kind: str) -> list[str]:
     """The variables that a map of this kind draws, besides the regimes."""
-    return [_KINDS[kind].variable, *_KINDS[kind].others]
+    return list(TABLE[kind].variables)
 
 
 def has_scale(kind: str) -> bool:
     """Whether pictures of this kind have a scale whose ends can be chosen."""
-    return _KINDS[kind].scale
+    return TABLE[kind].scale is not CLASSES
 
 
 def chosen_kind(ds: "xr.Dataset", kind: str | None, against: "xr.Dataset | None", page: "Page") -> str:
     """The kind to draw: the one that is asked for, or the first that fits; InputError where it does not fit."""
     axes = axis_names(ds)
     atlases = 1 if against is None else 2
-    fitting = [name for name, need in _KINDS.items() if need.axes == len(axes)]
-    possible = [name for name in fitting if _KINDS[name].atlases == atlases]
+    fitting = [name for name in KINDS if TABLE[name].axes == len(axes)]
+    possible = [name for name in fitting if TABLE[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, found {AXES[len(axes)]} ({', '.join(axes)})")
-    held = [name for name in possible if _KINDS[name].variable in ds]
+    held = [name for name in possible if TABLE[name].variables[0] in ds]
     held = [BASINS] if BASINS in held else held or possible
     chosen, listed = held[0] if kind is None else kind, ", ".join(held)
-    if chosen not in _KINDS:
+    if chosen not in KINDS:
         raise InputError(f"unknown kind of picture {chosen!r}; possible here: {listed}")
     if chosen not in fitting:
         raise InputError(
-            f"kind {chosen!r} draws {AXES[_KINDS[chosen].axes]}, found {AXES[len(axes)]} ({', '.join(axes)}); "
+            f"kind {chosen!r} draws {AXES[TABLE[chosen].axes]}, found {AXES[len(axes)]} ({', '.join(axes)}); "
             f"possible here: {listed}"
         )
     if chosen not in possible:
-        wanted = "a second atlas to draw against" if _KINDS[chosen].atlases == 2 else "one atlas, found two"
+        wanted = "a second atlas to draw against" if TABLE[chosen].atlases == 2 else "one atlas, found two"
         raise InputError(f"kind {chosen!r} needs {wanted}; possible here: {listed}")
-    if not _KINDS[chosen].scale:
+    if TABLE[chosen].scale is CLASSES:
         page.refuse_ends(f"kind {chosen!r} draws classes")
     return chosen
 
@@ -164,6 +248,6 @@ def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
-        if _OVERLAYS[overlay] != len(axes):
-            kind = {1: "a sweep", 2: "a map"}[_OVERLAYS[overlay]]
+        if len(axes) != (2 if overlay in MAP_OVERLAYS else 1):
+            kind = "a map" if overlay in MAP_OVERLAYS else "a sweep"
             raise InputError(f"overlay {overlay!r} is drawn over {kind}, found {AXES[len(axes)]} ({', '.join(axes)})")

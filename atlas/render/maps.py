@@ -1,13 +1,14 @@
 """What all pictures of a plane share: its cells read in drawing order, the frame around them, the legends."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap
+from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from atlas.errors import InputError
 from atlas.query.resample import view
 from atlas.render import axes, style
 from atlas.render.fit import TITLE
+from atlas.render.kinds import Kind
 from atlas.render.page import STANDARD, Page
 from atlas.render.style import DPI
 from workers.results import (
@@ -97,17 +99,73 @@ class Plane:
         return self.values[name]
 
 
-def read(ds: xr.Dataset, variables: Iterable[str], kind: str, pixels: tuple[int, int] = PIXELS) -> Plane:
+def read(
+    ds: xr.Dataset, variables: Iterable[str], kind: str, pixels: tuple[int, int] = PIXELS, lacking: str = ""
+) -> Plane:
     """Read these variables and the regimes of a plane, nothing else and not finer than pixels.
 
-    InputError if the atlas does not hold one. The only place where the pictures of planes read an atlas.
+    InputError if the atlas does not hold one, with what is ``lacking``. No other function of maps reads an atlas.
     """
     names = [name for name in dict.fromkeys(variables) if name != REGIME.name]
     for name in names:
         if name not in ds:
-            raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold")
+            hint = f"; {lacking}" if lacking else ""
+            raise InputError(f"kind {kind!r} draws the variable {name!r}, which this atlas does not hold{hint}")
     ds, (x, y) = axes.rising(view(ds, names, pixels=pixels))
     return Plane(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
+
+
+@dataclass(frozen=True)
+class View:
+    """What a kind is painted from: the atlas and its cells in view; the variable of a map of any, by its logarithm."""
+
+    kind: Kind
+    ds: xr.Dataset
+    plane: Plane
+    page: Page
+    variable: str = ""
+    log: bool = False
+
+
+class Texture(NamedTuple):
+    """A texture over cells (y, x), which lets their colours through; ``outlined`` are cells with a line around them."""
+
+    cells: NDArray[np.bool_]
+    hatch: str
+    ink: str
+    outlined: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A scale beside a map: the values that it was made for, and what is said along it and above it."""
+
+    colormap: Colormap
+    norm: Normalize
+    values: NDArray[np.float64]
+    label: str
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Painted:
+    """What a kind makes of a view: the colour of every cell, and what explains the colours.
+
+    rgba       (y, x, 4) in bytes
+    legend     entries for classes; ``beside``: a title where they stand to the right of the map
+    bars       scales, from below
+    textures   over cells
+    over       draws what lies on the cells and returns its legend entries
+    names      cells (y, x), their name, written into them where it fits, and the colour that it is seen on
+    """
+
+    rgba: NDArray[np.uint8]
+    legend: Sequence[Artist]
+    bars: Sequence[Bar] = ()
+    textures: Sequence[Texture] = ()
+    beside: str | None = None
+    over: Callable[[Axes], list[Artist]] | None = None
+    names: Sequence[tuple[NDArray[np.bool_], str, str]] = ()
 
 
 def determined(regime: NDArray[np.int8]) -> NDArray[np.bool_]:
@@ -150,10 +208,24 @@ def regime_entry(code: int, label: str) -> Patch:
     return style.swatch(style.COLORS[code], label, hatch, style.HATCH_INK.get(code, style.TEXTURE))
 
 
-def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> None:
+def lay(ax: Axes, plane: Plane, painted: Painted, options: Options) -> list[Artist]:
+    """Draw what was painted into a plot, and return its legend entries."""
+    enlarged = draw(ax, plane, painted.rgba, options)
+    for entry in painted.legend:
+        if entry.get_label() in enlarged:
+            entry.set_label(f"{entry.get_label()},\nsingle cells enlarged")
+    for cells, pattern, ink, outlined in painted.textures:
+        axes.hatch(ax, plane.x, plane.y, cells, pattern, ink)
+        if outlined is not None:
+            axes.outline(ax, plane.x, plane.y, outlined, "#1a2433", 0.3)
+    return [*painted.legend, *(painted.over(ax) if painted.over else [])]
+
+
+def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> set[str]:
     """Draw the cells in these colours (y, x, 4), with textures over those that show their regime's colour.
 
-    Such cells without a result that would be too small to be seen get a mark of a visible size.
+    Such cells without a result that would be too small to be seen get a mark of a visible size; the names of regimes
+    that have such marks.
     """
     axes.draw_cells(ax, plane.x, plane.y, rgba)
     shown = {
@@ -162,31 +234,25 @@ def draw(ax: Axes, plane: Plane, rgba: NDArray[np.uint8], options: Options) -> N
     }
     for code in (QUASIPERIODIC, INVALID, FAILED):
         axes.hatch(ax, plane.x, plane.y, shown[code], style.HATCH[code], style.HATCH_INK[code])
-    for code in (UNDETERMINED, INVALID, FAILED):
-        _mark_small(ax, plane, shown[code], code, options.size)
+    without = (UNDETERMINED, INVALID, FAILED)
+    return {style.name_of(code) for code in without if _mark_small(ax, plane, shown[code], code, options.size)}
 
 
-def mark_lost(ax: Axes, plane: Plane, lost: NDArray[np.bool_], colormap: Colormap) -> list[Patch]:
-    """Texture cells whose exponent is -inf, off any scale, over its lowest colour; the legend entry, if any."""
-    if not lost.any():
-        return []
-    ink = style.ink_on(colormap(0.0))
-    axes.hatch(ax, plane.x, plane.y, lost, style.LOST_HATCH, ink)
-    return [style.swatch(colormap(0.0), r"$-\infty$: rest on a stop erases disturbances", style.LOST_HATCH, ink)]
-
-
-def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> None:
+def _mark_small(ax: Axes, plane: Plane, cells: NDArray[np.bool_], code: int, size: tuple[float, float]) -> bool:
+    """Mark the small ones of these cells unless they are seen anyway, or are too many; whether there are marks."""
     width, height = np.array(size) / np.array(plane.regime.shape[::-1])
     if max(width, height) >= _VISIBLE:
-        return
+        return False
     regions, _ = ndimage.label(cells)
     small = [
         (rows, columns)
         for rows, columns in ndimage.find_objects(regions)
         if (rows.stop - rows.start) * height < _VISIBLE and (columns.stop - columns.start) * width < _VISIBLE
     ]
-    if 0 < len(small) <= _MOST_MARKS:
-        x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
-        y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
-        look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
-        ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
+    if not 0 < len(small) <= _MOST_MARKS:
+        return False
+    x = [0.5 * (plane.x.edges[columns.start] + plane.x.edges[columns.stop]) for _, columns in small]
+    y = [0.5 * (plane.y.edges[rows.start] + plane.y.edges[rows.stop]) for rows, _ in small]
+    look = {"markersize": 0.9 * _VISIBLE, "markeredgewidth": 0.2, "markeredgecolor": "black", "zorder": 2.2}
+    ax.plot(x, y, "s", color=style.COLORS[code], **look)  # type: ignore[arg-type]
+    return True

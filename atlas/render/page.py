@@ -1,5 +1,7 @@
 """The page that a picture is drawn on: its size, type and resolution, its scale's ends, or axes that are given."""
 
+import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -15,9 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
-from atlas.errors import InputError
+from atlas.errors import InputError, shown
 from atlas.render.fit import fit
-from atlas.render.measures import length, number, positive
 from atlas.render.options import Look
 from atlas.render.style import DPI, house
 
@@ -30,6 +31,9 @@ _NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
 """Width in inches of one column of a journal, and the points of type there."""
 _SHOWN_DPI = 144.0
 """Dots per inch in a notebook, which shows 72 of them an inch of the page where screens have no finer ones."""
+_INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
+_LENGTHS = (0.8, 60.0)
+"""Least and greatest length of a page in inches."""
 _BESIDE = 5.0
 """Least width in inches of a page that has room for a legend beside its plot."""
 
@@ -199,13 +203,13 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
             raise InputError(f"{name}: the given axes have a size already")
     rc = _style(look.get("style"))
     figsize = rc.pop("figure.figsize", (None, None))
-    width = length("width", look.get("width")) or figsize[0] or WIDTH
-    asked = positive("font_size", look.get("font_size"))
+    width = _length("width", look.get("width")) or figsize[0] or WIDTH
+    asked = _positive("font_size", look.get("font_size"))
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
     font = asked or rc.get("font.size") or (mpl.rcParams["font.size"] if given else _usual_font(width))
     styled = rc.pop("savefig.dpi", DPI)  # out of the style's settings, which override the page's
-    dpi = positive("dpi", look.get("dpi")) or styled
+    dpi = _positive("dpi", look.get("dpi")) or styled
     dpi = dpi if isinstance(dpi, float) else DPI
     dots = float(font) * dpi / 72.0
     if dots < _LEAST_DOTS:
@@ -217,16 +221,60 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> Page:
         rc |= {name: value for name, value in house(font / _FONT).items() if name in _SIZES}
     return Page(
         width=width,
-        height=length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
+        height=_length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
         font=float(font),
         dpi=dpi,
-        vmin=number("vmin", look.get("vmin")),
-        vmax=number("vmax", look.get("vmax")),
+        vmin=_number("vmin", look.get("vmin")),
+        vmax=_number("vmax", look.get("vmax")),
         title=look.get("title", True),
         explained=look.get("legend", True),
         rc=rc,
         given=given,
     )
+
+
+def _length(name: str, value: float | str | None) -> float | None:
+    """A length in inches from a number of them or from a text with its unit, such as "85mm"; InputError otherwise."""
+    if value is None:
+        return None
+    wrong = InputError(f"{name}: found {shown(value)}, must be a length such as 85mm, 8.5cm or 3.35in")
+    if isinstance(value, str):
+        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|cm|in)\s*", value)
+        if not match:
+            raise wrong
+        try:
+            value = float(match[1]) * _INCHES[match[2]]
+        except ValueError:
+            raise wrong from None
+    inches = _number(name, value) or 0.0
+    low, high = _LENGTHS
+    if not low <= inches <= high:
+        raise InputError(
+            f"{name}: found {inches:.3g} inches, must be {low:g} to {high:g} inches ({25.4 * low:.0f}mm to "
+            f"{25.4 * high:.0f}mm)"
+        )
+    return inches
+
+
+def _positive(name: str, value: float | None) -> float | None:
+    """A positive number, or None; InputError otherwise."""
+    found = _number(name, value)
+    if found is not None and not 0.0 < found <= 1e4:
+        raise InputError(f"{name}: found {found:g}, must be positive and at most 10000")
+    return found
+
+
+def _number(name: str, value: float | None) -> float | None:
+    """A finite number, or None; InputError otherwise."""
+    if value is None:
+        return None
+    try:
+        found = float(value)
+    except (TypeError, ValueError):
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{name}: found {shown(value)}, must be a number")
+    return found
 
 
 def _usual_font(width: float) -> float:

@@ -71,7 +71,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: axes.DrawnAxis, page: Page) -> N
         ax.plot(x.values, marked, ".", color=color(i), markersize=size, markeredgewidth=0, zorder=2)
     lost = np.isneginf(spectrum).any(axis=1)
     sweep.mark_lost(ax, x, lost)
-    unit = style.unit_text(SPECTRUM.units)
     ax.set_ylabel(
-        rf"Lyapunov exponents" "\n" rf"$\lambda_i$ [{unit}]" + ("\n(▾: some $-\\infty$)" if lost.any() else "")
+        f"Lyapunov exponents\n$\\lambda_i${style.unit_ending(SPECTRUM.units)}"
+        + ("\n(▾: some $-\\infty$)" if lost.any() else "")
     )

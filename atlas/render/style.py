@@ -3,22 +3,18 @@
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.legend_handler import HandlerPatch
 from matplotlib.mathtext import MathTextParser
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
-from numpy.typing import NDArray
 
-from atlas.query.window import axis_names
-from atlas.spec.system import stored_name, stored_system
+from atlas.spec.system import stored_system
 from workers.model.parameter import Parameter
 from workers.model.system import System
 from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
@@ -92,10 +88,30 @@ def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TE
     return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
 
 
-def beyond(values: NDArray[np.float64], low: float, high: float) -> str:
-    """At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
-    below, above = bool(np.any(values < low)), bool(np.any(values > high))
-    return {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}[below, above]
+class Gradient(Patch):
+    """A legend entry: a box of a colour that darkens to a share of its brightness from left to right."""
+
+    def __init__(self, color: ColorType, dark: float, label: str) -> None:
+        super().__init__(facecolor=color, edgecolor="#404040", linewidth=0.5, label=label)
+        self.dark = dark
+
+
+class _GradientHandler(HandlerPatch):
+    """Draws the box of a ``Gradient`` in stripes."""
+
+    def create_artists(self, legend, orig_handle, xdescent, ydescent, width, height, fontsize, trans):  # type: ignore[no-untyped-def]
+        shades, stripes = np.linspace(1.0, orig_handle.dark, 16), []
+        for k, shade in enumerate(shades):
+            color = shade * np.array(to_rgb(orig_handle.get_facecolor()))
+            left = -xdescent + k * width / shades.size
+            stripes.append(Rectangle((left, -ydescent), 1.02 * width / shades.size, height, color=color, linewidth=0))
+        frame = Rectangle((-xdescent, -ydescent), width, height, fill=False, edgecolor="#404040", linewidth=0.5)
+        for each in (*stripes, frame):
+            each.set_transform(trans)
+        return [*stripes, frame]
+
+
+Legend.update_default_handler_map({Gradient: _GradientHandler()})
 
 
 def ink_on(color: ColorType) -> str:
@@ -133,16 +149,21 @@ def shown_symbol(symbol: str, name: str) -> str:
 
 
 def axis_label(ds: xr.Dataset, name: str) -> str:
-    r"""Meaning, symbol and unit of an axis, as ``forcing frequency $\omega$ [–]``; the dash: dimensionless."""
+    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none."""
     parameter = parameter_of(ds, name)
     attrs = ds[name].attrs
     meaning = str(attrs.get("long_name") or (parameter.meaning if parameter else "")).split(":")[0]
     unit = str(attrs.get("units") or (parameter.unit if parameter else "1"))
-    return f"{meaning} ${symbol(ds, name)}$ [{unit_text(unit)}]".strip()
+    return f"{meaning} ${symbol(ds, name)}${unit_ending(unit)}".strip()
+
+
+def unit_ending(unit: str) -> str:
+    """How a label ends that has this CF unit: in brackets; nothing for the 1 of pure numbers."""
+    return "" if unit == "1" else f" [{unit_text(unit)}]"
 
 
 def unit_text(unit: str) -> str:
-    """A CF unit as an axis shows it: a dash for the dimensionless 1."""
+    """A CF unit as an axis shows it."""
     return {"1": "–", "1/period": "per forcing period"}.get(unit, unit)
 
 
@@ -180,63 +201,3 @@ def number(value: float) -> str:
             return rf"{factor}\pi" + (f"/{below}" if below > 1 else "")
     mantissa, _, power = f"{value:.6g}".partition("e")
     return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
-
-
-class Provenance(NamedTuple):
-    """What a file says of the numbers it shows: a title, the digest of their spec, the software that made them."""
-
-    title: str
-    digest: str
-    software: str
-
-
-def provenance_of(*atlases: xr.Dataset) -> Provenance:
-    """The provenance of a picture of one atlas, or of several: then all their digests, in order."""
-    ds = atlases[0]
-    return Provenance(
-        title=f"impact-atlas: {_system_name(ds)}, axes {', '.join(axis_names(ds))}",
-        digest=" ".join(str(each.attrs.get("digest", "unknown")) for each in atlases),
-        software=str(ds.attrs.get("software", "unknown software")),
-    )
-
-
-def save(figure: Figure, path: Path, suffix: str, provenance: Provenance) -> None:
-    """Write a figure, with the digest of its spec and the software in its metadata and no time of day."""
-    software = f"impact-atlas {own_version()}, matplotlib {mpl.__version__}"
-    source = f"computed by {provenance.software}"
-    # Each format has its own words for the same four; a date would make equal pictures unequal files.
-    words = {
-        "png": {
-            "Title": provenance.title,
-            "Software": software,
-            "Digest": provenance.digest,
-            "Source": source,
-        },
-        "svg": {
-            "Title": provenance.title,
-            "Creator": software,
-            "Identifier": provenance.digest,
-            "Source": source,
-            "Date": None,
-        },
-        "pdf": {
-            "Title": provenance.title,
-            "Creator": software,
-            "Subject": provenance.digest,
-            "Keywords": source,
-            "CreationDate": None,
-        },
-    }
-    figure.savefig(path, format=suffix, metadata=words[suffix])
-
-
-def _system_name(ds: xr.Dataset) -> str:
-    return stored_name(ds.attrs) or "unknown system"
-
-
-def own_version() -> str:
-    """The version of this distribution, as files name it."""
-    try:
-        return version("impact-atlas")
-    except PackageNotFoundError:
-        return "(not installed)"

@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ from atlas.query.compare import Comparison, differences
 from atlas.query.reads import counted
 from atlas.query.resample import view
 from atlas.query.window import Window, axis_names, within
-from atlas.render import axes, exponent, maps, period, style
+from atlas.render import axes, classes, maps, scales, style
 from atlas.render.fit import OWN_TITLE, TITLE
 from atlas.render.page import STANDARD, Page
 from workers.results import LARGEST, PENDING, REGIME, REGIMES
@@ -84,9 +85,13 @@ def side_by_side(
         drawn, panels = sheet.draw()
         differing = _differing(shown)
         _head(drawn, page, style.title_line(shown[0].drop_vars(differing)), max(reads.block))
-        known = np.concatenate([_exponents(plane).ravel() for plane in planes]) if chosen == "exponent" else None
-        norm = None if known is None else exponent.two_sided(page, *exponent.scale_ends(known))
-        entries: dict[str, Patch] = {}
+        known = (
+            np.concatenate([scales.known_exponents(plane).ravel() for plane in planes])
+            if chosen == "exponent"
+            else None
+        )
+        norm = None if known is None else scales.two_sided(page, *scales.scale_ends(known))
+        entries: dict[str, Artist] = {}
         for k, (ax, plane) in enumerate(zip(panels, planes, strict=True)):
             maps.texture(ax)
             title = sheet.panel_title(shown[k], differing, names[k] if names else f"{k + 1}")
@@ -98,8 +103,8 @@ def side_by_side(
         panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
         panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
         if norm is not None and known is not None:
-            label = r"$\lambda_1$ [per forcing period]"
-            exponent.colour_bar(drawn, panels, norm, known, label, below=not page.wide)
+            bar = maps.Bar(scales.EXPONENT, norm, known, r"$\lambda_1$ [per forcing period]")
+            scales.draw_bars(drawn, panels, [bar], page, below=not page.wide)
         page.legend(drawn, list(entries.values()))
     return drawn
 
@@ -235,7 +240,7 @@ def _draw_difference(
     # Rise and fall are to look alike: one end that is asked for decides the other.
     given = [end for end in (options.page.vmax, options.page.vmin) if end is not None]
     end = abs(given[0]) if given else most or 1.0
-    norm = exponent.two_sided(options.page, -end, end)
+    norm = scales.two_sided(options.page, -end, end)
     rgba = DIFFERENCE(norm(np.where(known, change, 0.0)), bytes=True)
     rgba[~known] = style.rgb(WITHOUT)
     maps.texture(ax)
@@ -243,7 +248,7 @@ def _draw_difference(
     axes.draw_cells(ax, here.x, here.y, rgba)
     ax.set_title("difference of exponents", loc="left")
     label = r"change of $\lambda_1$ [per forcing period]"
-    exponent.colour_bar(drawn, [ax], norm, change[known], label, DIFFERENCE, below=True)
+    scales.draw_bars(drawn, [ax], [maps.Bar(DIFFERENCE, norm, change[known], label)], options.page, below=True)
     grey = ~known & (here.regime != PENDING) & (there.regime != PENDING)
     return [style.swatch(WITHOUT, "without an exponent in one")] if grey.any() else []
 
@@ -272,16 +277,10 @@ def _hide_pending(rgba: NDArray[np.uint8], here: maps.Plane, there: maps.Plane) 
     rgba[(here.regime == PENDING) | (there.regime == PENDING)] = 0
 
 
-def _exponents(plane: maps.Plane) -> NDArray[np.float64]:
-    return np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
-
-
-def _draw_map(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm | None, options: maps.Options) -> list[Patch]:
+def _draw_map(ax: Axes, plane: maps.Plane, norm: TwoSlopeNorm | None, options: maps.Options) -> list[Artist]:
     """Draw one of several maps: exponents on this scale, or periods; legend entries."""
     if norm is None:
-        rgba, entries = period.paint(plane.regime, plane["period"])
-        maps.draw(ax, plane, rgba, options)
-        return entries
-    rgba, entries = exponent.paint(plane.regime, _exponents(plane), norm)
-    maps.draw(ax, plane, rgba, options)
-    return [*entries, *exponent.mark_no_impact(ax, plane, norm), *exponent.mark_lost(ax, plane)]
+        painted = classes.periods(plane.regime, plane["period"])
+    else:
+        painted = scales.exponents(plane.regime, scales.known_exponents(plane), norm)
+    return maps.lay(ax, plane, painted, options)

@@ -1,0 +1,372 @@
+"""The maps of numbers: each has a scale of colours, and a bar beside it that says what they are."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize, TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from atlas.errors import InputError, check_names
+from atlas.query.extremes import numbers_of_cells, regimes_with
+from atlas.render import classes, maps, style
+from atlas.render.kinds import CHAOTIC as CHAOTIC_COLORS
+from atlas.render.kinds import SCALAR, STABLE, TABLE
+from atlas.render.maps import Bar, Painted, Texture, View
+from atlas.render.page import STANDARD, Page
+from workers.results import CHAOTIC, ERROR, FAILED, INVALID, LARGEST, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC
+
+Array = NDArray[np.float64]
+
+_BEYOND = {"exponents": 2.0, "numbers": 0.5}
+"""Per cent of cells that may lie beyond an end of the scale: outliers must not flatten the rest."""
+BELOW = ("#0b2520", "#1e4d44", "#3f7b70", "#6faaa0", "#a9d3cb")
+"""Colours of numbers below zero in a scale of both signs, from the largest to the smallest."""
+NEUTRAL = "#e4e2d6"
+"""The colour of cells whose motion is known but has no such number, and of zero, which has no logarithm."""
+
+
+@cache
+def colormap_of(colors: tuple[str, ...]) -> LinearSegmentedColormap:
+    """These colours at even steps, and the ones between them."""
+    return LinearSegmentedColormap.from_list("scale", colors, N=512)
+
+
+def _part(name: str, low: float, high: float) -> Colormap:
+    """A part of one of matplotlib's colour maps, without its ends: near white is a cell without a value, black one
+    that failed.
+    """
+    return LinearSegmentedColormap.from_list(name, colormaps[name](np.linspace(low, high, 64)), N=512)
+
+
+def _two_colours() -> LinearSegmentedColormap:
+    # The step of hue at zero keeps the border of chaos sharp where exponents on both sides are small.
+    stable = list(zip(np.linspace(0.0, 0.5, len(STABLE)), STABLE, strict=True))
+    chaotic = list(zip(np.linspace(0.5, 1.0, len(CHAOTIC_COLORS)), CHAOTIC_COLORS, strict=True))
+    return LinearSegmentedColormap.from_list("exponent", stable + chaotic, N=1024)
+
+
+EXPONENT = _two_colours()
+CHAOS = colormap_of(CHAOTIC_COLORS)
+ERRORS = {
+    "periodic": (_part("YlGnBu", 0.12, 0.95), (NO_IMPACT, PERIODIC)),
+    "chaotic": (_part("YlOrRd", 0.10, 1.0), (CHAOTIC,)),
+    "torus": (_part("PuRd", 0.2, 1.0), (QUASIPERIODIC,)),
+}
+"""Colours and regimes of each kind of error: they differ by ten decades, and one scale would show none of them."""
+
+
+# Exponents
+
+
+def exponent(view: View) -> Painted:
+    """The chaos map: the largest Lyapunov exponent, blue where motion is stable, orange to dark red in chaos."""
+    largest = known_exponents(view.plane)
+    return exponents(view.plane.regime, largest, two_sided(view.page, *scale_ends(largest)))
+
+
+def exponents(regime: NDArray[np.int8], largest: Array, norm: TwoSlopeNorm) -> Painted:
+    """The same of arrays (y, x) on a given scale. Impact-free cells have exponents as others do: they are textured."""
+    painted = _scaled(regime, largest, Bar(EXPONENT, norm, largest, TABLE["exponent"].scale.label))
+    quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
+    if not quiet.any():
+        return painted
+    color = EXPONENT(norm(np.median(largest[quiet])))
+    texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), _without_dust(quiet))
+    entry = style.swatch(color, style.name_of(NO_IMPACT), texture.hatch, texture.ink)
+    return replace(painted, legend=[*painted.legend, entry], textures=[texture, *painted.textures])
+
+
+def known_exponents(plane: maps.Plane) -> Array:
+    """The largest exponents (y, x) of cells whose class of motion is known, NaN elsewhere."""
+    return np.where(maps.determined(plane.regime), plane[LARGEST.name], np.nan)
+
+
+def scale_ends(largest: Array) -> tuple[float, float]:
+    """The ends of the scale's two halves, below and above zero, each as far out as all but 2 % of its cells need.
+
+    A half without cells is as long as the other.
+    """
+    finite = largest[np.isfinite(largest)]
+    low, high = _reach(-finite[finite < 0]), _reach(finite[finite > 0])
+    return -(low or high or 1.0), high or low or 1.0
+
+
+def _reach(sizes: Array) -> float:
+    """How far a half of the scale goes: the percentile, rounded up to two digits."""
+    if sizes.size == 0:
+        return 0.0
+    reach = float(np.percentile(sizes, 100.0 - _BEYOND["exponents"]))
+    digit = 10.0 ** (np.floor(np.log10(reach)) - 1.0)
+    return float(np.ceil(reach / digit - 1e-9) * digit)
+
+
+def two_sided(page: Page, low: float, high: float) -> TwoSlopeNorm:
+    """The scale between these ends, or those that the page gives; InputError unless zero is between them."""
+    low, high = page.ends(low, high)
+    if not low < 0.0 < high:
+        raise InputError(f"the scale of exponents has zero in its middle: found {low:g} to {high:g}")
+    return TwoSlopeNorm(0.0, low, high)
+
+
+def _without_dust(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The cells less what is thinner than the eye separates, as between basins: outlined, that would turn black."""
+    thin = min(cells.shape) // 150
+    if thin == 0:
+        return cells
+    padded = np.pad(cells, 2 * thin, mode="symmetric")  # or the picture's frame would eat into them
+    wide = ndimage.binary_opening(padded, structure=np.ones((3, 3)), iterations=thin)
+    wide = ndimage.binary_closing(wide, structure=np.ones((3, 3)), iterations=thin)
+    return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
+
+
+def combined(view: View) -> Painted:
+    """The period where motion is periodic, the largest exponent where it is chaotic."""
+    regime = view.plane.regime
+    largest = np.where(regime == CHAOTIC, view.plane[LARGEST.name], np.nan)
+    norm = Normalize(*view.page.ends(0.0, scale_ends(largest)[1]))
+    painted, measured = classes.period(view), ~np.isnan(largest)
+    painted.rgba[measured] = CHAOS(norm(largest[measured]), bytes=True)
+    # The colour bar names the chaotic cells, unless one has no exponent and shows its regime's colour.
+    named = style.name_of(CHAOTIC) if np.all(measured[regime == CHAOTIC]) else None
+    legend = [each for each in painted.legend if each.get_label() != named]
+    return Painted(painted.rgba, legend, [Bar(CHAOS, norm, largest, view.kind.scale.label)])
+
+
+# Any number
+
+
+def number(view: View) -> Painted:
+    """A number of each cell whose class of motion is known, on the scale of its kind."""
+    (name,) = view.kind.variables
+    return _numbers(view, np.where(maps.determined(view.plane.regime), view.plane[name], np.nan))
+
+
+def cost(view: View) -> Painted:
+    """The forcing periods simulated; of an undetermined cell too, which cost the most that a cell may."""
+    solved = ~np.isin(view.plane.regime, (PENDING, INVALID, FAILED))
+    return _numbers(view, np.where(solved, view.plane["periods_used"].astype(float), np.nan))
+
+
+def _numbers(view: View, values: Array) -> Painted:
+    """Numbers (y, x) on the scale of their kind; where all are 0, with a name of its own, there is no bar."""
+    scale = view.kind.scale
+    bar = Bar(colormap_of(scale.colors), color_norm(values, scale.log, view.page), values, scale.label)
+    painted = _scaled(view.plane.regime, values, bar, [] if scale.zero is None else [(values == 0.0, *scale.zero)])
+    return replace(painted, bars=[bar] if scale.zero is None or np.any(values > 0.0) else [])
+
+
+def _scaled(regime: NDArray[np.int8], values: Array, bar: Bar, others: Sequence[classes.Class] = ()) -> Painted:
+    """Values (y, x) in the colours of a scale, and other cells in theirs; those that are NaN show their regime.
+
+    Exponents of -inf, which are off any scale, have a texture over its lowest colour.
+    """
+    painted = classes.colored(regime, others, None, on_scale(values, bar.norm, bar.colormap), ~np.isnan(values))
+    color, lost = bar.colormap(0.0), np.isneginf(values)
+    if not lost.any():
+        return replace(painted, bars=[bar])
+    texture, label = (
+        Texture(lost, style.LOST_HATCH, style.ink_on(color)),
+        r"$-\infty$: rest on a stop erases disturbances",
+    )
+    entry = style.swatch(color, label, texture.hatch, texture.ink)
+    return replace(painted, legend=[*painted.legend, entry], bars=[bar], textures=[texture])
+
+
+def on_scale(values: Array, norm: Normalize, colormap: Colormap) -> NDArray[np.uint8]:
+    """The colours of values (y, x, 4) in bytes. Zero has no logarithm: what is below the scale has its end's colour."""
+    least = float(norm.vmin or 0.0)
+    return np.asarray(colormap(norm(np.where(np.isnan(values), least, np.maximum(values, least))), bytes=True))
+
+
+def color_norm(values: Array, log: bool, page: Page = STANDARD) -> Normalize:
+    """The scale of finite values, of positive ones where it is logarithmic: to percentiles near both ends.
+
+    A logarithmic one spans a decade at least. Without such values, it is any. Ends that the page gives are kept.
+    """
+    finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
+    low, high = (0.1, 1.0) if log else (0.0, 1.0)
+    if finite.size:
+        ends = _BEYOND["numbers"], 100.0 - _BEYOND["numbers"]
+        low, high = (float(end) for end in np.percentile(finite, ends))
+        if log:
+            # A scale within a decade has ticks that nobody reads.
+            low, high = min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
+        elif high <= low:
+            high = low + 1.0
+    low, high = page.ends(low, high)
+    if log and low <= 0.0:
+        raise InputError(f"this scale is logarithmic: found vmin {low:g}, must be positive")
+    return LogNorm(low, high) if log else Normalize(low, high)
+
+
+def scalar(view: View) -> Painted:
+    """Any number that an atlas holds, on an even scale from pale to dark, or on two from a pale zero on.
+
+    Cells whose motion has no such number are NEUTRAL, and textured where it is -inf. InputError for a logarithmic scale
+    of numbers below zero.
+    """
+    name, log, regime = view.variable, view.log, view.plane.regime
+    values = known_values(name, view.plane)
+    if log and np.any(values < 0.0):
+        raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
+    norm, known = color_norm(values, log, view.page), ~np.isnan(values)
+    zero = known & (values == 0.0) & log
+    none = ~known & maps.determined(regime) & (regime != NO_IMPACT)
+    words = " or ".join(word for word, cells in (("0", zero), ("no such number", none)) if cells.any())
+    bar = Bar(signed_colormap(norm), norm, values, variable_label(view.ds, name))
+    painted = _scaled(regime, values, bar, [(zero | none, NEUTRAL, words)])
+    return replace(painted, bars=[bar] if np.isfinite(values).any() else [])
+
+
+def checked(ds: xr.Dataset, name: str) -> list[str]:
+    """The variable that a map of it reads; InputError, with the nearest name, unless it is a number of each cell."""
+    possible = numbers_of_cells(ds)
+    if name in ds and name not in possible:
+        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
+    check_names("variable", [name], possible)
+    return [name]
+
+
+def signed_colormap(norm: Normalize) -> Colormap:
+    """The colours of a scale: zero between its ends is pale, and equally far from it both sides are equally dark."""
+    low, high, above = float(norm.vmin or 0.0), float(norm.vmax or 0.0), TABLE[SCALAR].scale.colors
+    if not low < 0.0 < high:
+        return colormap_of(above)
+    shares = np.linspace(low, high, 512) / max(-low, high)
+    return ListedColormap(colormap_of((*BELOW, "#f6f4f4", *above[1:]))(0.5 + 0.5 * shares), name="signed")
+
+
+def known_values(name: str, plane: maps.Plane) -> Array:
+    """The variable where it is a result, NaN elsewhere: in orbits alone for counts of an orbit, and not where it rests,
+    which makes the number of impacts infinite.
+    """
+    values = plane[name].astype(np.float64)
+    known = maps.determined(plane.regime) & np.isin(plane.regime, list(regimes_with(name)))
+    if name.startswith("impacts_"):
+        known &= values >= 0.0
+    return np.where(known, values, np.nan)
+
+
+def variable_label(ds: xr.Dataset, name: str) -> str:
+    """What the variable is and its unit, as a colour bar says it."""
+    attributes = ds[name].attrs
+    meaning = str(attributes.get("long_name", name)).split(";")[0]
+    unit = str(attributes.get("units", "1"))
+    return meaning.removesuffix(f" {style.unit_text(unit)}") + style.unit_ending(unit)  # some meanings end with it
+
+
+# Errors
+
+
+def error(view: View) -> Painted:
+    """How well the largest exponent of every cell is known, on a scale for each kind of error.
+
+    Numerical where the motion is periodic or without impact, a standard error where it is chaotic, the difference
+    of two windows on a torus: see the table of variables in docs/data.md. Ends of the scale, where they are given, are
+    those of the standard error.
+    """
+    regime, known = view.plane.regime, known_errors(view.plane)
+    rgba, bars = np.zeros((*regime.shape, 4), np.uint8), []
+    for name, (colormap, codes) in ERRORS.items():
+        values = np.where(np.isin(regime, codes), known, np.nan)
+        cells = np.isfinite(values)
+        if cells.any():
+            norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
+            rgba[cells] = on_scale(values, norm, colormap)[cells]
+            bars.append(Bar(colormap, norm, values, view.kind.scale.label, name))
+    return Painted(rgba, maps.paint_regimes(rgba, regime, ~np.isfinite(known)), bars)
+
+
+def known_errors(plane: maps.Plane) -> Array:
+    """The error of every cell whose class is known, positive; NaN elsewhere."""
+    error = np.where(maps.determined(plane.regime), plane[ERROR.name], np.nan)
+    # Nothing is known better than to rounding; an error of zero would have no place on a log scale.
+    known = np.where(np.isfinite(error), np.maximum(error, np.finfo(float).tiny), np.nan)
+    return np.where(error == 0.0, np.finfo(float).eps, known)
+
+
+# Bars
+
+
+def draw_bars(
+    drawn: Figure, panels: Sequence[Axes], bars: Sequence[Bar], page: Page = STANDARD, below: bool = False
+) -> None:
+    """Draw the scales of plots to the right of them, or below: one along all plots, several stacked beside the first.
+
+    Ends are pointed where values lie beyond them. The scale of exponents has a line at zero, where its step may change.
+    """
+    for place, bar in enumerate(bars):
+        low, high = float(bar.norm.vmin or 0.0), float(bar.norm.vmax or 1.0)
+        extend, mappable = _extend(bar, low, high), ScalarMappable(bar.norm, bar.colormap)
+        if bar.title:
+            share, gap = 1.0 / len(bars), 0.13 if len(bars) > 1 else 0.05
+            inset = panels[0].inset_axes((1.03, place * share, 0.035, share - gap))
+            made = drawn.colorbar(mappable, cax=inset, extend=extend, extendfrac=0.05)
+            size, pad = mpl.rcParams["legend.fontsize"], 3.0 + 5.0 * page.scale
+            inset.set_title(bar.title, loc="left", fontsize=size, pad=pad)
+        else:
+            side = "bottom" if below else "right"
+            made = drawn.colorbar(
+                mappable, ax=list(panels), location=side, extend=extend, aspect=28, pad=0.02, extendfrac=0.03
+            )
+            two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
+            made.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
+        made.outline.set_linewidth(0.6)
+        if isinstance(bar.norm, LogNorm):
+            log_ticks(made, most=4 if len(bars) > 1 else 8)
+        elif isinstance(bar.norm, TwoSlopeNorm):
+            made.set_ticks(_ticks(low, high, 3 if below else 5))  # numbers need more room side by side
+            (made.ax.axvline if below else made.ax.axhline)(0.0, color="black", linewidth=0.7)
+    if bars and bars[0].title:
+        panels[0].annotate(
+            bars[0].label, (1.065, 0.5), xycoords="axes fraction", xytext=(38.0 * page.scale, 0.0),
+            textcoords="offset points", rotation=90, va="center", fontsize=mpl.rcParams["axes.labelsize"],
+        )  # fmt: skip
+
+
+def _extend(bar: Bar, low: float, high: float) -> str:
+    """At which ends of a scale values lie beyond it, in the words of matplotlib's colour bars."""
+    values = bar.values[np.isfinite(bar.values) & (bar.values != 0.0)]  # zero has no logarithm, or a name of its own
+    below, above = bool(np.any(values < low)), bool(np.any(values > high))
+    return {(True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither"}[below, above]
+
+
+def _ticks(low: float, high: float, most: int) -> list[float]:
+    """Round numbers on each half, which have scales of their own, and zero."""
+    nice = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
+    both = np.concatenate([nice.tick_values(low, 0.0), nice.tick_values(0.0, high)])
+    return [float(each) for each in np.unique(both[(both >= low) & (both <= high)].round(12))]
+
+
+def log_ticks(bar: Colorbar, most: int = 8) -> None:
+    """Ticks of a logarithmic colour bar: powers of ten where it spans many, else 1, 2, 5 in plain numbers."""
+    low, high = (float(end) for end in (bar.norm.vmin or 0.0, bar.norm.vmax or 1.0))
+    decades = math.log10(high / low)
+    axis = bar.ax.yaxis
+    if decades > 3.0 or high < 1e-3:
+        bar.set_ticks(LogLocator(numticks=most))
+        if decades > 3.0:
+            axis.set_minor_locator(NullLocator())
+        axis.set_minor_formatter(NullFormatter())
+        return
+    steps = [1.0, 2.0, 5.0] if decades * 3.0 <= most else [1.0, 3.0] if decades * 2.0 <= most else [1.0]
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _plain(value)))
+    axis.set_minor_locator(NullLocator())
+
+
+def _plain(value: float) -> str:
+    """A number as a colour bar shows it: 0.02, 5, 2000, 20\N{NARROW NO-BREAK SPACE}000."""
+    return f"{value:,g}".replace(",", "\N{NARROW NO-BREAK SPACE}") if value >= 1e4 else f"{value:g}"

@@ -1,0 +1,56 @@
+"""Claims about the pictures of docs/: each is of the present solver, and shows what that solver computes.
+
+``scripts/pictures`` makes them anew.
+"""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+from PIL import Image
+
+import atlas
+from atlas.cli.main import main
+from scripts.make_pictures import DOCS, commands, pictures
+from workers import SOLVER_VERSION
+
+pytestmark = pytest.mark.slow
+
+ALL = sorted(path.name for path in DOCS.glob("*.png"))
+
+
+def words(path: Path) -> dict[str, str]:
+    with Image.open(path) as image:
+        return {str(name): str(value) for name, value in image.info.items()}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_picture_names_the_present_solver_and_the_spec_that_it_shows(name: str) -> None:
+    found = words(DOCS / name)
+    assert found.get("Solver") == str(SOLVER_VERSION), f"run scripts/pictures {name}"
+    assert json.loads(found["Spec"])
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_picture_is_shown_on_a_page_beside_the_commands_that_make_it(name: str) -> None:
+    assert commands(name, pictures()[name])
+
+
+def test_a_picture_shows_cell_by_cell_what_the_present_solver_computes(tmp_path: Path, client: Client) -> None:
+    """Of the map that is computed fastest. A cell has more than this share of the pixels, of which type has few."""
+    name = "energy-harvester"
+    *_, drawing = commands(f"{name}.png", pictures()[f"{name}.png"])
+    store, new = tmp_path / f"{name}.zarr", tmp_path / f"{name}.png"
+    atlas.run(atlas.Spec.from_toml(name), store, client=client)
+    places = {f"{name}.zarr": str(store), f"{name}.png": str(new)}
+    drawn = CliRunner().invoke(main, [places.get(word, word) for word in shlex.split(drawing)[1:]])
+    assert drawn.exit_code == 0, drawn.output
+    assert words(DOCS / f"{name}.png")["Spec"] == words(new)["Spec"]
+    with Image.open(DOCS / f"{name}.png") as one, Image.open(new) as other:
+        shown = [np.asarray(image.convert("RGB")) for image in (one, other)]
+    assert shown[0].shape == shown[1].shape
+    assert np.mean(np.any(shown[0] != shown[1], axis=-1)) < 1e-4
