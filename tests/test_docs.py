@@ -11,8 +11,8 @@ import pytest
 
 from atlas.cli.main import main
 from atlas.spec.spec import Spec
-from atlas.store.schema import ALLOWANCES
-from workers import Settings, System
+from atlas.store.schema import ALLOWANCES, FORMAT_VERSION
+from workers import SOLVER_VERSION, Settings, System
 from workers.results import REASONS, REGIMES, result_variables
 
 ROOT = Path(__file__).parent.parent
@@ -162,6 +162,25 @@ def test_every_variable_regime_and_reason_is_explained() -> None:
     assert (variables | {reason.name for reason in REASONS}) <= explained
     regimes = re.findall(r"^\| (-?\d+) \| (\w+) \|", (ROOT / "docs/regimes.md").read_text(), re.MULTILINE)
     assert [(int(code), name) for code, name in regimes] == [(regime.code, regime.name) for regime in REGIMES]
+
+
+def test_the_page_on_versions_and_the_changelog_end_with_the_present_ones() -> None:
+    text = (ROOT / "docs/versions.md").read_text()
+    tables = re.findall(r"^\| (solver|format) version \|.*\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE)
+    last = {name: int(re.findall(r"^\| .*?(\d+) \|", rows, re.MULTILINE)[-1]) for name, rows in tables}
+    assert last == {"solver": SOLVER_VERSION, "format": FORMAT_VERSION}
+    said = f"solver version {SOLVER_VERSION}, format version {FORMAT_VERSION}"
+    assert said in (ROOT / "CHANGELOG.md").read_text()
+    assert f"The present solver version, {SOLVER_VERSION}," in (ROOT / "docs/accuracy.md").read_text()
+
+
+def test_the_page_on_accuracy_compares_periods_with_heyoka_by_its_table() -> None:
+    text = (ROOT / "docs/accuracy.md").read_text()
+    rows = [line.split("|")[4:7] for line in text.splitlines() if re.match(r"\| [345] \| [014] \|", line)]
+    batch = [float(ratio) for _, _, ratio in rows]
+    single = [float(heyoka) / float(alone) for alone, heyoka, _ in rows]
+    assert f"In a batch the solver is {min(batch):.0f} to {max(batch):.0f} times as fast as heyoka" in text
+    assert f"One cell at a time it is {min(single):.2f} to {max(single):.1f} times as fast" in text
 
 
 @each_page
