@@ -187,9 +187,9 @@ def test_values_that_were_exchanged_for_others_are_not_used(tmp_path: Path) -> N
     path = store.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
     (path / "omega/copy").write_bytes(np.array([2.0, 2.7, 3.9]).tobytes())
     zarr.open_group(path, mode="r+", use_consolidated=False)["omega"][1] = 2.6
-    with pytest.raises(ChunkError, match="has a digest that is not that of the spec and its coordinates"):
+    with pytest.raises(ChunkError, match="has a digest that does not match the spec and its coordinates"):
         _ = store.read_header(path).spec.axes[0].values
-    assert [str(fault) for fault in verify(path).faults] == ["zarr.json: the digest is not that of the spec"]
+    assert [str(fault) for fault in verify(path).faults] == ["zarr.json: the digest does not match the spec"]
 
 
 @pytest.mark.parametrize("key", ["start", "stop"])
@@ -197,7 +197,7 @@ def test_an_end_that_is_not_that_of_the_coordinate_is_found(tmp_path: Path, key:
     path = store.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     change_spec(path, lambda spec: spec["axes"][0].update({key: 2.5}))
     assert store.read_header(path).spec.axes[0].values == plane_of().axes[0].values
-    assert [str(fault) for fault in verify(path).faults] == ["zarr.json: axis omega is not its coordinate"]
+    assert [str(fault) for fault in verify(path).faults] == ["zarr.json: axis omega differs from its coordinate"]
 
 
 def test_a_parameter_that_was_changed_in_the_attributes_is_found_before_a_value_is_used(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def test_basins_over_parameters_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_what_is_no_atlas_of_basins_has_none(solved_plane: Path) -> None:
-    with pytest.raises(InputError, match="this is no atlas of basins"):
+    with pytest.raises(InputError, match="not an atlas of basins"):
         atlas.open(solved_plane).atlas.basins()
     with pytest.raises(InputError, match="kind 'basins' draws labels"):
         render.figure(atlas.open(solved_plane), "basins")

@@ -179,9 +179,9 @@ def test_what_a_store_may_not_hold_is_found(solved: Path) -> None:
     arrays = read_tile(header, (0, 0))
     assert broken() == ""
     assert "do not add up" in broken(share=arrays["share"] * 0.5)
-    assert "shares do not fall" in broken(share=arrays["share"][..., ::-1])
-    assert "own is none" in broken(own=arrays["own"] + 9)
-    assert "has a regime, and there is none" in broken(attractors=np.ones_like(arrays["attractors"]))
+    assert "shares are not descending" in broken(share=arrays["share"][..., ::-1])
+    assert "own is not one of the attractors" in broken(own=arrays["own"] + 9)
+    assert "has a regime but does not exist" in broken(attractors=np.ones_like(arrays["attractors"]))
     regime = np.where(arrays["regime"] == PENDING, PENDING, CHAOTIC).astype(np.int8)
     assert "attractor 0: chaotic, but largest is not positive" in broken(regime=regime)
 

@@ -188,7 +188,7 @@ def test_every_error_of_a_run_under_way_leaves_a_word(
 
 def test_bad_input_is_reported_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
     header = create(tmp_path / "out.zarr", PLANE, (5, 7))
-    with pytest.raises(InputError, match=r"out.zarr: is of another spec: "):
+    with pytest.raises(InputError, match=r"out.zarr: has another spec: "):
         submitted(two, header.path, plane_of((5, 7), R=0.5))
     assert noted_end(notes_of(header.path)) == ""
     assert [path.name for path in tmp_path.iterdir()] == ["out.zarr"]

@@ -216,7 +216,7 @@ def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tupl
 
 def test_the_distance_from_a_chaotic_cell_is_refused_in_one_line(tmp_path: Path) -> None:
     path = chaotic(tmp_path)
-    with pytest.raises(atlas.errors.InputError, match="is chaotic: events are those of a proven periodic orbit"):
+    with pytest.raises(atlas.errors.InputError, match="is chaotic: only a proven periodic orbit has events"):
         atlas.open(path).atlas.distance_to(omega=2.0, b=0.3)
 
 
@@ -315,7 +315,7 @@ class TestBadInput:
 
     def test_a_store_that_is_not_finished(self, fresh: Path) -> None:
         (fresh / "regime" / "c" / "0" / "0").unlink()
-        assert "1 tile not done; complete it by atlas run first" in self.refused(str(fresh))
+        assert "1 tile not done; complete it with atlas run first" in self.refused(str(fresh))
         assert not (fresh / "curves").exists()
 
     def test_a_sweep(self, tmp_path: Path) -> None:
@@ -326,7 +326,7 @@ class TestBadInput:
     def test_an_axis_of_initial_states(self, tmp_path: Path) -> None:
         axes = {"x1": {"start": 0.0, "stop": 0.1, "num": 3}, "omega": {"start": 2.0, "stop": 3.0, "num": 3}}
         create(tmp_path / "start.zarr", atlas.Spec("two-mass", axes), (3, 3))
-        assert "axis x1 is the start of a motion" in self.refused(str(tmp_path / "start.zarr"))
+        assert "axis x1 only sets the start of a motion" in self.refused(str(tmp_path / "start.zarr"))
 
     def test_no_store(self, tmp_path: Path) -> None:
         assert "no such store" in self.refused(str(tmp_path / "none.zarr"))

@@ -107,7 +107,7 @@ def test_an_overview_that_says_something_else_than_its_cells_is_found(whole: sto
 def test_an_overview_of_a_tile_that_is_not_done_is_found(whole: store.Header) -> None:
     (whole.path / "regime/c/4/5").unlink()
     assert overview_faults(whole) == [
-        f"overviews/{level}/regime/c/{place} stands for tile (4, 5), which is not done"
+        f"overviews/{level}/regime/c/{place} covers tile (4, 5), which is not done"
         for level, place in ((1, "2/2"), (2, "1/1"), (3, "0/0"))
     ]
 

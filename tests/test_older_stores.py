@@ -146,7 +146,7 @@ def test_it_is_verified_as_sound_without_solving_cells_again(older: Path) -> Non
     report = verify(older)
     assert report.fine
     assert (report.cells_checked, report.cells_solved, report.digests) == (140, 0, False)
-    assert report.comparison == f"the store is of solver version 4, this program's is {SOLVER_VERSION}"
+    assert report.comparison == f"the store has solver version 4, this program {SOLVER_VERSION}"
 
 
 def test_a_resume_is_refused_with_both_versions(older: Path, name: str, client: Client) -> None:

@@ -106,7 +106,7 @@ def test_a_spec_with_the_definition_in_it_is_the_same_and_resumes_the_store(
 def test_another_definition_under_the_name_is_refused_with_what_differs(store: Path, client: Client) -> None:
     other = System.from_mapping(table(stiffness=[[1.0, -1.0], [-1.0, "1.5 + k"]]))
     stored = read_header(store).spec
-    with pytest.raises(InputError, match="system machine is defined otherwise in the store: stiffness"):
+    with pytest.raises(InputError, match="system machine is defined differently in the store: stiffness"):
         atlas.run(Spec(other, {a.name: a for a in stored.axes}, stored.parameters, stored.settings), store, client)
 
 

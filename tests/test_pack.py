@@ -206,7 +206,7 @@ def test_a_half_written_file_is_reported_in_one_line(packed: Path, tmp_path: Pat
     half.write_bytes(packed.read_bytes()[: int(share * packed.stat().st_size)])
     shown = call(command, half)
     assert (shown.exit_code, shown.stdout, len(shown.stderr.splitlines())) == (2, "", 1)
-    assert "half.zip: cannot be read: the zip file is damaged or not whole" in shown.stderr
+    assert "half.zip: cannot be read: the zip file is damaged or incomplete" in shown.stderr
 
 
 def test_a_zip_file_of_something_else_is_no_atlas(tmp_path: Path) -> None:

@@ -234,7 +234,7 @@ def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: 
 def test_what_is_not_ours_at_a_url_is_left_alone(bucket: str) -> None:
     place = place_of(f"{bucket}/foreign")
     place.put("thesis.tex", b"mine")
-    with pytest.raises(InputError, match=r"holds thesis.tex, and is no atlas"):
+    with pytest.raises(InputError, match=r"holds thesis.tex and is not an atlas"):
         store.find(place, plane_of())
     zarr.create_group(zarr.storage.ObjectStore(place_of(f"{bucket}/group").client))  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="not an atlas"):

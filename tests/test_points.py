@@ -100,7 +100,7 @@ def test_points_take_the_place_of_the_axes_that_they_have_as_columns(tmp_path: P
 
 def test_an_axis_that_is_no_column_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("omega,R\n2,0.5\n")
-    with pytest.raises(InputError, match=r"b is an axis, and no column of .*t.csv; add the column"):
+    with pytest.raises(InputError, match=r"b is an axis but not a column of .*t.csv; add the column"):
         atlas.Spec.from_toml("tiny", tmp_path / "t.csv")
 
 
@@ -115,14 +115,14 @@ def test_axes_and_points_together_are_refused() -> None:
         ("", ": is empty; its first row must name parameters"),
         ("omega,b\n", ": found 0 rows below the names, must be 1 or more"),
         ("omgea,b\n2,0.1\n", ": unknown parameter 'omgea'; did you mean 'omega'?"),
-        ("omega,b,omega\n2,0.1,3\n", ": column omega is there twice"),
+        ("omega,b,omega\n2,0.1,3\n", ": column omega occurs twice"),
         ("omega,b\n2,0.1\n3,wide\n", ", row 3, column b: found 'wide', must be a number"),
         ("omega,b\n2,0.1\n3,\n", ", row 3, column b: found '', must be a number"),
         ("omega,b\n2,nan\n", ", row 2, column b = nan: must be a finite number"),
         ("omega,b\n2,0.1,5\n", ", row 2: found 3 fields, must be 2 as in the first row"),
         ("omega,b\n2,0.1\n\n3,0.1\n", ", row 3: is empty; remove it"),
         ("omega,R\n2,1.5\n", ", row 2, column R: R = 1.5: must satisfy 0 <= R <= 1"),
-        ('omega,b\n2,"0.1\n', ": is no CSV: unexpected end of data"),
+        ('omega,b\n2,"0.1\n', ": is not CSV: unexpected end of data"),
     ],
 )
 def test_a_bad_table_is_answered_in_one_line(tmp_path: Path, text: str, words: str) -> None:
@@ -183,7 +183,7 @@ def test_a_point_is_asked_for_by_its_row(solved: Path) -> None:
     cell = atlas.open(solved).atlas.at(point=4)
     assert (cell["omega"], cell["b"], cell["R"]) == (4.0, 0.05, 0.5)
     text = answered("query", solved, "--at", "omega=3", code=2)
-    assert "omega is no axis here but a column of points; give point, the row's number from 0 on" in text
+    assert "omega is not an axis here but a column of points; give point, the row's number from 0 on" in text
 
 
 def test_csv_has_parameters_and_results_side_by_side(solved: Path, tmp_path: Path) -> None:

@@ -278,7 +278,7 @@ def test_a_survival_changed_by_hand_is_a_fault(watched: Path, client: Client) ->
     cell = tuple(np.argwhere(whole(watched)["regime"] == CHAOTIC)[0].tolist())
     zarr.open_group(watched, mode="r+")["survival"][cell] = LONG + 1
     (fault,) = verify(watched, sample=0).faults
-    assert fault.what.startswith("its chunks are not those that were written here together")
+    assert fault.what.startswith("its chunks were not written together here")
 
 
 def test_a_retry_of_chaotic_cells_done_twice_solves_nothing_the_second_time(watched: Path, client: Client) -> None:

@@ -172,7 +172,7 @@ def test_a_run_whose_workers_are_paused_says_so_to_its_user_and_to_the_status(
         names = sorted(client.nthreads())
     assert summary.tiles_done == 9
     line = next(stage for stage in said if "paused" in stage)
-    assert re.match(r"nothing has ended for .* s: Dask has paused 2 workers for want of memory: ", line)
+    assert re.match(r"nothing has ended for .* s: Dask has paused 2 workers for lack of memory: ", line)
     assert all(name in line for name in names)
     assert "Dask has paused 2 workers" in str(shown[0])
     assert (shown[0].seconds_left, " left" in str(shown[0])) == (None, False)

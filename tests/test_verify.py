@@ -179,9 +179,9 @@ def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: 
 @pytest.mark.parametrize(
     ("name", "regime", "value", "rule"),
     [
-        ("regime", PERIODIC, 8, "regime is none of 0 to 7"),
-        ("regime", PERIODIC, -1, "regime is none of 0 to 7"),
-        ("regime", CHAOTIC, APERIODIC, "aperiodic, although exponents were asked for"),
+        ("regime", PERIODIC, 8, "regime is not one of 0 to 7"),
+        ("regime", PERIODIC, -1, "regime is not one of 0 to 7"),
+        ("regime", CHAOTIC, APERIODIC, "aperiodic although the spec has exponents"),
         ("largest", CHAOTIC, np.nan, "largest is NaN"),
         ("largest", CHAOTIC, 0.01, "chaotic, but largest is not positive by 4 errors"),
         ("error", PERIODIC, -1e-9, "error is negative"),
@@ -212,7 +212,7 @@ def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: 
         ("reason", NO_IMPACT, NOT_STATIONARY, "reason is not one for this regime"),
         ("state", PERIODIC, np.nan, "state is not finite"),
         ("regime", PERIODIC, INVALID, "state has a value in an invalid or failed cell"),
-        ("spectrum", PERIODIC, lambda s: s[::-1], "spectrum does not fall"),
+        ("spectrum", PERIODIC, lambda s: s[::-1], "spectrum is not descending"),
         ("spectrum", PERIODIC, lambda s: s + np.array([1, 0, 0, 0]), "largest is not the first of the spectrum"),
         ("spectrum", PERIODIC, lambda s: s - [0, 0, 0, 1e-6], "spectrum breaks the sum law"),
         ("spectrum", CHAOTIC, lambda s: s - [0, 0, 0, 1e-6], "spectrum breaks the sum law"),
@@ -336,7 +336,7 @@ def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path) -> 
     set_attribute(whole, "solver_version", 3)
     report = verify(whole)
     assert (report.fine, report.cells_solved) == (True, 0)
-    assert "sample   not solved again: the store is of solver version 3, this program's is" in str(report)
+    assert "sample   not solved again: the store has solver version 3, this program" in str(report)
 
 
 def test_failed_cells_are_not_solved_again(whole: Path) -> None:
@@ -349,7 +349,7 @@ def test_failed_cells_are_not_solved_again(whole: Path) -> None:
 
 def test_metadata_that_differ_from_their_consolidated_copy_are_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False)["period"].attrs["units"] = "s"
-    assert message(verify(whole)) == ["zarr.json: its consolidated metadata are not those of period/zarr.json"]
+    assert message(verify(whole)) == ["zarr.json: its consolidated metadata differ from those of period/zarr.json"]
 
 
 def test_metadata_that_are_gone_are_found(whole: Path) -> None:
@@ -374,7 +374,7 @@ def test_status_of_a_store_without_records_names_a_damaged_chunk(whole: Path) ->
 
 def test_a_digest_that_is_not_the_specs_is_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False).attrs["digest"] = "0" * 64
-    assert "zarr.json: the digest is not that of the spec" in message(verify(whole))
+    assert "zarr.json: the digest does not match the spec" in message(verify(whole))
 
 
 FOREIGN = ["7777", "05/0", "0/05", "²/0", "0/²", "0/+1", "0/1_0", "0/2", "2/0", "0/1/0", "x"]
@@ -395,7 +395,7 @@ def test_names_that_are_no_chunks_are_found_and_removed(whole: Path) -> None:
     (whole / "state" / "c" / "0" / "0" / "1").write_bytes(b"?")
     report = verify(whole, sample=0, repair=True)
     expected = {f"regime/c/{name}" for name in names} | {"state/c/0/0/1"}
-    assert set(message(report)) == {f"{key} is no chunk of this atlas" for key in expected}
+    assert set(message(report)) == {f"{key} is not a chunk of this atlas" for key in expected}
     assert set(report.removed) == expected
     assert verify(whole, sample=0).fine
 

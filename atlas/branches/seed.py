@@ -94,7 +94,7 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
         why = f" ({REASONS[code].text})" if code != NO_REASON else ""
         raise InputError(f"this cell is {name}{why}: a branch starts from a periodic one")
     if bool(cell["sticks"]) and not record.has_modes:
-        raise InputError("this cell's orbit rests on a stop: branches are of orbits with impacts alone")
+        raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
     # Without impacts it is its own mirror image wherever orbits have one.
     symmetric = bool(cell["symmetric"]) or (regime == NO_IMPACT and has_images(record, values))
     try:

@@ -45,7 +45,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
         if axis_names(other) != (along,):
             raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
     if columns(ds) or along in system.states:
-        raise InputError(f"branches follow orbits along a parameter, and {along} is none that they depend on")
+        raise InputError(f"branches follow orbits along a parameter that orbits depend on, not {along}")
     for name in _STORED:
         if name not in ds:
             raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")

@@ -27,12 +27,14 @@ def metadata_faults(header: Header) -> list[str]:
     faults = []
     try:
         if resolved_digest(header.resolved) != header.digest:
-            faults.append(f"{ROOT}: the digest is not that of the spec")
+            faults.append(f"{ROOT}: the digest does not match the spec")
     except ChunkError as error:
         return [_said_of_values(header, key, fault) for key, fault in error.faults.items()]
     if header.outline["axes"] and header.format_version > 1:
         ends = [axis.outline() for axis in Spec.from_resolved(header.resolved).axes]
-        faults += [f"{ROOT}: axis {a['name']} is not its coordinate" for a in header.outline["axes"] if a not in ends]
+        faults += [
+            f"{ROOT}: axis {a['name']} differs from its coordinate" for a in header.outline["axes"] if a not in ends
+        ]
     try:
         own, copied = open_arrays(header), open_arrays(header, consolidated=True)
         digests = open_digests(header), open_digests(header, consolidated=True)
@@ -55,12 +57,12 @@ def metadata_faults(header: Header) -> list[str]:
         elif name in shapes and own[name].shape != shapes[name]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
-            faults.append(f"{ROOT}: its consolidated metadata are not those of {where}")
+            faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
     for variable in spec.variables:
         if variable.name not in shapes and any(header.place.list_keys(f"{variable.name}/c/")):
             faults.append(f"{variable.name}/{ROOT} is missing")
     if len({str(array.metadata.to_dict()) if array else "" for array in digests}) > 1:
-        faults.append(f"{ROOT}: its consolidated metadata are not those of {DIGESTS}/{ROOT}")
+        faults.append(f"{ROOT}: its consolidated metadata differ from those of {DIGESTS}/{ROOT}")
     covering: list[tuple[str, Any]] = [(DIGESTS, digests[0].attrs)] if digests[0] is not None else []
     covering += [(RECORD, header.record["attributes"])] if header.record is not None else []
     for name, of_array in covering:
@@ -84,7 +86,7 @@ def metadata_faults(header: Header) -> list[str]:
 
 def _said_of_values(header: Header, key: str, fault: str) -> str:
     if key == ROOT:
-        return f"{ROOT}: the digest is not that of the spec"
+        return f"{ROOT}: the digest does not match the spec"
     return f"coordinate {key} {fault}: it cannot be made again"
 
 

@@ -139,7 +139,7 @@ def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: b
     undone = part.undone(level, place)
     if undone:
         key = level_key(level, MARKS[0] if complete else MARKS[1], index)
-        faults.append(f"{key} stands for tile {undone[0]}, which is not done")
+        faults.append(f"{key} covers tile {undone[0]}, which is not done")
     elif not over_unsound:
         finer = levels.finer(level, place)
         widths = tuple(width[f] for width, f in zip(part.pyramid.widths[level - 1], finer, strict=True))

@@ -73,17 +73,15 @@ class Report:
         how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
         lines = [
             f"tiles    {self.tiles_done} of {self.tiles} done" + ("" if self.complete else "; atlas run completes it"),
-            f"chunks   {self.chunks} read, their checksums right",
+            f"chunks   {self.chunks} read, checksums correct",
             f"digests  {'of every tile' if self.digests else 'none, the store is too old: tiles may be exchanged'}",
-            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews held against the cells below",
-            f"cells    {self.cells_checked} held against the rules",
+            f"levels   {plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below",
+            f"cells    {self.cells_checked} checked against the rules",
             f"sample   {plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
             if self.comparison in how
             else f"sample   not solved again: {self.comparison}",
         ]
-        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells held against the same"] * bool(
-            self.sheets
-        )
+        lines += [f"zoom     {plural(self.sheets, 'sheet')} of explored cells checked likewise"] * bool(self.sheets)
         for title, found in (("found", self.faults), ("in doubt", self.doubts)):
             lines += [f"{title}: {fault}" for fault in found[:SHOWN]]
             lines += [f"and {len(found) - SHOWN} more {title}: --json lists them"] if len(found) > SHOWN else []

@@ -66,7 +66,7 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
         one = {name: values[place] if name in many else values for name, values in arrays.items()}
         there = k < np.maximum(count, 1)
         found |= {f"attractor {k}: {text}": mask & there for text, mask in _broken(spec, slices, one).items()}
-        found[f"attractor {k} has a regime, and there is none"] = ~there & (one[REGIME.name] != PENDING)
+        found[f"attractor {k} has a regime but does not exist"] = ~there & (one[REGIME.name] != PENDING)
         found[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
     share = np.nan_to_num(arrays["share"])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -77,9 +77,9 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
     found["mirror of a mirror image is another one"] = ((mirror >= 0) & (back != np.arange(spec.attractors.keep))).any(
         axis=-1
     )
-    found["shares do not fall"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
-    found["own is none of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
-    found["starts are more than were asked for"] = tried > spec.attractors.count
+    found["shares are not descending"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
+    found["own is not one of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
+    found["more starts than the spec has"] = tried > spec.attractors.count
     return {text: mask for text, mask in found.items() if mask.any()}
 
 
@@ -94,9 +94,9 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     """Every rule in words, with the mask of the cells that break it."""
     regime = arrays[REGIME.name]
-    yield f"regime is none of {NO_IMPACT} to {APERIODIC}", ~((regime >= NO_IMPACT) & (regime <= APERIODIC))
+    yield f"regime is not one of {NO_IMPACT} to {APERIODIC}", ~((regime >= NO_IMPACT) & (regime <= APERIODIC))
     if spec.settings.exponents != "none":
-        yield "aperiodic, although exponents were asked for", regime == APERIODIC
+        yield "aperiodic although the spec has exponents", regime == APERIODIC
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
     known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC)
 
@@ -142,7 +142,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     if "periods_used" in arrays:
         yield "periods_used is negative", arrays["periods_used"] < 0
     if LABEL.name in arrays:
-        yield "label is none of an attractor", arrays[LABEL.name] < BEYOND_TABLE
+        yield "label is not one of an attractor", arrays[LABEL.name] < BEYOND_TABLE
         yield "label without an attractor", ~known & (arrays[LABEL.name] != UNKNOWN_LABEL)
         yield "no label on an attractor", known & (arrays[LABEL.name] == UNKNOWN_LABEL)
         yield "settled is negative", arrays["settled"] < 0
@@ -196,7 +196,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     yield "spectrum is NaN", known & np.isnan(spectrum).any(axis=-1)
     # The first of a quasiperiodic cell is a weighted average, the others are plain ones.
     rises = spectrum[..., :-1] < spectrum[..., 1:]
-    yield "spectrum does not fall", rises[..., 1:].any(axis=-1) | (rises[..., 0] & (regime != QUASIPERIODIC))
+    yield "spectrum is not descending", rises[..., 1:].any(axis=-1) | (rises[..., 0] & (regime != QUASIPERIODIC))
     first = spectrum[..., 0]
     same = (first == largest) | (np.abs(first - largest) <= SAME + 5.0 * error)
     yield "largest is not the first of the spectrum", known & ~same

@@ -108,7 +108,7 @@ def _verified(
     worn = coordinate_faults(header)
     faults += [Fault(None, what) for what in worn]
     foreign = tuple(foreign_keys(header))
-    faults += [Fault(None, f"{key} is no chunk of this atlas") for key in foreign]
+    faults += [Fault(None, f"{key} is not a chunk of this atlas") for key in foreign]
 
     chunks = cells = 0
     samples: list[Sample] = []
@@ -171,7 +171,7 @@ def _put_together(header: Header, sound: dict[Index, Rows]) -> Iterator[str]:
     for index, row in sound.items():
         rows[index], settled[index] = row, True
     write_compaction(add_records(header), rows, settled)
-    yield f"records of {plural(len(sound), 'tile')} put together"
+    yield f"records of {plural(len(sound), 'tile')} collected"
 
 
 def _with_metadata(header: Header, report: Report, claim: Claim) -> Report:
@@ -179,7 +179,7 @@ def _with_metadata(header: Header, report: Report, claim: Claim) -> Report:
     claim.check()
     lost = lost_metadata(header)
     restore(header, lost)
-    mended = tuple(f"{key} written again, as the root's copy has it: verify it once more" for key in lost)
+    mended = tuple(f"{key} rewritten from the root's copy: verify the store again" for key in lost)
     return replace(report, repaired=(), mended=mended)
 
 
@@ -315,7 +315,7 @@ def _comparison(header: Header, sample: int, any_done: bool) -> str:
     if not sample:
         return "none asked for"
     if header.solver_version != SOLVER_VERSION:
-        return f"the store is of solver version {header.solver_version}, this program's is {SOLVER_VERSION}"
+        return f"the store has solver version {header.solver_version}, this program {SOLVER_VERSION}"
     if header.spec.continuation is not None:
         return "each cell of a continued sweep depends on those before it"
     if not any_done:

@@ -42,5 +42,5 @@ def header_of(ds: "xr.Dataset") -> Header:
     """The header of the store that a dataset is of; InputError where it does not say which."""
     source = ds.encoding.get("source")
     if not isinstance(source, str):
-        raise InputError("this dataset does not say which store it is of: ask the one that atlas.open gives")
+        raise InputError("this dataset does not name its store: use the one that atlas.open returns")
     return read_header(source)

@@ -56,7 +56,7 @@ def _orbit_at(orbits: CellOrbits, plane: Plane, cell: Mapping[str, Any], here: N
     where = ", ".join(f"{name} = {cell[name]:g}" for name in plane.axes)
     own = orbits.of(number)
     if own is None:
-        raise InputError(f"the cell at {where} is {cell['regime']}: events are those of a proven periodic orbit")
+        raise InputError(f"the cell at {where} is {cell['regime']}: only a proven periodic orbit has events")
     taken = moved(orbits.family, many_of([own], plane.values(np.array([number]))), here[None])
     if not attract(orbits.family, taken)[0]:
         raise InputError(f"the orbit of the cell at {where} does not attract at the point itself; ask at the cell")

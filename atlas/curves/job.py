@@ -94,5 +94,5 @@ def _curve(store: str, digest: str, name: str) -> Followed:
 def _orbits(store: str, run_id: str, digest: str, settings: CurveSettings) -> CellOrbits:
     plane = plane_of(read_header(place_of(store)))
     if settings.digest(plane) != digest:
-        raise RefusedError(f"{store}: its cells are not those of the search; is the path the same on all hosts?")
+        raise RefusedError(f"{store}: its cells differ from those of the search; is the path the same on all hosts?")
     return CellOrbits(plane)

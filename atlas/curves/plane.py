@@ -178,20 +178,20 @@ def plane_of(header: Header) -> Plane:
     spec = header.spec
     if spec.points or len(spec.axes) != 2:
         found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
-        raise InputError(f"{header.place}: found {found}; curves are those of a plane, which has two axes")
+        raise InputError(f"{header.place}: found {found}; curves need a plane with two axes")
     system = spec.record
     refuse_drift(system, "curves")
     for axis in spec.axes:
         if axis.name in (*system.states, TAU):
             raise InputError(
-                f"{header.place}: axis {axis.name} is the start of a motion, on which no orbit depends; "
+                f"{header.place}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "
                 "curves take two other parameters as axes"
             )
         if len(axis) < 2:
             raise InputError(f"{header.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
-        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it by atlas run first")
+        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
     ds = leading(open_atlas(str(header.place)))
     check_names("result of this atlas", NEEDED, map(str, ds.data_vars))
     x, y = spec.axes

@@ -102,12 +102,12 @@ def attractors_of(header: Header) -> tuple[Attractors, int]:
     """
     spec = header.spec
     if not spec.coexistence:
-        raise InputError(f"{header.place}: found one attractor a cell; labels take an atlas of all, see [attractors]")
+        raise InputError(f"{header.place}: found one attractor per cell; labels need an atlas of all, see [attractors]")
     if spec.points:
         raise InputError(f"{header.place}: found a table of points; labels go from cell to cell along axes")
     missing = header.tiling.count - len(done_tiles(header))
     if missing:
-        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it by atlas run first")
+        raise InputError(f"{header.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
     ds = open_atlas(str(header.place))
     cells = int(np.prod(spec.shape))
 

@@ -29,7 +29,7 @@ def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     A cell with fewer is as without a result. InputError for a place that is none.
     """
     if not of_all(ds):
-        raise InputError("attractor: this atlas has one attractor a cell; give [attractors] in its spec for all")
+        raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")
     kept = ds.sizes[ATTRACTOR]
     if place not in range(kept):  # as no infinity and no NaN is
         raise InputError(f"attractor: found {place:g}, must be a whole number, 0 to {kept - 1}")
@@ -57,7 +57,7 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
     """
     source = ds.encoding.get("source")
     if LABEL.name not in ds or not isinstance(source, str):
-        raise InputError("the attractors of this atlas are not labelled; label them by atlas label")
+        raise InputError("the attractors of this atlas are not labelled; label them with atlas label")
     return open_table(read_header(source), LABELS).drop_vars(LABEL.name).load()
 
 

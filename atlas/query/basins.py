@@ -56,7 +56,7 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
     """
     source = ds.encoding.get("source")
     if not of_basins(ds) or not isinstance(source, str):
-        raise InputError("this is no atlas of basins: its axes must be initial states, and its spec have [attractors]")
+        raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
     header = read_header(source)
     if group_attributes(header, ATTRACTORS) is None:
         raise InputError(f"{header.place}: has no table of attractors yet; run it to its end")

@@ -78,9 +78,9 @@ def known_axis(ds: "xr.Dataset", name: str) -> None:
     if name in names:
         return
     if name in columns(ds):
-        raise InputError(f"{name} is no axis here but a column of points; give {POINT}, the row's number from 0 on")
+        raise InputError(f"{name} is not an axis here but a column of points; give {POINT}, the row's number from 0 on")
     if name in ds.coords and ds[name].ndim == 0:
-        raise InputError(f"{name} is no axis here but fixed at {float(ds[name]):g}; the axes are: {', '.join(names)}")
+        raise InputError(f"{name} is not an axis here but fixed at {float(ds[name]):g}; axes: {', '.join(names)}")
     raise InputError(f"unknown axis {name!r}; the axes are: {', '.join(names)}")
 
 

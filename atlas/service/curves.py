@@ -198,7 +198,7 @@ class _Coordinator:
     def _tick(self, workers: Workers) -> None:
         self.claim.check()
         self.workers = max(self.workers, workers.threads)
-        doing = self.search.doing if workers.threads else "waiting for a worker: there is none left"
+        doing = self.search.doing if workers.threads else "no worker left: waiting for one"
         self._report(workers.trouble or doing)
 
     def _report(self, doing: str) -> None:

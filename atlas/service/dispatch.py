@@ -169,7 +169,7 @@ class _Window(Generic[J, R]):
             return ""
         names = ", ".join(paused[:NAMED]) + (", ..." if len(paused) > NAMED else "")
         return (
-            f"nothing has ended for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} for want of "
+            f"nothing has ended for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} for lack of "
             f"memory: {names}"
         )
 

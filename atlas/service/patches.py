@@ -159,7 +159,7 @@ class Patches:
     def _looked(self, client: "Client") -> int:
         """Threads of the cluster now, which the state reports."""
         threads = sum(worker_threads(client).values())
-        self._say("" if threads else "waiting for a worker: there is none", threads)
+        self._say("" if threads else "no worker: waiting for one", threads)
         return threads
 
     def _say(self, trouble: str, workers: int = 0) -> None:

@@ -316,7 +316,7 @@ def _hand_out(
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
         totals.trouble = workers.trouble
         claim.report(totals.report(workers.threads) | {"holds": records.counts})
-        doing = "solving" if workers.threads else "waiting for a worker: there is none left"
+        doing = "solving" if workers.threads else "no worker left: waiting for one"
         options.report(totals.progress(workers.trouble or doing))
 
     job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience, claim.token)

@@ -92,7 +92,7 @@ class Summary:
             shares(self.counts),
         ]
         if self.retried:
-            lines.append(f"{plural(self.changed, 'cell')} came out of another regime than before")
+            lines.append(f"{plural(self.changed, 'cell')} changed regime")
         return "\n".join(lines + reason_lines(self.reasons))
 
 

@@ -11,7 +11,7 @@ def differences(stored: Spec, given: Spec) -> list[str]:
     if stored.system != given.system:
         found.append(f"system {stored.system} in the store, {given.system} in the spec")
     elif identity(stored.record.resolved()) != identity(given.record.resolved()):
-        found.append(f"system {stored.system} is defined otherwise in the store: {_defined_otherwise(stored, given)}")
+        found.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
     names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
     if stored.points or given.points:
         found += differing(stored.points, given.points)

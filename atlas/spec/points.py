@@ -104,9 +104,9 @@ def _read_file(path: Path, record: System) -> Columns:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is no UTF-8 text") from None
+        raise InputError(f"{path}: is not UTF-8 text") from None
     except csv.Error as error:
-        raise InputError(f"{path}: is no CSV: {error}") from None
+        raise InputError(f"{path}: is not CSV: {error}") from None
 
 
 def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns:
@@ -137,7 +137,7 @@ def _check_header(where: str, names: Sequence[object], record: System) -> None:
         raise InputError(f"{where}: {error}") from None
     twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if twice is not None:
-        raise InputError(f"{where}: column {twice} is there twice")
+        raise InputError(f"{where}: column {twice} occurs twice")
 
 
 def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:

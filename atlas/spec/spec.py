@@ -203,7 +203,7 @@ class Spec:
         except (KeyError, TypeError, ValueError):
             raise InputError("this dataset lacks the spec of its atlas, or a coordinate") from None
         if resolved_digest(kept) != digest:
-            raise InputError("this dataset does not have all cells of its atlas, or not those of its spec")
+            raise InputError("this dataset lacks cells of its atlas, or its cells differ from its spec")
         return cls.from_resolved(kept)
 
     @classmethod
@@ -291,7 +291,7 @@ def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[s
     axes = given.get("axes", {})
     for name in axes if isinstance(axes, Mapping) else ():
         if name not in columns:
-            raise InputError(f"{name} is an axis, and no column of {points}; add the column or remove the axis")
+            raise InputError(f"{name} is an axis but not a column of {points}; add the column or remove the axis")
     replaced = ("axes", "store") if "axes" in given else ()  # the shape of a tile of the axes is none of the rows
     return {**{key: table for key, table in given.items() if key not in replaced}, "points": columns}
 

@@ -120,7 +120,7 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except _DAMAGE as error:
-        raise OSError(errno.EIO, f"the zip file is damaged or not whole: {error}", str(path)) from None
+        raise OSError(errno.EIO, f"the zip file is damaged or incomplete: {error}", str(path)) from None
 
 
 def refuse_packed(place: object) -> None:

@@ -44,7 +44,7 @@ def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values
             together = dict(zip(found, chosen, strict=True))
             if resolved_digest(with_values(outline, together)) == digest:
                 return together
-    raise ChunkError(place, faults or {ROOT: "has a digest that is not that of the spec and its coordinates"})
+    raise ChunkError(place, faults or {ROOT: "has a digest that does not match the spec and its coordinates"})
 
 
 def copies(spec: Spec) -> dict[str, bytes]:

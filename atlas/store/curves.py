@@ -34,7 +34,7 @@ def read_arrays(header: Header) -> tuple[dict[str, NDArray[Any]], dict[str, Any]
     if found is None or found[1].get("version") != _VERSION:
         return None
     if values_digest(found[0]) != found[1].get("content"):
-        raise ChunkError(header.place, {f"{GROUP}/{ROOT}": "is damaged, or not of these arrays"})
+        raise ChunkError(header.place, {f"{GROUP}/{ROOT}": "is damaged or belongs to other arrays"})
     return found
 
 

@@ -81,7 +81,7 @@ def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dic
             faults |= found
     own = {name: value for name, value in attributes.items() if name != CHECKSUM}
     if not faults and CHECKSUM in attributes and attributes[CHECKSUM] != _checksum(header, group, names, own):
-        faults[f"{group}/{ROOT}"] = "is damaged, or not of these arrays"
+        faults[f"{group}/{ROOT}"] = "is damaged or belongs to other arrays"
     if faults:
         raise ChunkError(header.place, faults)
     return arrays, attributes

@@ -45,7 +45,7 @@ def is_free(place: Place, spec: Spec) -> bool:
     ours = {MACHINES, TILES, *coordinate_names(spec)} | {variable.name for variable in spec.variables}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: holds {key}, and is no atlas; choose another place or remove what is there")
+            raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
     return True
 
 

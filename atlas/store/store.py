@@ -267,7 +267,7 @@ def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
             "their numbers do not mix: choose another path"
         )
     if not _is_of(header, spec):
-        raise InputError(f"{place}: is of another spec: {'; '.join(differences(header.spec, spec))}")
+        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
     if header.unknown:
         names = ", ".join(variable.name for variable in header.unknown)
         raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")

@@ -33,7 +33,7 @@ from workers.results import REGIME, Variable
 
 REPLACED = f"{REGIME.name}/replaced/"
 """Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
-EXCHANGED = "its chunks are not those that were written here together: exchanged with another tile's, or altered"
+EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
 
 
 def write_tile(
