@@ -321,7 +321,7 @@ class TestBadInput:
     def test_a_sweep(self, tmp_path: Path) -> None:
         spec = atlas.Spec("two-mass", {"omega": {"start": 2.0, "stop": 3.0, "num": 3}})
         create(tmp_path / "sweep.zarr", spec, (3,))
-        assert "found one axis; curves are those of a plane" in self.refused(str(tmp_path / "sweep.zarr"))
+        assert "found one axis; curves need a plane" in self.refused(str(tmp_path / "sweep.zarr"))
 
     def test_an_axis_of_initial_states(self, tmp_path: Path) -> None:
         axes = {"x1": {"start": 0.0, "stop": 0.1, "num": 3}, "omega": {"start": 2.0, "stop": 3.0, "num": 3}}

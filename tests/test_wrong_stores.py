@@ -104,7 +104,7 @@ def test_a_member_that_says_that_it_has_3_gigabytes_is_not_read(tmp_path: Path, 
         if packed == zipfile.ZIP_STORED:
             archive.infolist()[0].compress_size = 3 * 10**9
     begin = time.process_time()
-    assert_one_line(call("status", file), 2, file, "damaged or not whole: zarr.json says that it has 3000000000 bytes")
+    assert_one_line(call("status", file), 2, file, "damaged or incomplete: zarr.json says that it has 3000000000 bytes")
     assert time.process_time() - begin < 5.0
 
 

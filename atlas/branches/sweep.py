@@ -1,4 +1,4 @@
-"""Branches through all periodic cells of a sweep, each followed once, with those that leave them."""
+"""Branches through all periodic cells of a sweep, each followed once, and the branches that begin at their events."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MOST = 100
-"""Branches that are followed through a sweep: more would not be told apart."""
+"""Branches that are followed through a sweep: more could not be distinguished."""
 LONGEST = 12
 """Impacts of the orbits that are followed: longer ones, mostly late in a cascade, would crowd the picture."""
 NEAR = 1e-3
@@ -33,7 +33,7 @@ _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric",
 
 
 def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
-    """The branches of proven orbits in sweeps of one axis, and of those that leave them, as far as MOST and LONGEST go.
+    """The branches of proven orbits in sweeps of one axis and those that begin on them, within MOST and LONGEST.
 
     A cell whose orbit is on a branch already, or is the mirror image of one that is, adds none. Orbits that rest on a
     stop are passed over. Raises InputError where no parameter is swept, and where an atlas does not hold states.
@@ -73,7 +73,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"]) -> Tree:
 def _cells(ds: "xr.Dataset", along: str, with_modes: bool) -> Iterator[dict[str, Any]]:
     """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
 
-    Of machines with modes, whose cells are not told to be symmetric, those without impacts and those that stick too.
+    Machines with modes, whose cells are not reported as symmetric: also orbits without impacts, and orbits that stick.
     """
     read = ds[list(_STORED)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *_STORED)}

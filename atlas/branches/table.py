@@ -23,7 +23,7 @@ class Branches:
     """Branches of periodic orbits of a system in one parameter, ``along``, in a ``window`` of it, (low, high).
 
     ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
-    themselves, impact by impact. ``untried`` are events at which a branch leaves that was asked for and is not here.
+    themselves, impact by impact. ``untried`` are events whose branch was requested and is missing.
     """
 
     system: System
@@ -80,7 +80,7 @@ class Branches:
         branch, and the parameter by its name
         each component of the state  at the section t = 0
         multiplier    the largest modulus of the multipliers of an orbit
-        unstable      how many of them are above 1 in modulus, those of an event at 1 left out
+        unstable      number of multipliers with modulus above 1, not counting those of an event at 1
         period, impacts_upper, impacts_lower, symmetric   of the branch's orbits
         event         the kind of event that the point is, else empty
         """
@@ -95,7 +95,7 @@ class Branches:
 
         branch, kind, and the parameter by its name
         each component of the state  at the section t = 0
-        unstable      multipliers above 1 in modulus besides those of the event itself
+        unstable      multipliers with modulus above 1, not counting the event's own
         kappa         cos theta of the pair of a Neimark-Sacker point, else NaN
         period, impacts_upper, impacts_lower, symmetric   of the orbit there, which may be shorter than the branch's
         leaving       the branch that leaves there and is here, -1 for none

@@ -1,4 +1,4 @@
-"""Branches followed from orbits, and those that leave them at period doublings and symmetry breakings, in turn."""
+"""Branches followed from orbits, and the branches that begin at their period doublings and symmetry breakings."""
 
 from collections import deque
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Names that lie among a store's chunks and are none: of a tile beyond the grid, ``05``, or anything else."""
+"""Names among a store's chunks that are not chunks: of a tile beyond the grid, ``05``, or anything else."""
 
 from collections.abc import Iterator
 

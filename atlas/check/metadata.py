@@ -1,4 +1,4 @@
-"""A store's metadata and coordinates, held against its spec, and its two copies of the metadata against each other."""
+"""A store's metadata and coordinates compared with its spec, and its two copies of the metadata with each other."""
 
 import json
 from collections.abc import Mapping
@@ -91,7 +91,7 @@ def _said_of_values(header: Header, key: str, fault: str) -> str:
 
 
 def copy_faults(header: Header) -> dict[str, dict[str, Any]]:
-    """The copies of metadata that are not those that they are of, by the keys of these.
+    """The copies of metadata that differ from their originals, by the keys of these.
 
     The root, each level of an overview and each table have copies of the metadata of all that lies in them. Of the
     root's those of its arrays are left out, see ``metadata_faults``, and those of groups that are not there any more.

@@ -1,4 +1,4 @@
-"""Overviews held against the cells that they stand for: each chunk computed again from the level before."""
+"""Overviews compared with the cells below them: each chunk computed again from the level before."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -27,16 +27,16 @@ class Report:
     """What a verification found.
 
     tiles, tiles_done, chunks    in all; finished; their chunks read whole, their checksums right
-    overview_chunks              read whole, and held against the cells below them
+    overview_chunks              read whole, and compared with the cells below them
     digests                      whether the tiles have digests, by which an exchange of tiles is found
-    cells_checked                held against the rules
+    cells_checked                checked against the rules
     cells_solved                 of the sample that was asked for, solved again
     comparison                   "bits", "error", or why none was made
     faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
     doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
     repaired                     tiles made unfinished, so that the next run solves them again
     dropped                      chunks of overviews that were wrong, and made missing
-    removed                      names among the chunks that are none
+    removed                      names among the chunks that are not chunks
     mended                       what else a repair did, each in a line
     sheets                       of the zoom levels, verified as the stores that they are
     """

@@ -34,7 +34,7 @@ Arrays = Mapping[str, NDArray[Any]]
 Mask = NDArray[np.bool_]
 
 STANDARD_ERRORS = 4.0
-"""By so many is the exponent of a chaotic cell positive, unless its average is not stationary."""
+"""Errors by which the exponent of a chaotic cell is positive, unless its average is not stationary."""
 SUM_LAW = 1e-8
 """By how much a sum of exponents may miss its exact value, relative to it or absolutely where that is small."""
 TORUS = 1e-3
@@ -47,7 +47,7 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     """The rules that some cells of a tile break, each in words, with the mask of those cells.
 
     ``arrays`` holds the result variables over the cells ``slices``; a rule about one that is not among them is left
-    out. Where the spectrum is stored, its sum is held against the exact law of ``workers.cell.exponents``.
+    out. Where the spectrum is stored, its sum is compared with the exact law of ``workers.cell.exponents``.
     """
     if spec.coexistence:
         return _broken_of_many(spec, slices, arrays)
@@ -55,7 +55,7 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """The rules of one attractor for each, and those of all together."""
+    """The rules of each attractor, and the rules of all together."""
     many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra}
     shape = tuple(part.stop - part.start for part in slices)
     count, tried = arrays["attractors"], arrays["starts"]

@@ -1,4 +1,4 @@
-"""Whether a store is what it says: everything in it read and held against everything known of it."""
+"""Whether a store is what it says: everything in it is read and compared with everything known of it."""
 
 import os
 import random
@@ -66,15 +66,15 @@ def verify(
 ) -> Report:
     """Read a whole store, while no run is at work on it, and report all that is wrong in it.
 
-    Metadata and coordinates are held against the spec; every chunk of every finished tile is read, which checks its
-    checksum, and all of a tile against its record; every cell is held against ``rules``, the sum law among them; every
-    chunk of an overview is held against what it stands for. Of ``sample`` cells that ``seed`` draws (failed ones left
-    out), the solution is made again: on the kind of machine that solved them it has to be the same to the bit,
-    elsewhere within the errors. So are the tables, curves, records of machines and zoom levels.
+    Metadata and coordinates are compared with the spec; every chunk of every finished tile is read, which checks its
+    checksum, and all of a tile against its record; every cell is checked by ``rules``, the sum law among them; every
+    chunk of an overview is compared with the cells below it. ``sample`` cells that ``seed`` draws, without failed ones,
+    are solved again: on the kind of machine that solved them the results have to be the same to the bit, elsewhere
+    within the errors. Tables, curves, records of machines and zoom levels are checked too.
     ``repair``, which holds the store's claim throughout, makes every tile with a fault unfinished, drops overviews,
-    tables, curves and zoom levels that are not sound, removes names among the chunks that are none, writes damaged
-    coordinates and missing overviews of finished tiles anew, and puts the records of all tiles together; it touches no
-    tile that is only in doubt.
+    tables, curves and zoom levels that are not sound, removes foreign names among the chunks, rewrites damaged
+    coordinates and missing overviews of finished tiles, and collects the records of all tiles; it touches no tile that
+    is only in doubt.
     Raises InputError where there is no store to verify, OSError where it cannot be read or repaired.
     """
     if sample < 0:
@@ -218,7 +218,7 @@ def _with_zoom(
 
 @dataclass(frozen=True)
 class _Checked:
-    """A tile read: good chunks, cells held against the rules, what is wrong, and the cells drawn from it.
+    """A tile read: good chunks, cells checked by the rules, what is wrong, and the cells drawn from it.
 
     ``row`` is its record, by the cells; None where they cannot be read.
     """
@@ -288,7 +288,7 @@ def _check(
         samples.append(Sample(cell, index, {name: array[one].copy() for name, array in values.items()}))
     sparse = [v for v in (*header.variables, *header.unknown) if v.sparse and v.name in values]
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
-    # A failed cell may be one that ends its process, which is why it was marked so: it is left alone.
+    # A failed cell may be one that ends its process, which is why it was marked so: it is not solved.
     kept = tuple(one for one in samples if one.regime != FAILED)
     return _Checked(index, chunks, tile.size, faults, kept, row)
 

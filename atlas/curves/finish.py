@@ -1,4 +1,4 @@
-"""From the curves that a search followed to those that are kept: each once, in one order, with what is said of them."""
+"""From the curves that a search followed to the curves that are kept: each once, in one order, with a report."""
 
 from collections import Counter
 from dataclasses import asdict
@@ -28,8 +28,8 @@ def report_of(search: Search, duplicates: int) -> dict[str, Any]:
                                each: all; explained by a ``curve`` or as the border of ``basins``; ``unexplained``
                                although looked beside; ``not_tried``
     looked, points             places looked beside, points of all curves
-    events_not_followed        for want of budget
-    duplicates                 curves left out, since a later one goes through them and on
+    events_not_followed        for lack of budget
+    duplicates                 curves omitted, since a later one contains them
     troubles                   what went wrong, in words, with how often
     """
     plane, settings = search.plane, search.settings

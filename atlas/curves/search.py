@@ -5,7 +5,7 @@ So the curves found depend neither on the number of workers nor on when a search
 1. Which orbits exist on the other side of an edge too, where only basins of attraction end.
 2. Beside one edge of each pair of regions, the events of the orbit that does not.
 3. The curves of these, one of a kind and orbit at a time; an event on a known curve needs none.
-4. Which edges these curves explain. Back to 2 for those that are left, the longest borders first.
+4. Which edges these curves explain. Back to 2 for the remaining ones, the longest borders first.
 """
 
 from collections.abc import Iterator

@@ -42,7 +42,7 @@ class Curve:
     impacts_lower   that with more at the upper one
     symmetric       whether the orbit is its own mirror image
     points (N, 2)   in order along the curve, x axis first; of a closed curve the last is the first
-    unstable (N,)   how many multipliers besides those of the event itself have modulus above 1: where it is 0 the orbit
+    unstable (N,)   number of multipliers with modulus above 1, not counting the event's own: where it is 0 the orbit
                     is otherwise stable, and the curve bounds a region that an attractor can live in
     ends            why the curve ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
                     shorter_orbit, or the kind of a point of codimension two
@@ -72,7 +72,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """All curves of a plane, the names of its axes, x first, and what is said of how they were found.
+    """All curves of a plane, the names of its axes, x first, and a report on the search.
 
     ``report``: plain values by name, see ``atlas.curves.report``.
     """

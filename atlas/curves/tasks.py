@@ -35,7 +35,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Follow:
-    """The curve of an event, number ``event`` of those of the part ``part``; at most ``budget`` points either way."""
+    """The curve of event number ``event`` of the part ``part``; at most ``budget`` points either way."""
 
     part: str
     event: int

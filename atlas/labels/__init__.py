@@ -1,1 +1,1 @@
-"""Labels of coexisting attractors that persist from cell to cell: those of one branch have the same."""
+"""Labels of coexisting attractors that persist from cell to cell: attractors of one branch share a label."""

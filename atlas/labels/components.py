@@ -15,9 +15,9 @@ Rows = NDArray[np.int64]
 
 
 def branches(count: int, pairs: Rows, change: NDArray[np.float64], cell: Rows, image: Rows) -> tuple[Rows, int]:
-    """The branch (count,) of each attractor, numbered by its first one, and how many links (L, 2) were left out.
+    """The branch (count,) of each attractor, numbered by its first one, and how many links (L, 2) were omitted.
 
-    change (L,)    along each link: those of the least are taken first, equal ones in their order
+    change (L,)    along each link: links of the least change are taken first, equal ones in their order
     cell (count,)  of each; image (count,) its mirror image, -1 where there is none
 
     >>> branches(3, np.array([[0, 1], [1, 2]]), np.array([0.1, 0.2]), np.array([0, 1, 0]), np.array([-1, -1, -1]))

@@ -38,7 +38,7 @@ class Links(NamedTuple):
 
     cell, image (A + unseen,)  of each orbit; its mirror image's row, -1 where the machine is not symmetric
     known (A,)  which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
-    one_way     pairs left out: followed from one cell an orbit becomes that of the other cell, but not back
+    one_way     pairs omitted: followed from one cell an orbit becomes that of the other cell, but not back
     """
 
     pairs: Rows

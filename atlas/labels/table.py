@@ -34,8 +34,8 @@ class Count:
     """What became of the attractors of an atlas.
 
     attractors    kept ones in all; labelled: those on a branch, the others are chaos, tori, or orbits not followed
-    orbits        those that are orbits; followed: those whose impacts alone make an orbit
-    branches      labels given; alone: those of one cell
+    orbits        attractors that are orbits; followed: orbits without rest
+    branches      labels given; alone: labels of a single cell
     links         pairs in neighbouring cells that are one orbit; cut: of these left out, since they would put two
                   attractors of one cell on a branch; one_way: pairs that
                   are one only as followed from one of them, and are not linked
@@ -153,7 +153,7 @@ def _rows(found: Labels) -> dict[str, NDArray[Any]]:
 
 
 def stored_count(header: Header) -> Count | None:
-    """What the stored labels say of themselves; None where there are none that would be found so again."""
+    """The report of the stored labels; None where there are none, or they would be found differently now."""
     try:
         stored = read_group(header, LABELS)
     except ChunkError:

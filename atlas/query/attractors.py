@@ -26,7 +26,7 @@ def leading(ds: "xr.Dataset") -> "xr.Dataset":
 def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     """The attractor at that place in every cell, 0 for the one with the largest share.
 
-    A cell with fewer is as without a result. InputError for a place that is none.
+    A cell with fewer is as without a result. InputError for a place that does not exist.
     """
     if not of_all(ds):
         raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")

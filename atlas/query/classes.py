@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _NEEDED = {REGIME.name: (), "period": ("period",), "impacts": ("period", "impacts_upper", "impacts_lower")}
 BY = tuple(_NEEDED)
-"""What cells can be told apart by."""
+"""What cells can be classified by."""
 STICKS = "sticks"
 """The pattern of all motions that rest on a stop: their impacts are infinitely many."""
 

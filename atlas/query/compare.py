@@ -1,4 +1,4 @@
-"""Two atlases of the same cells, held against each other: exponents by their difference, regimes by a table."""
+"""Two atlases of the same cells compared: exponents by their difference, regimes by a table."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _NAMES = [regime.name for regime in sorted(REGIMES, key=lambda regime: regime.co
 
 @dataclass(frozen=True)
 class Numbers:
-    """What a comparison comes to in numbers.
+    """A comparison in numbers.
 
     cells         of each pair of regimes (here, there), by ``_FIRST + index``
     same          share of the area that has the same regime in both, of what is pending in neither; NaN where all is
@@ -95,7 +95,7 @@ class Comparison:
 
     @cached_property
     def regimes(self) -> "xr.DataArray":
-        """The number of cells of each pair of regimes, those that occur, with dimensions ``here`` and ``there``."""
+        """The number of cells of each pair of regimes that occurs, with dimensions ``here`` and ``there``."""
         import xarray
 
         cells = self.numbers.cells

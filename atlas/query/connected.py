@@ -42,7 +42,7 @@ def windows(
     cut          what it may go on beyond: ``lowest omega`` or ``highest b``, an edge of the plane or of ``window`` that
                  it touches, and ``pending cells``; empty where it is whole
 
-    ``value`` takes one class, such as 3 for period 3, and ``least`` windows of at least so many cells.
+    ``value`` takes one class, such as 3 for period 3, and ``least`` the smallest number of cells of a window.
     Raises InputError for an unknown axis or class, and for a ``window`` without a cell.
     Reads the variables that tell the class, of tiles that have such cells. Takes about 15 bytes of memory a cell
     and 2 kB a window.
@@ -149,7 +149,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, least
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _Side:
-    """Edges are those that the cells have in the whole atlas."""
+    """Edges are the edges of the cells in the whole atlas."""
     points, edges = axis_values(part, name), cell_edges(ds, name)
     order = np.argsort(points)
     place = np.searchsorted(np.sort(axis_values(ds, name)), points[order])

@@ -124,7 +124,7 @@ def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int]
 
 
 def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
-    """Variables of a part, each dimension halved so many times, and the cells of the atlas where theirs begin and end.
+    """Variables of a part, each dimension halved some times, and the cells of the atlas where theirs begin and end.
 
     What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
     one dimension, some rows at a time; so is one that takes fewer pixels than the last level has cells.

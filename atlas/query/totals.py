@@ -102,7 +102,7 @@ class Totals:
         return total
 
     def _added(self, tiles: Slices) -> NDArray[np.float64]:
-        """The areas in those of some tiles that have a record."""
+        """The areas in the tiles, of some, that have a record."""
         rows, known = self._recorded
         return np.asarray(rows[tiles][known[tiles]][:, AREAS].sum(axis=0))
 

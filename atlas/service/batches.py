@@ -30,7 +30,7 @@ MANY = 400
 
 
 class Numbered(Protocol):
-    """A job: what it is told apart by."""
+    """A job, by what identifies it."""
 
     @property
     def index(self) -> tuple[int, ...]:

@@ -22,7 +22,7 @@ LOST = "the cluster was lost; the same command resumes from the stored tiles"
 
 @dataclass(frozen=True)
 class Tls:
-    """Files for an encrypted connection, as Dask takes them; what is None is left to Dask's own configuration."""
+    """Files for an encrypted connection, as Dask takes them; for None Dask's own configuration applies."""
 
     ca_file: str | None = None
     cert: str | None = None

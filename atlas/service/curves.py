@@ -94,7 +94,7 @@ def find_curves(
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
 ) -> CurvesSummary:
-    """Find the curves of a finished plane and keep them in its store; at once where it has those of these settings.
+    """Find the curves of a finished plane and keep them in its store; at once where it has them for these settings.
 
     They are found on ``client`` or where ``options`` say, as by ``run``. The same call resumes a search that was
     stopped. Raises InputError where the store is no finished plane; see also ``run``.
@@ -118,7 +118,7 @@ def find_curves(
 
 
 def _stored(header: Header, digest: str) -> Curves | None:
-    """The curves that the store has, if they are those of a search."""
+    """The curves that the store has, if that search found them."""
     try:
         stored = read_curves(header)
     except ChunkError:

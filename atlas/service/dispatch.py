@@ -1,4 +1,4 @@
-"""Jobs out to the workers and their outcomes back: a window of them under way, again for those that went wrong."""
+"""Jobs out to the workers and their outcomes back: a window of jobs under way, failed ones tried again."""
 
 import math
 import random
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 IN_FLIGHT = 2
 """Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
 ATTEMPTS = 3
-"""How often a tile that raises, or whose workers die, is tried before it is left for another run."""
+"""How often a tile that raises, or whose workers die, is tried in one run."""
 LEAST_MEMORY = 500_000_000
 """Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
 SMALL, BYTES_PER_CELL = 4096, 750
@@ -98,7 +98,7 @@ def outcomes(
     at which FAILURES jobs in a row failed gets no more while others do theirs, nor does one with too little memory.
 
     ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it. Raises
-    RunError where the cluster is lost, no worker is left that may have a job, or the store has no room.
+    RunError where the cluster is lost, no worker may have a job any more, or the store has no room.
     """
     from atlas.service.setup import set_up  # with it Dask, which takes a while to load
 
@@ -129,7 +129,7 @@ class _Window(Generic[J, R]):
                 if not (self.running or self.again):
                     yield from self.judged()
                     if not self.again:
-                        tick(self.workers())  # who was left out since the last one
+                        tick(self.workers())  # who was excluded since the last one
                         return
                     continue
                 for attempt, result in self.running.ended():
@@ -244,7 +244,7 @@ def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, 
 
 
 def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
-    """Workers enough to choose from for so many jobs; None where there are none."""
+    """Enough workers to choose from for that number of jobs; None where there are none."""
     enough = CHOICES + 4 * jobs
     return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 

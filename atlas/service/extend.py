@@ -1,4 +1,4 @@
-"""Extending an atlas: a new store of more cells, which reuses those that an old one has."""
+"""Extending an atlas: a new store of more cells, which reuses the cells of an old one."""
 
 import math
 import os
@@ -91,7 +91,7 @@ def extended(old: Header, given: Spec) -> Spec:
 
 
 def refined(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[int, ...] | None = None) -> Spec:
-    """The spec with each axis so many times finer: new values between the old ones, which stay to the bit.
+    """The spec with each axis finer by a factor: new values between the old ones, which stay to the bit.
 
     ``refine`` is one factor for all axes with more than one value, or factors by name. New values divide the step
     between two old ones evenly, on a log axis their ratio. n values become (n - 1) factor + 1.

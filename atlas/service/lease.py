@@ -111,7 +111,7 @@ class Claim:
         return self._record.token
 
     def report(self, progress: Mapping[str, Any]) -> None:
-        """What the next beats say to those who ask for the status; the first report is told at once.
+        """What the next beats report to the status; the first report is written at once.
 
         So it comes before the first tile, and nobody counts tiles that the next report, which is older, does not have.
         """
@@ -253,7 +253,7 @@ class Observer:
         self._mark, self._since = object(), 0.0
 
     def look(self) -> Sighting | None:
-        """The claim of now, None where there is none."""
+        """The present claim, None where there is none."""
         found = self._notes.read(CLAIM)
         mark = None if found is None else _mark(found)
         if mark != self._mark:

@@ -26,7 +26,7 @@ def without_time(spec: Spec, plan: Plan, report: Report) -> Plan:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of ``run``, ``extend`` and ``submit``; InputError for those that contradict each other.
+    """Options of ``run``, ``extend`` and ``submit``; InputError for options that contradict each other.
 
     workers       processes of a local cluster, by default one a processor; not with a scheduler or a client
     scheduler     address of a Dask scheduler, such as ``tcp://host:8786``

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ATTEMPTS = 3
-"""How often a patch that raises, or whose workers die, is tried before it is left alone."""
+"""How often a patch that raises, or whose workers die, is tried."""
 SPARE = 1
 """Patches under way beyond one for each thread: the next begins as soon as one ends, and little is to be dropped."""
 RATE_SECONDS = 10.0
-"""The rate is that of so many last seconds."""
+"""The rate is taken over this number of last seconds."""
 
 _LOST = LOST.partition(";")[0]  # what follows is advice for a run
 
@@ -51,7 +51,7 @@ class State:
 
 @dataclass(frozen=True)
 class Events:
-    """Who is told, from a thread of this service.
+    """The callbacks, called from a thread of this service.
 
     make      the patch of a key, just before it is sent; None where it is known meanwhile
     solved    the cells of a patch

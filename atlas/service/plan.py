@@ -19,7 +19,7 @@ from atlas.text import byte_size, duration, plural
 DEFAULT_TILE, LARGE_TILE = 64, 256
 """Cells along each side of a tile by default, and of one of a large atlas: an object store likes large objects."""
 MANY_TILES, MOST_TILES = 1024, 50_000
-"""Tiles are larger than the default where so many are left all the same, and larger still where there were more."""
+"""Tiles are larger than the default where at least MANY_TILES remain, and larger still beyond MOST_TILES."""
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
 CLEAR_RANGE = 1.5

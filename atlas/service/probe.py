@@ -30,7 +30,7 @@ Its error shows what it would cost with a larger budget; what it survived, for h
 SEGMENT = 8
 """Cells of a part of a line that is continued; the first is not counted, since no other of its line starts so."""
 STANDARD_ERRORS = 2.0
-"""By so many the range extends beyond what was measured."""
+"""Standard errors by which the range extends beyond the measurement."""
 
 Array = NDArray[np.float64]
 _Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]

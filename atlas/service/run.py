@@ -164,7 +164,7 @@ def _finish(
     held: Callable[[], None],
     options: RunOptions,
 ) -> None:
-    """What is left to the end: labels of basins, the overviews that no worker has made, the records put together."""
+    """The end of a run: labels of basins, overviews that no worker has made, records in one chunk."""
     if header.spec.basins:
         options.report(totals.progress("labelling the attractors"))
         complete_basins(header, held, lambda index, row: records.add(index, row.tolist()))

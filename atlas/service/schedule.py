@@ -1,4 +1,4 @@
-"""In which order tiles are solved: a few everywhere first, then those that are costly by what these have cost.
+"""The order of tiles: a few everywhere first, then the costliest by what these have cost.
 
 Costs of tiles differ a hundredfold. When the last costly one is begun late, a large cluster waits for it alone; row by
 row that depends on which corner of the plane the chaos lies in. Neighbours cost much the same, so the receipts of a

@@ -215,7 +215,7 @@ def read_status(header: Header, timing: Timing = TIMING) -> Status:
 
 
 def watch(census: Census, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
-    """Statuses, one every so many seconds, until the atlas is complete or no run has been at work for a while."""
+    """Statuses, one every ``seconds``, until the atlas is complete or no run has been at work for a while."""
     idle, beat = 0.0, -1
     while True:
         status = census.take()

@@ -212,7 +212,7 @@ def _spaced(where: str, given: Mapping[str, Any], scale: str) -> tuple[float, ..
 
 
 def check_count(where: str, count: int) -> None:
-    """Raise InputError unless an axis may have so many points; ``where`` names it in the message."""
+    """Raise InputError unless an axis may have this number of points; ``where`` names it in the message."""
     if not 1 <= count <= MAX_POINTS:
         raise InputError(f"{where}: found {shown(count)} points, must be 1 to {MAX_POINTS}")
 

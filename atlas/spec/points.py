@@ -24,7 +24,7 @@ Columns = Values
 
 
 class StoredColumns(Columns):
-    """Columns of so many rows whose values are read, all by ``read``, when they are first asked for."""
+    """Columns with a number of rows; ``read`` reads all values when one is first needed."""
 
     def __init__(self, names: Iterable[str], rows: int, read: Callable[[], Columns]) -> None:
         self._names, self.rows, self._read = tuple(names), rows, read

@@ -63,8 +63,8 @@ def _of_text(text: str) -> System | None:
 def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
     """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" where they are infinitely many.
 
-    Of several contacts those of each, in the order of the definition: p-q/r-s. A store from before these were counted
-    one by one has those of all together.
+    With several contacts, the counts of each, in the order of the definition: p-q/r-s. An older store has the counts
+    of all together.
     """
     one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in record.definition.contacts]
     if not record.has_modes or not any(name in cell for pair in one_by_one for name in pair):
@@ -74,12 +74,12 @@ def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
 
 
 def refuse_modes(record: System, what: str) -> None:
-    """InputError, in one line, that ``what`` is not there for machines like this one, where it has modes."""
+    """InputError, in one line, that ``what`` does not exist for machines with modes, if this is one."""
     _refused(record.refuse_modes, what)
 
 
 def refuse_drift(record: System, what: str) -> None:
-    """InputError, in one line, that ``what`` is not there where a coordinate drifts, if one may."""
+    """InputError, in one line, that ``what`` does not exist for drifting coordinates, if this system has one."""
     _refused(record.refuse_drift, what)
 
 

@@ -17,7 +17,7 @@ def spec_toml(
     settings: Settings,
     attractors: Mapping[str, Any] | None = None,
 ) -> str:
-    """The text of a spec with these tables; what has its default is left out. ``Spec.from_toml`` reads it."""
+    """The text of a spec with these tables; defaults are omitted. ``Spec.from_toml`` reads it."""
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
     tables = {
         "system": system.name if system.packaged else system.table(),

@@ -23,7 +23,7 @@ _DTYPE = np.dtype("<f8")
 
 
 def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values:
-    """The values of all axes or columns of a spec's outline, to the bit those that its digest is of.
+    """The values of all axes or columns of a spec's outline, bit for bit as its digest was taken.
 
     In place of a coordinate that is damaged its copy is read, or it is made again where it is evenly spaced; the digest
     shows whether it was. ChunkError, which names what is damaged, where that does not help.

@@ -53,7 +53,7 @@ def drop_group(header: Header, group: str) -> None:
 
 
 def group_attributes(header: Header, group: str) -> dict[str, Any] | None:
-    """The attributes of a group, None where it is not there. ChunkError where they cannot be read."""
+    """The attributes of a group, None where it does not exist. ChunkError where they cannot be read."""
     key = f"{group}/{ROOT}"
     stored = header.place.get(key)
     try:
@@ -63,9 +63,9 @@ def group_attributes(header: Header, group: str) -> dict[str, Any] | None:
 
 
 def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """The arrays of a group by name, and its attributes; None where it is not there.
+    """The arrays of a group by name, and its attributes; None where it does not exist.
 
-    ChunkError, which names what is missing or damaged, where they are not those that were written together.
+    ChunkError, which names what is missing or damaged, where they were not written together.
     """
     attributes = group_attributes(header, group)
     if attributes is None:

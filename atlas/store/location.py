@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from obstore.store import ObjectStore
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
-"""Schemes of URLs that a store may have, besides ``file``: those that obstore speaks."""
+"""Schemes of URLs that a store may have, besides ``file``: the ones that obstore supports."""
 _ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT", "GOOGLE_BASE_URL", "AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT")
 AT_ONCE = 64
 """Requests under way together where many objects of a server are read: it answers all as soon as one."""
@@ -45,7 +45,7 @@ class Place(Hashable, Protocol):
         """Whether there is such an object."""
 
     def version(self, key: str) -> Hashable:
-        """What tells an object's present state from others, without its bytes; None where there is none."""
+        """A token of an object's present state, without its bytes; None where there is no object."""
 
     def put(self, key: str, data: bytes) -> None:
         """Write an object whole, in place of any before it."""
@@ -204,7 +204,7 @@ class ObjectPlace:
 
         options: dict[str, Any] = {"retry_config": {"max_retries": 0}}
         if any(text.startswith("http://") for text in (self.url, *(os.environ.get(name, "") for name in _ENDPOINTS))):
-            options["client_options"] = {"allow_http": True}  # as it was asked for in so many words
+            options["client_options"] = {"allow_http": True}  # the URL says http explicitly
         return from_url(self.url, **options)
 
     def get(self, key: str) -> bytes | None:

@@ -10,7 +10,7 @@ from atlas.store.store import ROOT, Header
 
 
 def record_machine(header: Header, machine: Machine) -> None:
-    """Put a machine on the list of those that solved this store's tiles."""
+    """Add a machine to the list of machines that solved this store's tiles."""
     _recorded(header.place, header.run_id, machine)
 
 

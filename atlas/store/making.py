@@ -101,7 +101,7 @@ def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
 
 
 def check_replaceable(place: Place) -> None:
-    """Try to put the root there is, if there is none: for want of a permission that is refused another way."""
+    """Try to write the root if there is none: a missing permission is refused in another way."""
     root = place.get(ROOT)
     if root:
         place.put_new(ROOT, root)

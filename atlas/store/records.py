@@ -1,4 +1,4 @@
-"""What the finished tiles of a store hold, by their records: those of each tile, and those of all put together.
+"""What the finished tiles of a store hold, by their records: one per tile, and one chunk with all.
 
 A worker puts the record of a tile right before its ``regime``, with which the tile is done. At the end of a run all
 records are put together in one chunk, the compaction, and the single ones are removed, so that a finished atlas is
@@ -121,7 +121,7 @@ class Records:
         return rows if rows.shape == none.shape else none
 
     def _read(self) -> Rows:
-        """The rows of the compaction, with those of single records in their places."""
+        """The rows of the compaction, with single records in their places."""
         done = self.done  # before the records: each finished tile then has its own
         if self.header.record is None:
             return np.zeros((*done.shape, WIDTH))
@@ -243,7 +243,7 @@ def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Rows | Chunk
 
 
 def by_name(total: Rows, header: Header) -> tuple[dict[str, int], dict[str, int]]:
-    """The cells of added rows by regime and, where the store keeps any, by reason in words; those that occur."""
+    """The cells of added rows by regime and, where the store keeps any, by reason in words; only those that occur."""
     cells, reasons = total[CELLS].astype(int).tolist(), total[BY_REASON].astype(int).tolist()
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}

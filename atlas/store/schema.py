@@ -142,7 +142,7 @@ def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, A
 
 
 def variable_of(name: str, metadata: Mapping[str, Any], dims: int) -> Variable:
-    """A variable over cells of so many dimensions that is in no table, from the metadata of its array."""
+    """A variable over cells with that number of dimensions, in no table, from the metadata of its array."""
     attributes = metadata["attributes"]
     extra = tuple(metadata["dimension_names"][dims:])
     described = str(attributes.get("long_name", name)), str(attributes.get("units", "1"))

@@ -143,7 +143,7 @@ class Folder:
                 yield None
                 return
             with file:
-                with suppress(OSError):  # a file system without locks: what is left is a race of microseconds
+                with suppress(OSError):  # a file system without locks: a race of microseconds remains
                     fcntl.flock(file, fcntl.LOCK_EX if write else fcntl.LOCK_SH)
                 if self._is_still(file, name):
                     yield file

@@ -81,7 +81,7 @@ class Header:
         """The spec that the store was made from; what has been added to specs since is at its default.
 
         The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
-        InputError where this version cannot read it, and where the store's cells are not those of the spec.
+        InputError where this version cannot read it, and where the store's cells differ from the spec's.
         """
         try:
             whole = self.format_version == 1

@@ -1,6 +1,6 @@
 """Tables that a finished store gets: groups of arrays beside its results, which xarray opens.
 
-``attractors`` are those whose basins a store has, one entry an attractor; ``labels`` those of coexisting attractors.
+``attractors``: the attractors whose basins a store has, one entry each; ``labels``: labels of coexisting attractors.
 """
 
 import warnings

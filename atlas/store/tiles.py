@@ -169,7 +169,7 @@ def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Var
 def digest_faults(
     header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
 ) -> tuple[str, ...]:
-    """What speaks against ``values``, all variables covered, being those of that tile, by an older store's digests."""
+    """Why ``values``, of all variables, cannot belong to that tile, by an older store's digests."""
     stored = _read(digests, index)
     key = "/".join([digests.path, "c", *map(str, index)])
     if isinstance(stored, str):

@@ -49,7 +49,7 @@ def sheets(header: Header) -> list[tuple[str, str]]:
 
 
 def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
-    """The bytes of a sheet on its disk, in whole blocks; at a URL, at least so many."""
+    """The bytes of a sheet on its disk, in whole blocks; at a URL, a lower bound."""
     total = 0
     for key in header.place.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
         size = 1

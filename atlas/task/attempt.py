@@ -63,7 +63,7 @@ def run_job(job: Job) -> Receipt:
 def _solve_apart(header: Header, job: Job, died: str) -> Receipt:
     """Write a tile that killed its processes, so that the rest of the atlas can be finished.
 
-    It is solved part by part, each in a process of its own: only the cells of those that die too are marked failed.
+    It is solved part by part, each in a process of its own: only the cells of parts that die too are marked failed.
     """
     if job.retry is None and is_done(header, job.index):
         return _receipt_of_stored(header, job.index)

@@ -1,4 +1,4 @@
-"""Solving some cells of finished tiles again: those that failed, or that more forcing periods may decide otherwise."""
+"""Solving some cells of finished tiles again: failed cells, and cells that more forcing periods may decide."""
 
 from dataclasses import dataclass, replace
 from typing import Any

@@ -49,7 +49,7 @@ def solve_unknown(
 def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
     """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved.
 
-    Cells that failed there are to be solved again. RunError where the origin is not there any more.
+    Cells that failed there are to be solved again. RunError where the origin no longer exists.
     """
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
