@@ -22,14 +22,14 @@ def attractors(
     settings: Settings | None = None,
     starts: int = Starts.count,
 ) -> dict[str, Any]:
-    """All attractors that initial states of one cell reach, with their shares: those that ``[attractors]`` would find.
+    """All attractors that initial states of one cell reach, with their shares, as ``[attractors]`` finds them.
 
-    ``given`` are the parameters that differ from the defaults; ``starts`` initial states are solved, the cell's own and
-    others that fill a box evenly, half of them where these all reach one attractor.
-    By name: ``attractors`` found, ``starts`` solved, ``own``, the place of the one that the cell's own initial state
-    reaches, ``undecided`` initial states, ``unseen_share``, that of an attractor that 5 % of such cells miss, and the
-    ``periods_used`` by all; ``coexisting`` lists the attractors, the largest share first, with all their numbers; where
-    there is none, ``regime`` and ``reason`` say what became of the cell's own initial state. And ``system``,
+    ``given`` are the parameters that differ from the defaults. ``starts`` initial states are solved: the cell's own and
+    others that fill a box evenly; only half of them if these all reach one attractor.
+    Result by name: ``attractors``, the number found; ``starts`` solved; ``own``, the place of the attractor that the
+    cell's own initial state reaches; ``undecided`` initial states; ``unseen_share``, the share of an attractor that 5 %
+    of such cells miss; ``periods_used`` by all; ``coexisting``, the attractors with all their numbers, the largest
+    share first; where there is none, the ``regime`` and ``reason`` of the cell's own initial state; and ``system``,
     ``parameters``, ``solve`` and ``search`` in full.
     Raises InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
     """

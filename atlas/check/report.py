@@ -26,18 +26,18 @@ class Fault:
 class Report:
     """What a verification found.
 
-    tiles, tiles_done, chunks    in all; finished; their chunks read whole, their checksums right
+    tiles, tiles_done, chunks    in all; finished; their chunks read whole, with correct checksums
     overview_chunks              read whole, and compared with the cells below them
     digests                      whether the tiles have digests, by which an exchange of tiles is found
     cells_checked                checked against the rules
-    cells_solved                 of the sample that was asked for, solved again
+    cells_solved                 of the sample, solved again
     comparison                   "bits", "error", or why none was made
-    faults                       proved: damage, contradictions, cells that come out otherwise on the same machine
-    doubts                       cells that come out otherwise, beyond their errors, on another kind of machine
+    faults                       proved: damage, contradictions, cells whose results differ on the same machine
+    doubts                       cells whose results differ, beyond their errors, on another kind of machine
     repaired                     tiles made unfinished, so that the next run solves them again
     dropped                      chunks of overviews that were wrong, and made missing
     removed                      names among the chunks that are not chunks
-    mended                       what else a repair did, each in a line
+    mended                       what else a repair did, one line each
     sheets                       of the zoom levels, verified as the stores that they are
     """
 

@@ -15,10 +15,10 @@ VERSION = 2
 class CurveSettings:
     """The budget of a search, in counts, so that no result depends on a machine's speed; InputError below 1.
 
-    seeds    places beside edges at which events are looked for, at most
-    curves   curves that are followed, at most
-    points   points of all of them; a curve that the budget ends in the middle says so
-    least    cells of a region beside which events are looked for: with 1 beside every cell, which takes long
+    seeds    largest number of places beside edges where events are searched for
+    curves   largest number of curves that are followed
+    points   largest number of points of all curves; a curve that this ends in the middle says so
+    least    smallest region, in cells, beside which events are searched for; 1 takes long
     """
 
     seeds: int = 1000

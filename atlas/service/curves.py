@@ -96,8 +96,8 @@ def find_curves(
 ) -> CurvesSummary:
     """Find the curves of a finished plane and keep them in its store; at once where it has them for these settings.
 
-    They are found on ``client`` or where ``options`` say, as by ``run``. The same call resumes a search that was
-    stopped. Raises InputError where the store is no finished plane; see also ``run``.
+    The search runs on ``client`` or as ``options`` say, like ``run``. The same call resumes a search that was stopped.
+    Raises InputError where the store is not a finished plane; see also ``run``.
     """
     leave_if_bootstrapping()
     check_client(client, options)

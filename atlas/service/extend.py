@@ -41,11 +41,10 @@ def extend(
 ) -> Summary:
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
-    ``spec`` is that of the new atlas: it may have other values on the same axes, and nothing else that differs. Or
-    ``refine`` says by how much each axis, or the axes by name, become finer. ``store`` stays as it is, and has to
-    stay where it is until the new one is complete. The same call resumes an extension that was stopped; ``client``
-    and ``options`` are those of ``run``.
-    Raises InputError, before anything is written, where the two atlases do not go together; see also ``run``.
+    ``spec`` is the spec of the new atlas; only the values on its axes may differ. Or ``refine`` is the factor by which
+    all axes, or the axes by name, become finer. ``store`` does not change, and has to stay where it is until the new
+    one is complete. The same call resumes an extension that was stopped. ``client`` and ``options``: as for ``run``.
+    Raises InputError, before anything is written, where the two atlases do not fit together; see also ``run``.
     """
     old = read_header(store)
     if old.spec.points or (spec is not None and spec.points):

@@ -46,9 +46,10 @@ class LabelSummary:
 
 
 def label_attractors(store: str | os.PathLike[str], options: RunOptions = DEFAULTS) -> LabelSummary:
-    """Label the attractors of a finished atlas so that a branch has one label from cell to cell; kept in its store.
+    """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
-    At once where the store has them. Raises InputError where the store is no finished atlas of all attractors.
+    Returns at once where the store has them. Raises InputError where the store is not a finished atlas of all
+    attractors.
     """
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)

@@ -32,8 +32,8 @@ class RunOptions:
     scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
     tls           files for an encrypted connection to it
     retry         which cells of finished tiles to solve again; nothing else is solved then
-    estimate      gives a plan its time before the first tile is solved, such as ``service.probe.estimated``; it gets
-                  the spec, the plan, and where to report progress
+    estimate      adds an expected time to a plan before the first tile is solved, such as
+                  ``service.probe.estimated``; called with the spec, the plan and a function for progress
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
     timing        how long the run waits for everything else

@@ -60,11 +60,11 @@ def pack(
 ) -> Packed:
     """Pack a store, a folder or a URL, into one zip file; the store stays as it is.
 
-    The file's name ends in .zip. It appears whole or not at all, in the place of one of that name only with ``force``.
-    Of an atlas that is not complete what there is is packed.
-    ChunkError where a chunk of a finished tile, or of a table, is missing: the file would be without it for good.
-    Raises InputError for another suffix, where there is a file already, where there is no store, where something in it
-    is a link or no file, and where a run is at work on it: of a tile that is being written the file would have a part.
+    The file's name ends in .zip. It appears whole or not at all, and replaces a file of that name only with ``force``.
+    An incomplete atlas is packed as it is.
+    Raises ChunkError where a chunk of a finished tile, or of a table, is missing; InputError for another suffix, where
+    the file exists, where there is no store, where it contains links or special files, and where a run is at work on
+    it, since the file could then contain part of a tile.
     """
     target = Path(file).absolute()
     if target.suffix.lower() != SUFFIX:

@@ -35,17 +35,17 @@ class Spec:
     ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes what the
     TOML file has in its tables; an axis may also be a sequence of values. The first axis is x, the last dimension
     of every array. An axis with ``continuation`` is swept: each cell starts from its neighbour's attractor, and a
-    whole line of cells is in one tile. ``tile`` is the (y, x) shape asked for, or None; it does not change a number.
+    whole line of cells is in one tile. ``tile`` is its (y, x) shape, or None for the default; it changes no number.
     ``system`` is the name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``;
-    the spec has its name as ``system`` and all of it as ``record``.
+    the spec keeps its name as ``system`` and the whole of it as ``record``.
     One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. In place of
     axes ``points`` gives a table of parameter sets, one row a cell: its columns by name, or ``{"file": "table.csv"}``.
     The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty.
-    Columns win over ``parameters``.
+    Columns override ``parameters``.
     ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
-    ``workers.attractors.starts.Starts``, asks for all attractors of each cell that so many initial states reach; None
-    for that of its own. Where all axes are
-    components of the initial state it asks for their basins: which of the attractors of the one machine each reaches.
+    ``workers.attractors.starts.Starts``, asks for all attractors that this number of initial states of a cell reach;
+    None for the attractor of its own. Where all axes are components of the initial state it asks for their basins:
+    which of the attractors of the one machine each of them reaches.
     Raises InputError for anything that cannot be solved.
     """
 
@@ -104,7 +104,7 @@ class Spec:
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], folder: Path | None = None) -> "Spec":
-        """The spec of a mapping that has the form of the TOML file; a system's file is looked for in the folder."""
+        """The spec of a mapping in the form of the TOML file; a system's file is searched for in the folder."""
         check_names("key", given, SECTIONS)
         if "system" not in given:
             raise InputError("system missing")
@@ -118,8 +118,8 @@ class Spec:
     def from_toml(cls, source: str | Path, points: str | Path | None = None) -> "Spec":
         """The spec of a TOML file, or of the packaged example of that name where there is no such file.
 
-        ``points`` is a CSV file of parameter sets that take the place of its axes, which have to be columns there, or
-        of its own points.
+        ``points`` is a CSV file of parameter sets that replaces its axes, which have to be columns there, or its own
+        points.
         """
         path, where = Path(source), str(source) or "''"
         try:

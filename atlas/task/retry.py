@@ -21,7 +21,7 @@ NEEDED = (REGIME.name, *(each.name for each in ALLOWANCES))
 
 @dataclass(frozen=True)
 class Retry:
-    """Which cells to solve again, ``Retry(("failed",))``, and the settings they get, None for those they had.
+    """Which cells to solve again, ``Retry(("failed",))``, and with which settings; None keeps a setting.
 
     ``regimes`` are names, "failed" and "undetermined", or codes, which they become. InputError for an unknown name.
     """
