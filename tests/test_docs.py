@@ -174,13 +174,15 @@ def test_the_page_on_versions_and_the_changelog_end_with_the_present_ones() -> N
     assert f"The present solver version, {SOLVER_VERSION}," in (ROOT / "docs/accuracy.md").read_text()
 
 
-def test_the_page_on_accuracy_compares_periods_with_heyoka_by_its_table() -> None:
+def test_pages_compare_periods_with_heyoka_by_the_table_on_accuracy() -> None:
     text = (ROOT / "docs/accuracy.md").read_text()
     rows = [line.split("|")[4:7] for line in text.splitlines() if re.match(r"\| [345] \| [014] \|", line)]
     batch = [float(ratio) for _, _, ratio in rows]
     single = [float(heyoka) / float(alone) for alone, heyoka, _ in rows]
     assert f"In a batch the solver is {min(batch):.0f} to {max(batch):.0f} times as fast as heyoka" in text
     assert f"One cell at a time it is {min(single):.2f} to {max(single):.1f} times as fast" in text
+    said = [found for page in PAGES for found in re.findall(r"(\d+) to (\d+) times[a-z ]+heyoka", page.read_text())]
+    assert {*said} == {(f"{min(batch):.0f}", f"{max(batch):.0f}")}
 
 
 @each_page
