@@ -16,7 +16,7 @@ LONGEST = 64
 
 
 def tree_from(seed: Seed, along: str, window: tuple[float, float], leaving: bool = False, most: int = MOST) -> "Tree":
-    """The branch of a cell's orbit in one parameter, and with ``leaving`` those that leave it, at most ``most``.
+    """The branch of a cell's orbit in one parameter; ``leaving`` adds those that begin on it, at most ``most`` in all.
 
     Raises InputError for a parameter that does not exist or that no orbit depends on, for a window that does not
     rise, is not valid or does not hold the cell, and where the orbit cannot be followed.

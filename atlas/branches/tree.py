@@ -96,7 +96,7 @@ class Tree:
         self.twins = has_images(self.system, self.values)
 
     def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
-        """Follow the branch of an orbit, and with ``leaving`` those that leave it or that it leaves, and so on.
+        """Follow the branch of an orbit; with ``leaving`` also those that begin on it or that it begins on, and so on.
 
         ValueError, in one line, where the orbit itself cannot be followed.
         """

@@ -1,4 +1,4 @@
-"""Questions about the curves of an atlas: which there are, as they are kept and as a table."""
+"""Questions about the curves of an atlas: the curves as they are kept, and as a table."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The search for a plane's curves as stages of tasks, each made of the results of those before it and nothing else.
+"""The search for a plane's curves as stages of tasks, each a function of the results of earlier stages alone.
 
 So the curves found depend neither on the number of workers nor on when a search was stopped and resumed.
 

@@ -41,7 +41,7 @@ def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
 def own(ds: "xr.Dataset") -> "xr.Dataset":
     """Of a dataset of all attractors the one that each cell's own initial state reaches; which one is read at once.
 
-    A cell where that is none of those kept has the regime of a cell without a result.
+    A cell whose attractor is not among those kept has the regime of a cell without a result.
     """
     place = ds["own"].load()
     made = ds.drop_vars("own").isel({ATTRACTOR: place.clip(0)})

@@ -74,7 +74,7 @@ class Record:
 
     @property
     def trouble(self) -> str:
-        """Why the run comes to nothing, as its holder reports it; empty where it reports nothing."""
+        """Why the run makes no progress, as its holder reports it; empty where it reports nothing."""
         value = self.progress.get("trouble")
         return one_line(value) if isinstance(value, str) else ""
 

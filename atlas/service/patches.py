@@ -56,7 +56,7 @@ class Events:
     make      the patch of a key, just before it is sent; None where it is known meanwhile
     solved    the cells of a patch
     failed    a patch that was tried ATTEMPTS times, and what it raised
-    dropped   a patch that was sent and comes to nothing: ``make`` is asked for it again where it is wanted still
+    dropped   a patch that was sent and failed: ``make`` is called for it again if it is still wanted
     """
 
     make: Callable[[Hashable], Patch | None]
@@ -85,7 +85,7 @@ class Patches:
         self._thread.start()
 
     def want(self, who: Hashable, keys: Iterable[Hashable]) -> None:
-        """These patches, in this order, are what somebody wants from now on; none any more where there are none."""
+        """From now on these patches are wanted, in this order; an empty list cancels all."""
         wanted = deque(keys)
         with self._lock:
             if wanted:

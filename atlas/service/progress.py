@@ -22,8 +22,8 @@ class Progress:
 
     stage                     what is being done now, in words
     plan                      known from its stage on, else None
-    tiles, cells              in all: of the atlas, or of those that are to be solved again
-    tiles_done, cells_done    in the store, those of earlier runs included
+    tiles, cells              in all: of the atlas, or in a retry of the tiles to solve again
+    tiles_done, cells_done    in the store, including earlier runs
     cells_solved, seconds     of this run, since its first tile was submitted; before it of the stage, where it counts
     counts                    cells solved in this run by regime
     failures                  tiles that ended with an error in this run

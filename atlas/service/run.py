@@ -253,7 +253,7 @@ class _Work:
     """The work of a run.
 
     due                      mask of the tiles due
-    tiles, cells             in all: of the atlas, or in a retry of those to be solved again
+    tiles, cells             in all: of the atlas, or in a retry of the tiles to solve again
     tiles_done, cells_done   how many of these are done
     retry                    whether the tiles due are finished ones
     records                  of the tiles done, None where the store is still to be made

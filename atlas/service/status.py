@@ -25,7 +25,7 @@ class Status:
 
     ``reasons`` has the cells without a certain result, by the reason in words; none of a store too old to keep them.
     ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged; or
-    why the run at work comes to nothing.
+    why the run at work makes no progress.
     ``ended`` is how the last submitted run ended. Both are empty where all is well.
     """
 

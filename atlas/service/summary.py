@@ -28,7 +28,7 @@ class TileFailure:
 class Summary:
     """What a run did.
 
-    tiles, tiles_done              in all (of those to be solved again, where some are); done now
+    tiles, tiles_done              in all (in a retry, of the tiles to solve again); done now
     tiles_solved, cells_solved     by this run
     counts, reasons                cells solved by regime; those without a certain result by the reason
     seconds                        from the first tile to the last

@@ -292,7 +292,7 @@ def _with_points(given: Mapping[str, Any], points: Path, folder: Path) -> dict[s
     for name in axes if isinstance(axes, Mapping) else ():
         if name not in columns:
             raise InputError(f"{name} is an axis but not a column of {points}; add the column or remove the axis")
-    replaced = ("axes", "store") if "axes" in given else ()  # the shape of a tile of the axes is none of the rows
+    replaced = ("axes", "store") if "axes" in given else ()  # the tile shape of the axes does not fit the rows
     return {**{key: table for key, table in given.items() if key not in replaced}, "points": columns}
 
 

@@ -57,7 +57,7 @@ class Place(Hashable, Protocol):
         """Remove an object; nothing happens where there is none."""
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """The bytes of those of these objects that there are, by key: many at once where each takes a while."""
+        """The bytes of the objects among these that exist, by key: many at once where each takes a while."""
 
     def remove_all(self, keys: Iterable[str]) -> None:
         """Remove objects, in no order, many by one request where the place has such requests."""

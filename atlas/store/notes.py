@@ -35,7 +35,7 @@ class UrlNotes:
         return self.put(name, _REMOVED, expected)
 
     def clear(self, keep: str) -> None:
-        """Remove all notes but one, for good: only for who holds that one."""
+        """Remove all notes but one, for good; only the holder of that one may."""
         self.place.remove_all(name for name in self.place.list_keys() if name != keep)
 
     def drop(self, name: str) -> None:

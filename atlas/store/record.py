@@ -61,7 +61,7 @@ def counted_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDAr
     """
     codes = arrays[REGIME.name]
     area = reduce(np.multiply.outer, (width[part] for width, part in zip(widths_along(spec), slices, strict=True)))
-    known = (codes >= PENDING) & (codes < PENDING + len(REGIMES))  # what is none of them adds up to no tile
+    known = (codes >= PENDING) & (codes < PENDING + len(REGIMES))  # with other codes the counts add up to no tile
     places = codes[known] - PENDING
     row = np.zeros(WIDTH)
     row[CELLS] = np.bincount(places, minlength=len(REGIMES))

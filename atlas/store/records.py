@@ -270,7 +270,7 @@ def record_faults(header: Header, records: Records, counted: Mapping[Index, Rows
 
 
 def tile_faults(header: Header, records: Records, index: Index, row: Rows) -> list[str]:
-    """What speaks against a finished tile whose record is to be ``row``, by its cells."""
+    """Why ``row`` cannot be the record of a finished tile, by its cells."""
     key = record_key(index)
     if key in records.damaged:
         return [f"{key} {records.damaged[key]}"]

@@ -196,7 +196,7 @@ def create(
 
 
 def read_header(store: str | os.PathLike[str] | Place) -> Header:
-    """The header of a store; InputError where there is none, or it is not ours, or of a unknown format.
+    """The header of a store; InputError where there is none, or it is not ours, or of an unknown format.
 
     Where the disk or the server refused, its OSError is that InputError's cause. NetworkError where the server does
     not answer.

@@ -116,7 +116,7 @@ def listed_tiles(header: Header) -> tuple[set[tuple[int, ...]], set[tuple[int, .
 def drop_tile(header: Header, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
 
-    Its record goes first: an empty one is put in its place, which counts in place of one among those of all tiles.
+    Its record goes first: an empty one replaces it, and takes precedence over the row in the records of all tiles.
     """
     put_record(header, index, np.zeros(WIDTH))
     header.place.remove(chunk_key(header.regime, index))

@@ -1,4 +1,4 @@
-"""A block of a spec's cells solved as the spec says: each on its own, or in whole lines where an axis is continued."""
+"""A block of a spec's cells, solved one by one, or in whole lines where an axis is continued."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any

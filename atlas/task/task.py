@@ -147,7 +147,7 @@ def solve_and_write(job: Job) -> Receipt:
 
 
 def stored_cells(header: Header, job: Job, slices: Slices) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """What is known of cells of the job's tile, as arrays, and the mask of those that it is to solve."""
+    """What is known of the cells of the job's tile, as arrays, and the mask of the cells to solve."""
     if job.retry is None:
         return known_cells(header, slices)
     within = tuple(
