@@ -47,7 +47,7 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
     """The history of one cell from its initial state over 0 to a million forcing periods, nothing dropped.
 
     Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
-    without a motion and where it costs more evaluations than any cell may that is solved over this many periods.
+    without a motion, and where the motion costs more evaluations than a cell solved over as many periods may.
     """
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)

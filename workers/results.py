@@ -184,7 +184,7 @@ def result_variables(
 ) -> tuple[Variable, ...]:
     """The variables that a solution with these settings has; ``regime`` is the last, as it is the last written.
 
-    ``own`` are those of the machine, see ``model.measures``.
+    ``own``: the machine's own variables, see ``model.measures``.
 
     With ``attractors`` each cell has all its attractors: every result but the cost has the dimension ``attractor``.
     With ``basins`` each initial state has the label of the attractor that it reaches.

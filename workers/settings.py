@@ -19,16 +19,16 @@ class Settings:
 
     exponents          "none", "largest" or "spectrum"
     tolerance          target standard error of the largest exponent, per forcing period; > 0
-    max_periods        forcing periods that deciding a cell's class, and averaging, may cost; 1 to 500 million (method
+    max_periods        most forcing periods for deciding a cell's class, and averaging; 1 to 500 million (method
                        "adaptive")
-    survival           forcing periods, beyond those, for which what looks chaotic may be watched; 0 to 500 million
-                       (method "adaptive"). Beside a known stable orbit it is watched until it has survived for all of
-                       it, otherwise for a 32nd of it at least.
+    survival           most further forcing periods for watching motion that looks chaotic; 0 to 500 million (method
+                       "adaptive"). Beside a known stable orbit it is watched for all of them, otherwise for a 32nd
+                       of them at least.
     method             "adaptive", or "fixed": the schedule of Li & Tan (2011), transient then average
     transient_periods  periods dropped before the average (method "fixed"); 0 to 500 million
     periods            periods averaged (method "fixed"); 1 to 500 million
-    max_period         longest orbit looked for, in forcing periods; 1 to 10,000. Where the exponent is clearly
-                       negative, orbits of up to 1000 periods are looked for all the same (method "adaptive")
+    max_period         longest orbit searched for, in forcing periods; 1 to 10,000. Where the exponent is clearly
+                       negative, orbits of up to 1000 periods are searched for in any case (method "adaptive")
     section_samples    K: keep the last K section states of each cell; 0 to 100,000
 
     Raises ValueError, in one line that names the setting, for anything else.

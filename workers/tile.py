@@ -27,12 +27,12 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
     """Exponents, regime and periodicity of every cell, as arrays of the parameters' broadcast shape.
 
     system    name of a system in the package, such as "two-mass", or a System
-    params    parameter name -> float or array; what is left out has its default. The arrays broadcast to the
+    params    parameter name -> float or array; all others have their defaults. The arrays broadcast to the
               shape of every result; "spectrum" and "state" have one more axis (2n; "spectrum" 2n - 1
               where a coordinate drifts), "section" two (K, 2n).
     settings  see Settings
 
-    Exponents are per forcing period. The variables and their units are those of ``System.variables``.
+    Exponents are per forcing period. ``System.variables`` has the variables and their units.
     A cell depends on its own parameters and the settings only, to the bit. It never raises for a cell: outside
     the valid range it is "invalid", and "failed" where its motion cannot be followed; "reason" says why.
     Raises KeyError for an unknown system or parameter name and ValueError for shapes that do not broadcast.

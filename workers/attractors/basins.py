@@ -28,7 +28,7 @@ from workers.tile import initial_state, solve_parts
 
 
 class Table(Coexistence):
-    """The attractors that the reference set of one machine reaches, those of larger share first.
+    """The attractors that the reference set of one machine reaches, the largest share first.
 
     A label is a place among these ``attractors``.
     """

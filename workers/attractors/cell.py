@@ -1,4 +1,4 @@
-"""The attractors of one cell, each motion put to one that is known or to a new one."""
+"""The attractors of one cell; each motion is assigned to a known one or to a new one."""
 
 import numpy as np
 

@@ -23,7 +23,7 @@ class Attractor:
     mirror            its mirror image, where that is another one and known
     reference         (k, 4n) of any other: its batches, see ``same``
     last              physical states, with their contacts, at which the motions of its initial states were left
-    pooled, distance  initial states put to it by statistics; the largest distance among them
+    pooled, distance  initial states assigned to it by statistics; the largest distance among them
     seen              periods for which all of them together were seen on it
     transient         whether one of them has left it
     """
@@ -49,7 +49,7 @@ class Attractor:
 
     @property
     def order(self) -> tuple[int, int]:
-        """What attractors of a cell are sorted by: those of larger share first, then those that were found first."""
+        """The order of the attractors of a cell: the largest share first, then the first one found."""
         return -len(self.starts), min(self.starts)
 
     def image(self, symmetric: bool) -> "Attractor | None":

@@ -6,7 +6,7 @@ contraction: the test by which an orbit itself is accepted, see ``orbit.attracti
 orbits that were proved are one is seen on the section of one of the proofs: at t = k T both may impact.
 
 Chaos and tori are known by batches of BATCH section states each: the means of the 2n block coordinates and of their
-squares. Two motions are told apart where one of these 4n means differs by more than DIFFERENT standard errors, of the
+squares. Two motions differ where one of these 4n means differs by more than DIFFERENT standard errors, of the
 pooled variance of the batches.
 """
 
@@ -46,7 +46,7 @@ Machines = Oscillator | Hybrid
 
 
 class KnownOrbits(NamedTuple):
-    """M orbits, those of cell c from first[c] on to before last[c].
+    """M orbits; cell c has first[c] to last[c] - 1.
 
     h (M, n, 2), period (M,), jacobian (M, 2n, 2n) and contraction (M,), 1 - |mu|, of a turn; norm (M, 2n, 2n) in
     which that shrinks deviations.

@@ -34,9 +34,9 @@ def motions_at_once(settings: Settings, size: int) -> int:
 
 
 class Known:
-    """The attractors of many cells, each motion to be compared with those of its own cell.
+    """The attractors of many cells, each motion to be compared with the attractors of its own cell.
 
-    attractors   all of them, those of a cell one after the other; a label is a place in this list
+    attractors   all of them, cell by cell; a label is a place in this list
     places       labels of the orbits that motions are compared with, in the order of ``orbits``
     references   the chaos and the tori of each cell
     """
@@ -66,11 +66,11 @@ class Search:
     on from there; those with a reason have no oscillator. Their course ends where they fall into a known orbit. Those
     whose transients are over leave it where chaos or a torus is known of their cell, to be compared with that.
 
-    cells        with the results of those that were solved in full
+    cells        with the results of the motions that were solved in full
     regime       of each motion, PENDING where it was recognised
     label        place of the known attractor that each has reached, -1 for none
     arrival      periods until it was within a hundredth of its scale on a known orbit, -1 where it reached none
-    distance     in standard errors from the attractor that it was put to by statistics
+    distance     in standard errors from the attractor that it was assigned to by statistics
     reference    of motions on a new chaos or torus, their batches
     compared     periods on the attractor after its class was known
     """
@@ -114,7 +114,7 @@ class Search:
 
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:
-        """Take the motions to their attractors; with ``references`` also to what a new chaos or torus is told by."""
+        """Take the motions to their attractors; with ``references`` also to the statistics of a new chaos or torus."""
         self.course.take()
         self._compare()
         if references:
@@ -168,7 +168,7 @@ class Search:
         return self.course.end_on_orbits(rows, np.maximum(cells.budget(), least), np.full(len(self.owner), NEAR_LATER))
 
     def _compare(self) -> None:
-        """Put motions to the chaos or the torus that they are on; go on with those that are on none of them."""
+        """Assign motions to the chaos or the torus that they are on; continue with those that are on none."""
         rows, known = np.flatnonzero(self.to_compare), self.known
         for batches in (same.FIRST_LOOK, same.SECOND_LOOK):
             rows, means = self.sample(rows, batches)
@@ -184,7 +184,7 @@ class Search:
         self.course.take()
 
     def _measure(self) -> None:
-        """Write what those of a known class show of their machine's own results."""
+        """Write their machine's own results for motions of a known class."""
         measure(self.cells, self.record.definition, self.params)
 
     def _refer(self) -> None:

@@ -44,7 +44,7 @@ def solve_attractors(
     Every result but the cost has one more dimension ``attractor`` after that shape, of ``starts.keep``: the attractor
     with the largest share first. Where there are fewer the rest is as without a result, regime PENDING. A cell that is
     invalid, or of which no initial state is decided, has the result of its own initial state in the first place.
-    The variables are those of ``System.variables(settings, attractors=True)``.
+    ``System.variables(settings, attractors=True)`` has the variables.
     Raises ValueError also for the method "fixed".
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or Starts()

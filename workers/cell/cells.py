@@ -48,7 +48,7 @@ class Average(NamedTuple):
 
 
 class Cells:
-    """N cells and where each of them is; its motion and the periods of its present stretch are those of the batch.
+    """N cells and the stage of each; the batch has its motion and the periods of its present stretch.
 
     They begin at physical section states ``starts`` (N, 2n), where no reason is against their oscillator; those without
     a motion are written invalid at once. contact (N,) is that of motions that go on from these states; without it each
@@ -62,7 +62,7 @@ class Cells:
     earlier    the average that was closed before the one under way; of no periods where there is none
     tallied    (N, TALLIES) what was counted between ``first`` and ``began``
     directions of the state, 2n; drifts: 1 where one of them is a coordinate that may drift, which has no exponent;
-    vectors: those that are carried along
+    vectors: those carried along
     found      result arrays, written as the cells are done; contact (N,) that of their ``state``
     orbits     of the cells that were proved to fall into one
     """
@@ -108,7 +108,7 @@ class Cells:
         self.batch.periods[rows], self.batch.done[rows] = periods, 0
 
     def run(self, rows: Rows, *, to_end: bool = False) -> Rows:
-        """Take these cells on, with ``to_end`` until each has ended its stretch; those that have ended."""
+        """Continue these cells, with ``to_end`` until each has ended its stretch; returns those that have ended."""
         framed = self.framed[rows]
         for batch, some in ((self.batch, rows[framed]), (self.bare, rows[~framed])):
             run(batch, some, to_end=to_end)

@@ -158,7 +158,7 @@ class Course:
         outcome.put_by_average(self.cells, rows, clear=np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON)))
 
     def _end_at_rest(self, rows: Rows) -> None:
-        """Write the results of cells whose one mass has rested: those of its orbit, or that its period is unknown."""
+        """Write the results of cells whose one mass has rested: its orbit, or that its period is unknown."""
         cells = self.cells
         rows = end_on_long_orbits(cells, rows)
         if cells.vectors:

@@ -1,4 +1,4 @@
-"""What is known of exponents without averaging: those of motion without impact, and the law of their sum."""
+"""Exponents without averaging: for motion without impact, and the law of their sum."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The stable orbits of cells: those that their motions are proved to fall into, and others known beside them."""
+"""The stable orbits of cells: orbits that their motions are proved to fall into, and others known beside them."""
 
 from typing import Any
 

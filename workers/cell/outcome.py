@@ -31,7 +31,7 @@ order in what is cut. At most half of this in 630 random orbits followed ten tho
 
 
 def put(cells: Cells, rows: Rows, **values: Any) -> None:
-    """Write result variables of these cells, those that are asked for. Cells that have a regime do not go on."""
+    """Write the required result variables of these cells. Cells that have a regime do not continue."""
     for name, value in values.items():
         if name in cells.found:
             cells.found[name][rows] = value
@@ -234,7 +234,7 @@ def put_by_average(
 def put_states(cells: Cells, rows: Rows, h: Array, contact: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the sections from it on.
 
-    The next K states, those of an orbit of known ``period`` repeated. NaN from where the motion cannot be followed.
+    The next K states; an orbit of known ``period`` repeats its own. NaN from where the motion cannot be followed.
     """
     oscillators, motions, every = taken(cells.oscillators, rows), motion.motions_at(h, contact), np.arange(len(rows))
     cells.contact[rows] = contact[:, 0]

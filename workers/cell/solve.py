@@ -50,7 +50,7 @@ def _solve_fixed(cells: Cells) -> None:
 
 
 def _through(cells: Cells, ready: Rows, periods: int) -> Rows:
-    """Take these cells through this many periods; those that can go on."""
+    """Take these cells through this many periods; returns those that can continue."""
     cells.aim(ready, periods)
     cells.run(ready, to_end=True)
     return end_stopped(cells, ready)

@@ -51,7 +51,7 @@ OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
 
 
 class BranchRun(NamedTuple):
-    """Points in order, those of events among them; events in order; how it ends at either end; Newton steps taken."""
+    """Points in order, events included; events in order; how each end ends; number of Newton steps."""
 
     points: list[Point]
     events: list[Event]
@@ -72,7 +72,7 @@ Until = Callable[[Event], bool]
 
 
 class Start(NamedTuple):
-    """An orbit on a branch near where another one leaves: the orbit and the parameter there."""
+    """An orbit to start another branch from: the orbit and the parameter there."""
 
     orbit: Orbit
     value: float
@@ -92,8 +92,8 @@ def branch(
 
     Pseudo-arclength in state, times and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and the grazes and lost impacts at which the orbit ceases to exist and the branch ends.
-    Either direction ends at the first event of which ``until`` is true.
-    Raises ValueError, in one line, for R = 0, for a start that no orbit is near, that is not admissible, or that is a
+    Each direction ends at the first event for which ``until`` is true.
+    Raises ValueError, in one line, for R = 0, and for a start that has no orbit nearby, is not admissible, or is a
     shorter or symmetric orbit repeated.
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))
@@ -109,8 +109,8 @@ def branch(
 def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> Start:
     """The doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
-    ``amplitude``: how far along the critical direction, in units of the scale of state and times; ``width``: that
-    of the parameter's window. The orbit's other half, or its mirror image, is the same branch in the other direction.
+    ``amplitude``: distance along the critical direction, in units of the scale of state and times; ``width`` of the
+    parameter's window. The orbit's other half, or its mirror image, is the same branch in the other direction.
     Raises ValueError for other events, and where Newton's method finds none.
     """
     if event.conditions != (Condition(MINUS_ONE),):
@@ -160,7 +160,7 @@ def follow(
 
 
 class _Passage(NamedTuple):
-    """What a step brings: events, points with those of events among them, how the direction ends there, if it does, and
+    """The result of a step: events, points with events included, how the direction ends there, if it does, and
     the test functions at the last point.
     """
 

@@ -23,12 +23,11 @@ def curve(
 
     event    one located on a branch, or any Event with conditions, orbit, contact times and kappa near a solution
     window   bounds of both parameters by name
-    Where an impact is lost the orbit without it grazes: that is the orbit which is followed, since its multipliers
-    stay finite.
+    Where an impact is lost, the orbit without it grazes; that orbit is followed, since its multipliers stay finite.
     Its events are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
-    graze_fold and the like, double_graze. It goes on through those where the event itself goes on; it ends at the
+    graze_fold and the like, double_graze. It continues through points where the event itself continues; it ends at the
     window's edge, where it closes, where its orbits cease to be admissible (at another graze), at kappa = 1 or -1, or
-    after ``budget`` points a direction, and says which. Raises as ``branch``.
+    after ``budget`` points per direction, and the result says which. Raises as ``branch``.
     """
     if len(family.free) != 2 or len(event.conditions) != 1:
         raise ValueError(f"a curve needs two free parameters and one condition, found {family.free}, {event.kind}")

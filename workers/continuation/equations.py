@@ -21,7 +21,7 @@ from workers.model.oscillator import COLUMN
 
 
 def check_orbits(lin: Machine, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where these equations do not hold: R = 0, stops that are not there, false symmetry; two
+    """ValueError, in one line, where these equations do not hold: R = 0, missing stops, false symmetry; two
     rigid modes, lam = 0, since one gap coordinate sees only one.
     """
     if not isinstance(lin, ModalOscillator):

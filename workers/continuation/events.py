@@ -62,9 +62,9 @@ BORDERS = (GRAZE, SPEED, ONSET, ENDS)
 class Point(NamedTuple):
     """One orbit of a branch or curve, at parameters (free,).
 
-    contacts (G,)      times at which it grazes
-    multipliers (2n,)  of a turn, which is half the orbit where it is symmetric; unstable: how many have modulus above
-                       1, besides those that the event itself fixes
+    contacts (G,)      times of its grazes
+    multipliers (2n,)  of a turn, which is half the orbit where it is symmetric; unstable: number with modulus above 1,
+                       not counting those that the event fixes
     """
 
     values: Array
@@ -92,7 +92,7 @@ class TestFunctions(NamedTuple):
 
 
 def _point(equations: Extended, X: Array) -> tuple[Point, Complex]:
-    """The point of unknowns X (N,), and its finite multipliers besides those that the conditions fix."""
+    """The point of unknowns X (N,), and its finite multipliers except those that the conditions fix."""
     mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):

@@ -47,10 +47,10 @@ class Leg(NamedTuple):
 class Itinerary(NamedTuple):
     """Events in order, and length.
 
-    sides    (m,) of one turn: +1 for an impact at the upper stop, -1 at the lower; of machines with modes Leg.label
+    sides    (m,) in one turn: +1 for an impact at the upper stop, -1 at the lower; for machines with modes Leg.label
     periods  of the force in the whole orbit
     symmetric  a turn is half the orbit
-    legs     of machines with modes, those that follow each event up to the next one; without events those of the turn
+    legs     for machines with modes, the legs from each event to the next one; without events, of the turn
     """
 
     sides: tuple[int, ...]
@@ -95,9 +95,9 @@ class Itinerary(NamedTuple):
 class Orbit(NamedTuple):
     """A periodic orbit: times (m,) of its events in one turn after a section, signed speeds (m,) before them.
 
-    Times alone define it, see ``equations.motion_of``; speeds tell orbits apart: of machines with modes they are the
-    rates of what reaches the end of its range, with the signs of the labels. Many orbits of one itinerary are one
-    record with another axis in front of both.
+    The times alone define it, see ``equations.motion_of``; the speeds distinguish orbits. For machines with modes they
+    are the rates of the signals that reach the end of their range, with the signs of the labels. Many orbits of one
+    itinerary are one record with another axis in front of both.
     """
 
     itinerary: Itinerary

@@ -140,7 +140,7 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 @kernel
 def event_of_leg(pieces, r, k, z, phase, begun, H):
     """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
-    where that cannot be told."""
+    where that is undecidable."""
     modes, n = of_machine(pieces, r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL

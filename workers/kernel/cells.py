@@ -62,7 +62,7 @@ def start_motions(oscillators, motions, states, cells):
 
 @kernel
 def put_inside(row, upper, lower, states):
-    """Move those of physical states (N, 2n) that lie beyond a stop onto it, along the gap row (N, n), in place."""
+    """Move physical states (N, 2n) that lie beyond a stop onto it, along the gap row (N, n), in place."""
     n = row.shape[1]
     for r in range(len(states)):
         y, square = 0.0, 0.0

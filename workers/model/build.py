@@ -31,7 +31,7 @@ from workers.model.oscillator import HEAD, Array, Head, Held, Machines, Oscillat
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load", "upper", "lower")
-"""The fields of machines that those of a kind have in common."""
+"""The fields that machines of a kind have in common."""
 
 
 @np.errstate(all="ignore")
@@ -41,7 +41,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     Reasons are a rigid mode that the gap does not see, or more than one; motion that grows; damping whose planes cannot
     be told apart in double precision; undamped resonance, where no periodic forced response exists; a forcing period
     of more free oscillations than double precision keeps the phase of; and numbers beyond its range. Those of
-    ``faults`` are told there alone.
+    ``faults`` are reported there alone.
     """
     first, kind = _kinds(machines)
     few = taken(machines, first)

@@ -159,7 +159,7 @@ class Definition:
 
     @property
     def _entries(self) -> dict[str, Any]:
-        """The expressions, or numbers, that each field of machines but those of the force is made of."""
+        """The expressions, or numbers, of each field of machines except the force."""
         lower, upper = stops(self.stop)
         return {
             **{name: getattr(self, name) for name in (*MATRICES, "load")},

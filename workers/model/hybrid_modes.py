@@ -58,7 +58,7 @@ class Code(NamedTuple):
 
 
 def code_of(number: int, contacts: int, slips: int) -> Code:
-    """The code of a number, of a machine with so many contacts and frictions."""
+    """The code of a number, for a machine with these numbers of contacts and frictions."""
     signs, states = [], []
     for _ in range(slips):
         number, digit = divmod(number, SLIP_DIGIT)
@@ -109,7 +109,7 @@ class Pieces(NamedTuple):
 def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, Mask]:
     """A mode of machines, and of which of them it is none.
 
-    That is where held rows depend on each other, motion grows or resonates undamped, planes cannot be told apart, or a
+    That is where held rows depend on each other, motion grows or resonates undamped, planes cannot be separated, or a
     load drives a free motion that what is held leaves.
     """
     p, mass, omega = code.phase, machines.mass, machines.omega

@@ -267,7 +267,7 @@ class Machines(NamedTuple):
 
 
 def each(record: Any, act: Callable[[Any], Any]) -> Any:
-    """The same record with something done to every field, those of the records in it too."""
+    """The same record with something done to every field, including the fields of records in it."""
     done = [each(field, act) if isinstance(field, tuple) else act(field) for field in record]
     return type(record)(*done)
 

@@ -156,7 +156,7 @@ def _read_drift(given: object, coordinates: Collection[str]) -> str:
 
 
 def _read_let(given: object, known: list[str], taken: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Names for expressions, in an order in which each comes after those that it uses."""
+    """Names for expressions, each after the names that it uses."""
     table = read_table("system.let", given)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")

@@ -75,7 +75,7 @@ def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[s
 
 
 def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """The constants of contacts and friction by their entries, those of each phase too."""
+    """The constants of contacts and friction by their entries, in each phase too."""
     for c, contact in enumerate(definition.contacts):
         if contact.rigid:
             yield f"{_contact(definition, c)}.restitution", machine.R[c]

@@ -42,13 +42,13 @@ _PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec has all va
 
 @dataclass(frozen=True)
 class System:
-    """A vibro-impact system: its parameters, the names of its physical state, and what its motion is made of.
+    """A vibro-impact system: its parameters, the names of its physical state, and its definition.
 
     states      components of the physical section state in order, displacements, then velocities; each is also a
                 parameter, the initial value at t = 0
     version     of the definition: raised where a packaged one changes a number
-    packaged    whether its name alone says which it is
-    source      where it comes from; ``equation`` and ``picture`` in text; ``axes`` are usual ones, (name, low, high)
+    packaged    whether its name alone identifies it
+    source      its reference; ``equation`` and ``picture`` as text; ``axes``: the usual ones, (name, low, high)
     """
 
     name: str
@@ -108,22 +108,22 @@ class System:
 
     @property
     def own_variables(self) -> tuple[Variable, ...]:
-        """The results that this system has besides those of all."""
+        """The results that only this system has."""
         return tuple(variable for _, variable in self._own)
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
-        """The results of a cell, see ``results.result_variables``, with those that this system alone has."""
+        """The results of a cell, see ``results.result_variables``, and the results that only this system has."""
         return result_variables(settings, attractors, basins, self.own_variables)
 
     def refuse_modes(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` is not there for machines like this one, if it has modes."""
+        """DefinitionError, in one line, that ``what`` does not exist for machines with modes, if this is one."""
         if self.has_modes:
             raise DefinitionError(
                 f"system {self.name!r}: {what} are there for machines with one rigid contact alone, which this is not"
             )
 
     def refuse_drift(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` is not there where a coordinate drifts, if one may."""
+        """DefinitionError, in one line, that ``what`` does not exist for a drifting coordinate, if this has one."""
         if self.definition.drift:
             raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
 

@@ -21,7 +21,7 @@ LEG_STATE = len(LEG)
 """Column of the first component of the state that a leg starts from."""
 
 NOTED = 5
-"""Numbers that are written down of an event before those of the signals."""
+"""Numbers written of an event before the numbers of the signals."""
 
 
 @inline_always

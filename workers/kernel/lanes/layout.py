@@ -27,7 +27,7 @@ FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 
 
 class LaneFields(NamedTuple):
-    """Fields of a lane. Velocities, accelerations and so on are those of the gap coordinate y."""
+    """Fields of a lane. Velocities, accelerations and so on refer to the gap coordinate y."""
 
     # those of oscillator.Numbers
     omega: int
