@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from atlas.render.provenance import computed_here, metadata
 from workers import Settings, solve_tile
 
 FORCES = (1.4, 2.0, 3.0, 5.0)
@@ -47,7 +48,8 @@ def draw(path: str) -> None:
             ax.plot(dots[some], sizes[some], "o", ms=4, color=color, mfc="white" if stops else color)
     ax.set(xlabel=r"forcing frequency $\omega$", ylabel="amplitude over $A$", xlim=(0.5, 2.0), ylim=(0.0, 5.0))
     ax.legend(frameon=False)
-    figure.savefig(path, dpi=110)
+    spec = {"system": "friction-oscillator", "omega": dots.tolist(), "A": FORCES, "s": 1.0, "zeta": 0.0}
+    figure.savefig(path, dpi=110, metadata=metadata(computed_here("friction-oscillator, amplitudes", spec), "png"))
 
 
 if __name__ == "__main__":

@@ -9,8 +9,13 @@ is explored in place; what is solved is kept there.
 import argparse
 import time
 
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
 from atlas.explore.painter import Painter
 from atlas.explore.session import explore
+from atlas.query.open import open_atlas
+from atlas.render.provenance import metadata, provenance_of
 from tests.browser import opened, started
 
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=curves"
@@ -44,6 +49,17 @@ def main() -> None:
             tab.page.screenshot(path=given.picture)
     finally:
         running.stop()
+    sign(given.picture, given.store)
+
+
+def sign(picture: str, store: str) -> None:
+    """Write into a PNG what it says of its numbers."""
+    words = PngInfo()
+    for name, text in metadata(provenance_of(open_atlas(store)), "png").items():
+        words.add_text(name, str(text))
+    with Image.open(picture) as image:
+        image.load()
+    image.save(picture, pnginfo=words)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,6 +70,8 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
     """
     import matplotlib
 
+    from atlas.render.provenance import computed_here, metadata
+
     matplotlib.use("Agg")
     from matplotlib import pyplot
     from matplotlib.patheffects import withStroke
@@ -112,7 +115,10 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
         panel.grid(alpha=0.3)
     axes[0].set_ylabel("milliseconds per cell, one core")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    figure.savefig(path, dpi=200)
+    settings = {method: sorted({point.setting for point in points if point.method == method}) for method in LOOKS}
+    spec = {"system": "two-mass", "cells": [cell.params for cell in cells], "settings": settings}
+    kind = Path(path).suffix.removeprefix(".")
+    figure.savefig(path, dpi=200, metadata=metadata(computed_here("two-mass, time against error", spec), kind))
     pyplot.close(figure)
 
 

@@ -10,6 +10,7 @@ from atlas.branches.branch import tree_from
 from atlas.branches.seed import seed_of_point
 from atlas.branches.table import pattern
 from atlas.branches.tree import Branch, Tree
+from atlas.cell.orbit import cell_orbit
 from tests.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, oscillator
 from workers import Settings
 from workers.continuation import Event, section_states
@@ -108,3 +109,14 @@ def test_sweeps_both_ways_change_class_in_the_cell_of_the_event(trees: list[Tree
             for k in range(len(cells))
         ]
         assert same == [True] * 7 + [False] * 5, (end.omega, end.out, own)
+
+
+def test_the_step_of_the_sweep_at_2_906_is_between_mirror_images_of_one_orbit() -> None:
+    """Cells 452 and 453 of Fig. 6, from rest; the mirror image is -x(t + T/2) on the path of the other."""
+    below, above = (cell_orbit({"omega": 2.0 + k * CELL}) for k in (452, 453))
+    for found in (below, above):
+        assert (found.cell["period"], bool(found.cell["symmetric"])) == (1, False)
+    half = [-np.interp(each.period / 2, each.times, each.states[:, 0]) for each in (below, above)]
+    assert below.section[0, 0] == pytest.approx(0.0350, abs=5e-5)
+    assert above.section[0, 0] == pytest.approx(0.0312, abs=5e-5)
+    assert half == pytest.approx([above.section[0, 0], below.section[0, 0]], abs=2e-4)

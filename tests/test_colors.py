@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import classes, events, hysteresis, impacts, scales, spectrum, style
+from atlas.render import classes, events, impacts, orbit, scales, spectrum, style, sweep
 from atlas.render.kinds import TABLE
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
@@ -31,8 +31,8 @@ _CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
 
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(impacts.UNLISTED)}
 
-OF_A_COLOR = {"impact_lost", "contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
-"""Kinds of events with the colour of another: grazes of some kind, and those of what sticks or slides."""
+OF_A_COLOR = {"contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding"}
+"""Kinds of events with the colour of another: losses of some kind, and those of what sticks or slides."""
 PALETTES = {
     "period": _REGIMES | {f"period {first}": color for first, _, color in classes.PERIODS},
     "combined": _COLD | _PERIODS,
@@ -44,7 +44,7 @@ PALETTES = {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED)
     },
     "events": {kind: look.color for kind, look in events.LOOKS.items() if kind not in OF_A_COLOR},
-    "hysteresis": dict(zip("ab", hysteresis.COLORS, strict=True)),
+    "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),
 }
 
 
@@ -66,6 +66,20 @@ def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str)
     seen = {name: lab(color, SIGHT[sight]) for name, color in PALETTES[palette].items()}
     closest = min((float(np.linalg.norm(seen[a] - seen[b])), a, b) for a, b in itertools.combinations(seen, 2))
     assert closest[0] > 14.0, closest
+
+
+@pytest.mark.parametrize("sight", EVERY_SIGHT)
+def test_impacts_of_a_portrait_are_told_from_each_other_and_from_all_else_in_it(sight: str) -> None:
+    (upper, lower), others = (look[1] for look in orbit.IMPACTS.values()), [orbit.LINE, orbit.STOP]
+    others += [spectrum.color(i) for i in range(4)] + list(style.INK.values())
+    seen = {color: lab(color, EVERY_SIGHT[sight]) for color in (upper, lower, *others)}
+    for own, rest in ((upper, others), (lower, [*others, upper])):
+        closest = min((float(np.linalg.norm(seen[own] - seen[other])), own, other) for other in rest)
+        assert closest[0] > 14.0, closest
+
+
+def test_impacts_of_a_portrait_differ_in_their_marker_too() -> None:
+    assert len({marker for marker, _, _ in orbit.IMPACTS.values()}) == len(orbit.IMPACTS)
 
 
 def test_events_of_one_colour_differ_in_line_and_marker() -> None:

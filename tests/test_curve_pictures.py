@@ -1,5 +1,6 @@
 """Claims about curves over maps and alone as a region chart: what is drawn where; read off the artists."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,22 @@ from tests.pictures import curve, curves, keeping, labels, plane
 from workers.results import CHAOTIC, PERIODIC
 
 
-def lines(ax: Axes, kind: str) -> LineCollection:
-    """The lines of a kind of curve."""
+def collection(ax: Axes, kind: str) -> LineCollection:
+    """What is drawn of a kind of curve."""
     (found,) = [each for each in ax.collections if each.get_gid() == kind]
     assert isinstance(found, LineCollection)
     return found
+
+
+def lines(ax: Axes, kind: str) -> list[np.ndarray]:
+    """The lines of a kind of curve, whole: parts that meet, of another width where lines crowd, are one."""
+    whole: list[np.ndarray] = []
+    for part in map(np.asarray, collection(ax, kind).get_segments()):
+        if whole and np.array_equal(whole[-1][-1], part[0]):
+            whole[-1] = np.concatenate([whole[-1], part[1:]])
+        else:
+            whole.append(part)
+    return whole
 
 
 def names(ax: Axes, gid: str = "corner name") -> list[str]:
@@ -40,13 +52,13 @@ def drawn(found: Curves, kind: str = "period", **options: Any) -> Figure:
 @pytest.mark.parametrize("kind", render.MAPS)
 def test_every_map_takes_curves_and_draws_them_along_their_points(kind: str) -> None:
     ax = drawn(curves(), kind).axes[0]
-    (fold,) = lines(ax, "fold").get_segments()
+    (fold,) = lines(ax, "fold")
     assert np.array_equal(fold, curves().curves[0].points)
 
 
 def test_where_the_orbit_is_otherwise_unstable_a_curve_is_left_out() -> None:
     ax = drawn(curves()).axes[0]
-    (doubling,), (graze,) = (lines(ax, kind).get_segments() for kind in ("period_doubling", "graze"))
+    (doubling,), (graze,) = (lines(ax, kind) for kind in ("period_doubling", "graze"))
     assert (doubling[0, 0], doubling[-1, 0]) == (1.0, pytest.approx(3.0))
     assert (graze[0, 0], graze[-1, 0]) == (pytest.approx(3.0), 5.0)
 
@@ -54,7 +66,7 @@ def test_where_the_orbit_is_otherwise_unstable_a_curve_is_left_out() -> None:
 def test_a_curve_that_is_stable_in_two_parts_is_drawn_in_two() -> None:
     x = np.linspace(1.0, 5.0, 9)
     broken = curve("fold", np.column_stack([x, 0.3 + 0.0 * x]), [0, 0, 0, 1, 1, 0, 0, 1, 0])
-    found = lines(drawn(Curves(("omega", "b"), (broken,))).axes[0], "fold").get_segments()
+    found = lines(drawn(Curves(("omega", "b"), (broken,))).axes[0], "fold")
     assert [part[:, 0].tolist() for part in found] == [[1.0, 1.5, 2.0], [3.5, 4.0]]
 
 
@@ -64,7 +76,7 @@ def test_kinds_differ_in_line_style_not_in_colour_alone() -> None:
 
 
 def test_the_legend_names_the_kinds_in_view_and_no_others() -> None:
-    assert labels(drawn(curves()))[-4:] == ["fold", "period doubling", "graze", "codimension two"]
+    assert labels(drawn(curves()))[-5:-1] == ["fold", "period doubling", "graze", "codimension two"]
     part = labels(drawn(curves(), window={"omega": (3.6, 5.0), "b": (0.2, 0.45)}))
     assert part[-2:] == ["fold", "graze"]
 
@@ -75,17 +87,28 @@ def test_curves_outside_the_window_are_said_to_be() -> None:
 
 
 def test_a_point_of_codimension_two_of_several_curves_is_marked_and_named_once() -> None:
-    ax = drawn(curves()).axes[0]
+    figure = drawn(curves())
+    ax = figure.axes[0]
     marks = [each for each in ax.lines if each.get_gid() == "corner"]
     assert [(each.get_xdata(), each.get_ydata()) for each in marks] == [([3.0], [0.37])]
-    assert names(ax) == ["graze–\nperiod doubling"]
+    assert names(ax) == ["a"]
+    assert "a:\xa0graze–period\xa0doubling" in labels(figure)
+
+
+def test_resonances_are_named_by_their_order_and_other_points_by_letters_of_a_key() -> None:
+    points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
+    kinds = ("cusp", "resonance_1_2", "fold_flip", "cusp")
+    marked = tuple(Corner(kind, 1.5 + k, 0.3, 5) for k, kind in enumerate(kinds))
+    figure = drawn(Curves(("omega", "b"), (curve("fold", points, corners=marked),)))
+    assert sorted(names(figure.axes[0])) == ["1:2", "a", "a", "b"]
+    assert labels(figure)[-2:] == ["codimension two", "a:\xa0cusp; b:\xa0fold–flip"]
 
 
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        ("cusp", "cusp"), ("resonance_1_3", "1:3"), ("fold_flip", "fold–flip"), ("graze_fold", "graze–\nfold"),
-        ("graze_neimark_sacker", "graze–\nNeimark–Sacker"), ("double_graze", "double graze"),
+        ("cusp", "cusp"), ("resonance_1_3", "1:3"), ("fold_flip", "fold–flip"), ("graze_fold", "graze–fold"),
+        ("graze_neimark_sacker", "graze–Neimark–Sacker"), ("double_graze", "double graze"),
     ],
 )  # fmt: skip
 def test_points_of_codimension_two_are_named_in_words(kind: str, name: str) -> None:
@@ -101,8 +124,8 @@ def test_the_kinds_of_curves_that_are_drawn_can_be_chosen() -> None:
 
 def test_points_of_codimension_two_are_drawn_where_they_are_chosen() -> None:
     figure = drawn(curves(), curves=["graze", "codimension_two"])
-    assert labels(figure)[-2:] == ["graze", "codimension two"]
-    assert names(figure.axes[0]) == ["graze–\nperiod doubling"]
+    assert labels(figure)[-3:] == ["graze", "codimension two", "a:\xa0graze–period\xa0doubling"]
+    assert names(figure.axes[0]) == ["a"]
 
 
 def test_kinds_of_curves_ask_for_the_overlay_by_themselves() -> None:
@@ -143,6 +166,37 @@ def test_names_of_crowded_points_keep_off_each_other() -> None:
     assert 2 <= len(boxes) <= 5
     for k, box in enumerate(boxes):
         assert box.padded(-2.0).count_overlaps(boxes[k + 1 :]) == 0
+
+
+def test_curves_that_run_beside_each_other_are_thinner_than_one_alone() -> None:
+    x = np.linspace(1.0, 5.0, 81)
+    apart = np.column_stack([x, np.full(81, 0.5)])
+    beside = [np.column_stack([x, np.full(81, height)]) for height in (0.2, 0.205)]
+    found = Curves(("omega", "b"), tuple(curve("fold", line) for line in (apart, *beside)))
+    ax = drawn(found).axes[0]
+    front = collection(ax, "fold")
+    (casing,) = [each for each in ax.collections if each.get_zorder() == 3.1]
+    for each in (front, casing):
+        alone, one, other = each.get_linewidths()
+        assert one == other < alone
+    assert np.all(np.asarray(casing.get_linewidths()) > front.get_linewidths())
+
+
+def test_lines_that_cross_keep_their_width() -> None:
+    x = np.linspace(1.0, 5.0, 81)
+    crossing = [np.column_stack([x, height]) for height in (0.1 + 0.1 * x, 0.7 - 0.1 * x)]
+    found = Curves(("omega", "b"), tuple(curve("fold", line) for line in crossing))
+    assert len(set(collection(drawn(found).axes[0], "fold").get_linewidths())) == 1
+
+
+def test_an_end_that_no_point_of_codimension_two_explains_is_marked() -> None:
+    points = np.column_stack([np.linspace(1.5, 4.5, 31), np.full(31, 0.3)])
+    given = curve("fold", points, corners=(Corner("cusp", 1.5, 0.3, 0),))
+    for ends, marked in ((("cusp", "budget"), [4.5]), (("cusp", "edge"), [])):
+        figure = drawn(Curves(("omega", "b"), (replace(given, ends=ends),)))
+        found = [each for each in figure.axes[0].lines if each.get_gid() == "end"]
+        assert [float(each.get_xdata()[0]) for each in found] == marked
+        assert ("end of a curve" in labels(figure)) == bool(marked)
 
 
 def test_curves_of_other_axes_are_refused() -> None:

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from atlas import render
 from atlas.errors import InputError
+from atlas.query import grazing
 from atlas.query.queries import boundary
-from atlas.render import classes, grazing, impacts, kinds, maps, overlays, scales
+from atlas.render import classes, impacts, kinds, maps, names, overlays, scales
 from tests.pictures import NAN, atlas, colour, curves, keeping, labels, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -168,10 +169,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = impacts.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = names.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert impacts.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert names.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -400,8 +401,8 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
 
 def test_the_legend_names_the_overlays() -> None:
     found = labels(render.figure(plane(), "period", overlay=render.MAP_OVERLAYS))
-    assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
-    assert found[-4:] == ["fold", "period doubling", "graze", "codimension two"]
+    assert found[-8:-5] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    assert found[-5:-1] == ["fold", "period doubling", "graze", "codimension two"]
 
 
 def test_there_are_lines_for_every_overlay() -> None:

@@ -143,12 +143,12 @@ def page() -> Figure:
 def test_a_portrait_has_all_its_panels_with_symbols_and_units(page: Figure) -> None:
     found = [(ax.get_xlabel(), ax.get_ylabel()) for ax in page.axes]
     assert found == [
-        ("", "$x_1$ [–]"),
-        ("time $t/T$ [forcing periods]", "$x_2$ [–]"),
-        ("$x_1$ [–]", r"$\dot x_1$ [–]"),
-        ("$x_2$ [–]", r"$\dot x_2$ [–]"),
-        ("$x_1$ [–]", "$x_2$ [–]"),
-        ("$x_1$ [–] at $t = kT$", r"$\dot x_1$ [–]"),
+        ("", "$x_1$"),
+        ("time $t/T$ [forcing periods]", "$x_2$"),
+        ("$x_1$", r"$\dot x_1$"),
+        ("$x_2$", r"$\dot x_2$"),
+        ("$x_1$", "$x_2$"),
+        ("$x_1$ at $t = kT$", r"$\dot x_1$"),
         ("forcing periods averaged over", r"$\lambda_i$ [per forcing period]"),
         ("", ""),
     ]
@@ -156,7 +156,7 @@ def test_a_portrait_has_all_its_panels_with_symbols_and_units(page: Figure) -> N
 
 def test_impacts_are_marked_in_both_histories(page: Figure) -> None:
     for i, ax in enumerate(page.axes[:2]):
-        (marks,) = (each for each in ax.lines if each.get_marker() == "o" and len(each.get_xdata()))
+        (marks,) = (each for each in ax.lines if each.get_marker() in "^v" and len(each.get_xdata()))
         assert list(marks.get_xdata()) == pytest.approx([0, 1, 2, 3, 4, 5, 6][: len(marks.get_xdata())])
         assert marks.get_ydata()[0] == pytest.approx(orbit().states[0, i])
 
@@ -199,7 +199,7 @@ def test_a_portrait_shows_the_mass_that_is_stopped_and_its_stop() -> None:
         stops=(-math.inf, 1.0),
     )
     axes = render.figure(found).axes
-    assert [ax.get_ylabel() for ax in axes[:2]] == ["$x_{1}$ [–]", "$x_{3}$ [–]"]
+    assert [ax.get_ylabel() for ax in axes[:2]] == ["$x_{1}$", "$x_{3}$"]
     heights = [[line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == "--"] for ax in axes[:2]]
     assert heights == [[], [1.0]]
 
@@ -255,7 +255,7 @@ def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, cl
     assert "chatter, enlarged" in titles[0]
     assert "chatter, enlarged" not in titles[1]
     (zoom,) = (ax for ax in render.figure(sticking).axes if ax.get_title(loc="left"))
-    impacts = next(each for each in zoom.lines if each.get_marker() == "o")
+    impacts = next(each for each in zoom.lines if each.get_marker() in "^v")
     flights = np.diff(impacts.get_xdata())
     assert len(flights) > 3 and (np.diff(flights) < 0).all()
     assert np.ptp(zoom.get_xlim()) < 0.5  # forcing periods

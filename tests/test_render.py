@@ -373,7 +373,7 @@ def test_an_atlas_without_a_single_result_is_drawn_as_pending(tmp_path: Path) ->
 
 def test_a_sweep_draws_the_section_over_the_exponent_on_one_axis() -> None:
     top, bottom = render.figure(sweep(largest=[1.0, -1, -1, 1], error=[0.1] * 4, section=section())).axes
-    assert top.get_ylabel() == "displacement of mass 1\n$x_1$ at $t = kT$ [–]"
+    assert top.get_ylabel() == "displacement of mass 1\n$x_1$ at $t = kT$"
     assert bottom.get_ylabel() == "largest Lyapunov exponent\n$\\lambda_1$ [per forcing period]"
     assert bottom.get_xlabel() == r"forcing frequency $\omega$"
     assert top.get_xlim() == bottom.get_xlim()

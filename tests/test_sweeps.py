@@ -11,7 +11,8 @@ from scipy import stats
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.render import hysteresis, spectrum
+from atlas.query import hysteresis
+from atlas.render import spectrum, sweep
 from tests.pictures import atlas, labels, line, plane
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC
@@ -140,11 +141,11 @@ def test_the_distance_of_two_samples_is_that_of_kolmogorov_and_smirnov() -> None
 
 
 def test_mirror_images_are_shaded_paler_than_different_motions() -> None:
-    pale, dark = (sum(to_rgb(hysteresis.SHADES[what])) for what in (hysteresis.MIRRORED, hysteresis.DIFFERENT))
+    pale, dark = (sum(to_rgb(sweep.SHADES[what])) for what in (hysteresis.MIRRORED, hysteresis.DIFFERENT))
     assert pale > dark
     figure = render.figure(solved(-0.15, -0.5), against=solved(0.0, 0.0))
     assert labels(figure)[-1] == "mirror images"
-    assert same_color(figure.axes[0].patches[0].get_facecolor(), hysteresis.SHADES[hysteresis.MIRRORED])
+    assert same_color(figure.axes[0].patches[0].get_facecolor(), sweep.SHADES[hysteresis.MIRRORED])
 
 
 def test_a_picture_of_two_atlases_carries_both_digests(tmp_path: Path) -> None:

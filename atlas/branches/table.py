@@ -106,11 +106,16 @@ class Branches:
         return pandas.DataFrame(list(self._events()), columns=columns)
 
     @property
-    def digest(self) -> str:
-        """Digest of all that decides these branches: the system, where they are followed, and from which orbit."""
+    def decided_by(self) -> dict[str, Any]:
+        """All that decides these branches: the system, where they are followed, and from which orbit."""
         start = self.traced[0].sections[0].tolist()
         where = {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
-        return digest_of(identity(self.system.resolved()) | where | {"start": start, "branches": len(self.traced)})
+        return identity(self.system.resolved()) | where | {"start": start, "branches": len(self.traced)}
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that decides these branches."""
+        return digest_of(self.decided_by)
 
     def _points(self) -> Iterator[tuple[Any, ...]]:
         for number, branch in enumerate(self.traced):

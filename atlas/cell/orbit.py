@@ -75,11 +75,15 @@ class CellOrbit:
         return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
 
     @property
+    def decided_by(self) -> dict[str, Any]:
+        """All that decides these numbers, as a spec without axes: the system, the parameters, the settings."""
+        others = {"parameters": dict(self.parameters), "axes": [], "solve": asdict(self.settings)}
+        return identity(self.system.resolved()) | others
+
+    @property
     def digest(self) -> str:
         """Digest of all that decides these numbers, made as a spec's."""
-        solve = asdict(self.settings)
-        others = {"parameters": dict(self.parameters), "axes": [], "solve": solve}
-        return digest_of(identity(self.system.resolved()) | others)
+        return digest_of(self.decided_by)
 
 
 def cell_orbit(

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from atlas.branches.table import Branches
     from atlas.render.page import Page
-    from atlas.render.style import Provenance
 
     Subject: TypeAlias = xr.Dataset | Sequence[xr.Dataset] | Comparison | CellOrbit | Branches
 
@@ -94,9 +93,11 @@ def figure(
     """
     target = None if path is None else target_of(path)
     wanted = _wanted(kind, window, pixels, options)
-    drawn, provenance = _drawn(subject, wanted, titles)
+    drawn = _drawn(subject, wanted, titles)
     if target is not None:
-        write(drawn, *target, provenance, wanted.page)
+        from atlas.render.provenance import provenance_of
+
+        write(drawn, *target, provenance_of(*_sources(subject, wanted)), wanted.page)
     return drawn if options.get("ax") is None else options["ax"]
 
 
@@ -122,46 +123,45 @@ def _page(look: Mapping[str, Any]) -> "Page":
     return page(**look)
 
 
-def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "tuple[Figure, Provenance]":
-    """The figure of a subject, and where its numbers are from."""
+def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure":
     import xarray as xr
 
-    from atlas.render.style import provenance_of
-
-    page = wanted.page
     if isinstance(subject, xr.Dataset):
-        return draw(subject, wanted), provenance_of(subject, *([] if wanted.against is None else [wanted.against]))
-    if isinstance(subject, Comparison | Sequence):
-        drawn, provenance = _several(subject, wanted, titles)
-    elif isinstance(subject, CellOrbit):
+        return draw(subject, wanted)
+    page = wanted.page
+    if isinstance(subject, CellOrbit):
         from atlas.render import orbit
 
         page.refuse_ends("a portrait")
-        drawn, provenance = orbit.figure(subject, page), orbit.provenance(subject)
+        drawn = orbit.figure(subject, page)
+    elif isinstance(subject, Comparison | Sequence):
+        from atlas.render import together
+
+        if page.given:
+            raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
+        atlases = _sources(subject, wanted)
+        for ds in atlases:
+            check_units(ds)
+        if isinstance(subject, Comparison):
+            drawn = together.difference(subject, page)
+        else:
+            drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, page)
     else:
         from atlas.render import branch
 
         page.refuse_ends("branches are lines")
-        drawn, provenance = branch.figure(subject, page), branch.provenance(subject)
+        drawn = branch.figure(subject, page)
     page.fit(drawn)
-    return drawn, provenance
+    return drawn
 
 
-def _several(
-    subject: "Comparison | Sequence[xr.Dataset]", wanted: Wanted, titles: Sequence[str]
-) -> "tuple[Figure, Provenance]":
-    from atlas.render import together
-    from atlas.render.style import provenance_of
-
-    if wanted.page.given:
-        raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
-    atlases = [subject.one, subject.other] if isinstance(subject, Comparison) else [leading(ds) for ds in subject]
-    for ds in atlases:
-        check_units(ds)
+def _sources(subject: "Subject", wanted: Wanted) -> list[Any]:
+    """What the numbers of a picture are from: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
-        return together.difference(subject, wanted.page), provenance_of(*atlases)
-    drawn = together.side_by_side(atlases, wanted.kind, wanted.window, titles, wanted.page)
-    return drawn, provenance_of(*atlases)
+        return [subject.one, subject.other]
+    if isinstance(subject, Sequence):
+        return [leading(ds) for ds in subject]
+    return [subject, *([] if wanted.against is None else [wanted.against])]
 
 
 @takes(Sheet)

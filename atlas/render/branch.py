@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from atlas.branches.table import Branches
 from atlas.branches.tree import Branch
-from atlas.render import machine, style
-from atlas.render.events import LOOKS, marker_entry
+from atlas.query import machine
+from atlas.render import gap, style
+from atlas.render.events import LOOKS, marker_look
 from atlas.render.fit import TITLE
 from atlas.render.page import STANDARD, Page
 
@@ -36,26 +37,17 @@ def figure(branches: Branches, page: Page = STANDARD) -> Figure:
         drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1)
         entries = draw(ax, branches, page)
         parameter = branches.system.parameter(branches.along)
-        unit = style.unit_text(parameter.unit)
-        ax.set_xlabel(
-            f"{parameter.meaning.split(':')[0]} ${style.shown_symbol(parameter.symbol, parameter.name)}$ [{unit}]"
-        )
-        ax.set_ylabel(machine.gap_label_of(branches.system))
+        symbol = style.shown_symbol(parameter.symbol, parameter.name)
+        ax.set_xlabel(f"{parameter.meaning.split(':')[0]} ${symbol}${gap.unit_of({parameter.unit})}")
+        ax.set_ylabel(gap.gap_label_of(branches.system))
         ax.set_xlim(*branches.window)
         ax.margins(y=0.06)
         if page.title:
             shown = [p for p in branches.system.parameters if p.name not in (*branches.system.states, branches.along)]
             signs = [(style.shown_symbol(p.symbol, p.name), branches.parameters[p.name]) for p in shown]
-            line = style.parameter_line(signs)
-            ax.set_title(line, loc="left", gid=TITLE)
+            ax.set_title(style.parameter_line(signs), loc="left", gid=TITLE)
         page.legend(drawn, entries)
     return drawn
-
-
-def provenance(branches: Branches) -> style.Provenance:
-    """The provenance of a picture of branches alone."""
-    title = f"impact-atlas: {branches.system.name}, branches along {branches.along}"
-    return style.Provenance(title, branches.digest, f"impact-atlas {style.own_version()}")
 
 
 def draw(ax: Axes, branches: Branches, page: Page) -> list[Artist]:
@@ -76,18 +68,14 @@ def draw(ax: Axes, branches: Branches, page: Page) -> list[Artist]:
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
         if lines[stable]:
             width, dashes = _WIDTHS[stable] * page.scale, DASHES[stable]
-            ax.add_collection(
-                LineCollection(lines[stable], colors=INK, linewidths=width, linestyles=[dashes], zorder=4)
-            )
+            drawn = LineCollection(lines[stable], colors=INK, linewidths=width, linestyles=[dashes], zorder=4)
+            ax.add_collection(drawn)
             entries.append(Line2D([], [], color=INK, linewidth=width, linestyle=dashes, label=label))
     for kind in LOOKS:
         if kind in events:
-            entry, places = marker_entry(kind, _MARKER * page.scale), np.concatenate(events[kind])
-            ax.plot(
-                *places.T, linestyle="", marker=entry.get_marker(), markersize=entry.get_markersize(),
-                color=entry.get_color(), markeredgecolor="white", markeredgewidth=0.5, zorder=5,
-            )  # fmt: skip
-            entries.append(entry)
+            look = marker_look(kind, _MARKER * page.scale)
+            ax.plot(*np.concatenate(events[kind]).T, zorder=5, **look)
+            entries.append(Line2D([], [], label=LOOKS[kind].label, **look))
     ax.autoscale_view()
     return entries
 

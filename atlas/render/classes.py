@@ -12,8 +12,9 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.query import machine
 from atlas.query.attractors import branches
-from atlas.render import machine, maps, style
+from atlas.render import maps, style
 from atlas.render.maps import Painted, View
 from workers.results import LABEL, NO_IMPACT, PERIODIC
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from atlas.branches.table import Branches
 from atlas.errors import InputError
 from atlas.query import attractors as query
-from atlas.render import axes, classes, machine, style, sweep
+from atlas.query import machine
+from atlas.render import axes, classes, gap, style, sweep
 from atlas.render.page import STANDARD, Page
 from workers.results import ATTRACTOR, LABEL, LARGEST, PENDING, REGIME, SECTION
 
@@ -75,7 +76,7 @@ def _sections(known: xr.Dataset | None) -> sweep.Panel:
             for cells, color in _groups(here, known):
                 shown = np.isfinite(section) & cells[:, None]
                 _points(ax, at[shown], section[shown], color, sweep.point_size(x, 0.6 * _POINT, page))
-        ax.set_ylabel(machine.gap_label(ds))
+        ax.set_ylabel(gap.gap_label(ds))
 
     return draw
 

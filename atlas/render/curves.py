@@ -1,11 +1,13 @@
-"""Exact curves over a map, their points of codimension two marked and named.
+"""Exact curves over a map, with their points of codimension two and the ends of what was followed.
 
 Drawn is where the orbit of a curve is otherwise stable: there the curve bounds a region that attractors live in. The
 rest passes through regions without changing what is seen in them, and is left out.
 """
 
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -14,24 +16,30 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from atlas.curves import asking
 from atlas.curves.table import Corner, Curve, Curves
 from atlas.errors import InputError
 from atlas.query.window import axis_names
-from atlas.render import axes, maps
+from atlas.render import axes, crowding, maps, names
 from atlas.render.events import LOOKS, corner_name, line_entry
 
 Array = NDArray[np.float64]
 
-WIDTH, HALO = 1.15, 1.5
-"""Width in points of a curve, and what a white halo adds to it over a map."""
-_MARKER, _TYPE = 4.0, 7.5
-"""Size in points of the mark of a point of codimension two, and of its name."""
+CASING = {False: 1.5, True: 0.7}
+"""What a white casing adds to the width of a curve over a map, by whether another one runs beside it."""
+_WIDTHS = {False: 1.1, True: 0.75}
+"""Width in points of a curve, likewise."""
+_BESIDE = 6.0
+"""Distance in points within which two curves crowd each other."""
+_MARKER, _END, _TYPE = 4.0, 2.6, 7.5
+"""Size in points of the mark of a point of codimension two, of an end, and of the name of such a point."""
+_KEY_WIDTH = 26
+"""Letters in a line of the key to such names, at most where there are several in it."""
+_HARD_SPACE = "\N{NO-BREAK SPACE}"
 _SAME = 1.0
-"""Distance in points below which two such points of one name are one."""
+"""Distance in points below which two marks of one name are one."""
 
 
 def of(ds: xr.Dataset, who: str) -> Curves:
@@ -47,7 +55,7 @@ def of(ds: xr.Dataset, who: str) -> Curves:
 
 def draw(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
     """Draw the curves that the atlas keeps over a map, and return their legend entries."""
-    return draw_lines(ax, of(ds, "overlay 'curves'"), options, HALO)
+    return draw_lines(ax, of(ds, "overlay 'curves'"), options, CASING)
 
 
 def wanted(found: Curves, options: maps.Options) -> Curves:
@@ -58,32 +66,40 @@ def wanted(found: Curves, options: maps.Options) -> Curves:
     return replace(found, curves=kept)
 
 
-def draw_lines(ax: Axes, found: Curves, options: maps.Options, halo: float) -> list[Artist]:
-    """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view."""
+def draw_lines(ax: Axes, found: Curves, options: maps.Options, casing: dict[bool, float] | None = None) -> list[Artist]:
+    """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view.
+
+    Where curves crowd, lines and casings are thinner, for the map to be seen between them.
+    """
     found = wanted(found, options)
+    every = [(curve.kind, line) for curve in found for line in bounding(curve) if _is_in_view(ax, line)]
+    if not every:
+        return [Line2D([], [], linestyle="", label="curves: none in this window")]
+    lines = [line for _, line in every]
+    places = [axes.in_points(ax, line, options.size) for line in lines]
+    drawn: dict[str, list[tuple[Array, bool]]] = {}
+    for number, part, crowded in crowding.parts(lines, places, _BESIDE):
+        drawn.setdefault(every[number][0], []).append((part, crowded))
     entries: list[Artist] = []
-    for kind, look in LOOKS.items():
-        lines = [line for curve in found.of_kind(kind) for line in bounding(curve) if _is_in_view(ax, line)]
-        if not lines:
-            continue
-        if halo:
-            back = LineCollection(lines, colors="white", linewidths=WIDTH + halo, zorder=3.1)
-            ax.add_collection(back, autolim=False)
-        front = LineCollection(lines, colors=look.color, linewidths=WIDTH, linestyles=[look.dashes], zorder=3.2)
+    for kind in [kind for kind in LOOKS if kind in drawn]:
+        segments, widths = [part for part, _ in drawn[kind]], np.array([_WIDTHS[each] for _, each in drawn[kind]])
+        if casing:
+            wide = widths + [casing[crowded] for _, crowded in drawn[kind]]
+            ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
+        look = LOOKS[kind]
+        front = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
         front.set_gid(kind)
         ax.add_collection(front, autolim=False)
-        entries.append(line_entry(kind, WIDTH))
-    if entries and (options.curves is None or "codimension_two" in options.curves):
-        entries += _draw_corners(ax, found, options)
-    return entries or [_nothing()]
+        entries.append(line_entry(kind, _WIDTHS[False]))
+    if options.curves is None or "codimension_two" in options.curves:
+        dense = np.concatenate([crowding.dense(place)[0] for place in places])
+        entries += _draw_corners(ax, found, dense, options)
+    return entries + _draw_ends(ax, found, options)
 
 
 def bounding(curve: Curve) -> Iterator[Array]:
     """The parts (N, 2) of a curve along which its orbit is otherwise stable."""
-    stable = curve.bounding
-    steps = stable[1:] & stable[:-1]
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
-    for first, last in zip(ends[::2], ends[1::2], strict=True):
+    for first, last in _stable(curve):
         yield curve.points[first : last + 1]
 
 
@@ -98,77 +114,81 @@ def corners(found: Curves) -> list[Corner]:
     return kept
 
 
-def _draw_corners(ax: Axes, found: Curves, options: maps.Options) -> list[Artist]:
-    """Mark points of codimension two in view, and name those whose name has room; the legend entry."""
-    look: dict[str, Any] = {
-        "linestyle": "", "marker": "o", "markersize": _MARKER * options.page.scale, "color": "white",
-        "markeredgecolor": "black", "markeredgewidth": 0.9,
-    }  # fmt: skip
-    marked: list[tuple[str, Array]] = []
-    for corner in corners(found):
-        name = corner_name(corner.kind)
-        at = axes.in_points(ax, np.array([[corner.x, corner.y]]), options.size)[0]
-        if np.all((at >= 0.0) & (at <= options.size)) and not any(
-            name == other and np.hypot(*(at - there)) < _SAME for other, there in marked
-        ):
-            marked.append((name, at))
-            ax.plot(corner.x, corner.y, zorder=4.2, gid="corner", **look)
+def loose_ends(found: Curves) -> list[Array]:
+    """Where a drawn part (2,) ends inside the plane at no point of codimension two: the search gave up, the orbit
+    ceased, or it is unstable beyond.
+    """
+    ends = []
+    for curve in found:
+        last_point = len(curve.points) - 1
+        for part in _stable(curve):
+            for k in part:
+                why = {0: curve.ends[0], last_point: curve.ends[1]}.get(k)
+                marked = any(abs(corner.after - k) <= 2 for corner in curve.corners)
+                if not marked and why not in ("edge", "closed"):
+                    ends.append(curve.points[k])
+    return ends
+
+
+def _stable(curve: Curve) -> Iterator[tuple[int, int]]:
+    """The first and the last point of each part of a curve along which its orbit is otherwise stable."""
+    steps = curve.bounding[1:] & curve.bounding[:-1]
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
+    yield from zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)
+
+
+def _draw_corners(ax: Axes, found: Curves, lines: Array, options: maps.Options) -> list[Artist]:
+    """Mark points of codimension two in view, and name those whose name has room; the legend entries.
+
+    Resonances have their names, others a letter that the legend explains.
+    """
+    kinds = {corner_name(corner.kind): corner for corner in corners(found)}
+    marked = _in_view(ax, [(corner_name(corner.kind), corner.x, corner.y) for corner in corners(found)], options)
     if not marked:
         return []
+    look = _mark(_MARKER * options.page.scale, "white", 0.9)
+    for _, _, (x, y) in marked:
+        ax.plot(x, y, zorder=4.2, gid="corner", **look)
+    entries: list[Artist] = [Line2D([], [], label="codimension two", **look)]
     if options.names:
-        lines = [_dense(axes.in_points(ax, line, options.size)) for curve in found for line in bounding(curve)]
-        _name_all(ax, marked, np.concatenate(lines), options)
-    return [Line2D([], [], label="codimension two", **look)]
+        present = [name for name in kinds if ":" not in name and any(name == each for each, _, _ in marked)]
+        letters = dict(zip(sorted(present), ascii_lowercase, strict=False))
+        short = [(letters.get(name, name), at) for name, at, _ in marked]
+        scale = options.page.scale
+        names.beside_marks(ax, short, lines, _MARKER * scale, _TYPE * scale, options.size)
+        key = "; ".join(f"{letter}: {name}".replace(" ", _HARD_SPACE) for name, letter in letters.items())
+        lines_of_key = textwrap.fill(key, _KEY_WIDTH, break_long_words=False, break_on_hyphens=False)
+        entries += [Line2D([], [], linestyle="", label=lines_of_key)] if key else []
+    return entries
 
 
-def _name_all(ax: Axes, marked: list[tuple[str, Array]], lines: Array, options: maps.Options) -> None:
-    """Write names beside marks, each where it covers no other and no mark, and the fewest points of the lines.
-
-    All lengths and ``lines`` (N, 2) are in points from the corner of the plot. A name that finds no room is left out.
-    """
-    size, mark = _TYPE * options.page.scale, _MARKER * options.page.scale
-    taken = [np.concatenate([at - 0.6 * mark, at + 0.6 * mark]) for _, at in marked]
-    for name, at in marked:
-        rows = name.split("\n")
-        wide, tall = 0.5 * size * max(map(len, rows)), 1.15 * size * len(rows)
-        best: tuple[int, int, int, Array] | None = None
-        for across, up in _AROUND:
-            middle = at + np.array([across * (0.8 * mark + wide / 2), up * (0.8 * mark + tall / 2)])
-            half = np.array([wide / 2, tall / 2])
-            box = np.concatenate([middle - half, middle + half])
-            if np.any(box[:2] < 0.0) or np.any(box[2:] > options.size) or any(_overlap(box, each) for each in taken):
-                continue
-            covered = int(np.sum(np.all((lines > box[:2]) & (lines < box[2:]), axis=1)))
-            if best is None or covered < best[0]:
-                best = covered, across, up, box
-        if best is None:
-            continue
-        _, across, up, box = best
-        taken.append(box)
-        place = ax.transData.inverted().transform(ax.transAxes.transform(at / options.size))
-        ax.annotate(
-            name, (float(place[0]), float(place[1])), xytext=(0.8 * mark * across, 0.8 * mark * up),
-            textcoords="offset points", ha={1: "left", 0: "center", -1: "right"}[across],
-            va={1: "bottom", 0: "center", -1: "top"}[up], fontsize=size, linespacing=0.95, zorder=4.3,
-            path_effects=[withStroke(linewidth=2.0, foreground="white")], gid="corner name",
-        )  # fmt: skip
+def _draw_ends(ax: Axes, found: Curves, options: maps.Options) -> list[Artist]:
+    """Mark ends in view that no point of codimension two explains; the legend entry."""
+    look = _mark(_END * options.page.scale, "black", 0.4) | {"markeredgecolor": "white"}
+    marked = _in_view(ax, [("", *end) for end in loose_ends(found)], options)
+    for _, _, (x, y) in marked:
+        ax.plot(x, y, zorder=4.1, gid="end", **look)
+    return [Line2D([], [], label="end of a curve", **look)] if marked else []
 
 
-_AROUND = ((1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, 1), (0, -1))
-"""Where a name may stand beside its mark: to the right and left, above and below."""
+def _mark(size: float, color: str, edge: float) -> dict[str, Any]:
+    return {
+        "linestyle": "", "marker": "o", "markersize": size, "color": color, "markeredgecolor": "black",
+        "markeredgewidth": edge,
+    }  # fmt: skip
 
 
-def _overlap(one: Array, other: Array) -> bool:
-    """Whether two boxes (left, low, right, high) meet."""
-    return bool(np.all(one[:2] < other[2:]) and np.all(other[:2] < one[2:]))
-
-
-def _dense(line: Array) -> Array:
-    """The points (M, 2) of a line with others between them, about two points of the page apart at most."""
-    steps = np.hypot(*np.diff(line, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.linspace(0.0, along[-1], 2 + int(along[-1] / 2.0))
-    return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)])
+def _in_view(
+    ax: Axes, places: Sequence[tuple[str, float, float]], options: maps.Options
+) -> list[tuple[str, Array, tuple[float, float]]]:
+    """The places in view, those of one name that lie on each other once: name, place in points, in data."""
+    found: list[tuple[str, Array, tuple[float, float]]] = []
+    for name, x, y in places:
+        at = axes.in_points(ax, np.array([[x, y]]), options.size)[0]
+        known = any(name == other and np.hypot(*(at - there)) < _SAME for other, there, _ in found)
+        if np.all((at >= 0.0) & (at <= options.size)) and not known:
+            found.append((name, at, (x, y)))
+    return found
 
 
 def _is_in_view(ax: Axes, line: Array) -> bool:
@@ -176,7 +196,3 @@ def _is_in_view(ax: Axes, line: Array) -> bool:
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     (x0, y0), (x1, y1) = line.min(axis=0), line.max(axis=0)
     return bool(x1 >= left and x0 <= right and y1 >= low and y0 <= high)
-
-
-def _nothing() -> Artist:
-    return Line2D([], [], linestyle="", label="curves: none in this window")

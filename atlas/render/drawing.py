@@ -70,9 +70,9 @@ def draw(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
     picture: Figure
     with counted() as reads:
         if len(axes) == 1:
-            sweeps = [shown] if against is None else [shown, within(against, window)]
-            through = [within(ds, window), *sweeps[1:]]
-            picture = drawn_by(kind)(*sweeps, page, _branches(through) if "branches" in lines else None)
+            sweeps = [within(ds, window)] + ([] if against is None else [within(against, window)])
+            branches = _branches(sweeps) if "branches" in lines else None
+            picture = drawn_by(kind)(shown, *sweeps[1:], page, branches)
         else:
             from atlas.render import maps
             from atlas.render.single import draw_map

@@ -24,9 +24,9 @@ LOOKS = {
     "period_doubling": Look("period doubling", "#c44601", (0, (5, 1.8)), "^"),
     "neimark_sacker": Look("Neimark–Sacker", "#00785a", (0, (4, 1.5, 1.2, 1.5, 1.2, 1.5)), "o"),
     "graze": Look("graze", "#8a1c7c", (0, (1.3, 1.5)), "v"),
-    "impact_lost": Look("impact lost", "#8a1c7c", (0, (1.3, 3.0)), "<"),
-    "contact_lost": Look("contact lost", "#8a1c7c", (0, (1.3, 4.5)), "p"),
-    "lift_off": Look("lift-off", "#8a1c7c", (0, (3.0, 1.3)), ">"),
+    "impact_lost": Look("impact lost", "#e09000", (0, (1.3, 3.0)), "<"),
+    "contact_lost": Look("contact lost", "#e09000", (0, (1.3, 4.5)), "p"),
+    "lift_off": Look("lift-off", "#e09000", (0, (3.0, 1.3)), ">"),
     "stick_onset": Look("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
     "stick_end": Look("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
     "grazing_sliding": Look("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
@@ -47,22 +47,22 @@ CORNERS = {
 
 
 def corner_name(kind: str) -> str:
-    """A point of codimension two as pictures name it, in one line or two: ``graze_fold`` is graze–fold."""
+    """A point of codimension two as pictures name it: ``graze_fold`` is graze–fold."""
     if kind in CORNERS:
         return CORNERS[kind]
     for name, look in LOOKS.items():
         if kind.endswith(f"_{name}"):
-            return f"{corner_name(kind.removesuffix(f'_{name}'))}–\n{look.label}"
+            return f"{corner_name(kind.removesuffix(f'_{name}'))}–{look.label}"
     return LOOKS[kind].label if kind in LOOKS else kind.replace("_", " ")
 
 
-def marker_entry(kind: str, size: float) -> Line2D:
-    """The legend entry of points of a kind of event."""
+def marker_look(kind: str, size: float) -> dict[str, Any]:
+    """How points of a kind of event are drawn, as arguments of ``Axes.plot``."""
     look = LOOKS[kind]
-    return Line2D(
-        [], [], linestyle="", marker=look.marker, markersize=size, color=look.color, markeredgecolor="white",
-        markeredgewidth=0.5, label=look.label,
-    )  # fmt: skip
+    return {
+        "linestyle": "", "marker": look.marker, "markersize": size, "color": look.color,
+        "markeredgecolor": "white", "markeredgewidth": 0.5,
+    }  # fmt: skip
 
 
 def line_entry(kind: str, width: float) -> Line2D:

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from atlas.render.page import Page
-    from atlas.render.style import Provenance
+    from atlas.render.provenance import Provenance
 
 FORMATS = ("png", "svg", "pdf")
 """What a picture can be written as, chosen by the file's suffix."""
@@ -32,7 +32,7 @@ def target_of(path: str | Path) -> tuple[Path, str]:
 
 def write(drawn: "Figure", target: Path, suffix: str, provenance: "Provenance", page: "Page") -> Path:
     """Write a figure and return its path; InputError where that cannot be."""
-    from atlas.render.style import save
+    from atlas.render.provenance import save
 
     try:
         with page.context():

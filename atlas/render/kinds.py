@@ -119,7 +119,7 @@ TABLE = {
         Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents", "spectrum.figure",
              _EXPONENTS),
         Kind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
-             "hysteresis.figure", _EXPONENTS, atlases=2),
+             "sweep.figure_of_two", _EXPONENTS, atlases=2),
     )
 }  # fmt: skip
 

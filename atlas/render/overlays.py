@@ -1,36 +1,36 @@
 """Lines over a map: where the impact-free motion would graze, where regimes meet, where exponents are equal, curves."""
 
 from collections.abc import Callable, Iterable
-from itertools import pairwise
 
 import numpy as np
 import xarray as xr
+from contourpy import contour_generator
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
-from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import KDTree
 
 from atlas.errors import InputError
-from atlas.render import axes, curves, grazing, machine, maps
+from atlas.query import grazing, machine
+from atlas.render import axes, crowding, curves, maps
 from atlas.render.kinds import OverlayError
 from atlas.spec.system import refuse_modes
 from workers.model.system import System
 from workers.results import LARGEST, PENDING
+
+Array = NDArray[np.float64]
 
 LEAST_REGION = 2e-4
 """Share of the plane below which a connected region is a small one."""
 _SEEN = 5.0
 """Width of a cell in points from which its outline leaves its colour to be seen, however many there are."""
 _CLOUD, _DENSE = 12.0, 0.2
-"""Small regions are a cloud, which outlines would turn black, where they are more than this share of the area so many
-points around.
+"""Small regions are a cloud, which outlines would turn black, where they cover more than this share of the area within
+this many points.
 """
 
 _CROWDED = 5.0
@@ -94,60 +94,26 @@ def _grazing(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options)
     symmetric = bool(np.all(machine.has_twins(system, same, corners)))
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
     if np.any(ratio < 0.0) and np.any(ratio > 0.0):
-        contours = ax.contour(xs, ys, ratio, levels=[0.0], linewidths=0.0)
-        pieces = [piece for path in contours.get_paths() for piece in _pieces(path)]
-        contours.remove()
-        alone, crowded = _told_apart(ax, pieces, options.size)
-        for lines, ends, width, look in (
-            (pieces, "white", 2.8, "solid"),
-            (crowded, "black", 0.8, "solid"),
-            (alone, "black", 1.3, dashes),
-        ):
-            collection = LineCollection(lines, colors=ends, linewidths=width, linestyles=[look], zorder=3)
-            ax.add_collection(collection, autolim=False)
+        lines = _lines(xs, ys, ratio, 0.0)
+        places = [axes.in_points(ax, line, options.size) for line in lines]
+        cut = [(part, beside) for _, part, beside in crowding.parts(lines, places, _CROWDED)]
+        crowded, alone = ([part for part, beside in cut if beside is side] for side in (True, False))
+        looks = ((lines, "white", 2.8, "solid"), (crowded, "black", 0.8, "solid"), (alone, "black", 1.3, dashes))
+        for segments, color, width, look in looks:
+            drawn = LineCollection(segments, colors=color, linewidths=width, linestyles=[look], zorder=3)
+            ax.add_collection(drawn, autolim=False)
     else:
         label += ": not in this window"
     return [Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, path_effects=halo, label=label)]
 
 
-def _refuse_drift(system: System, same: dict[str, float], corners: dict[str, NDArray[np.float64]]) -> None:
+def _refuse_drift(system: System, same: dict[str, float], corners: dict[str, Array]) -> None:
     """InputError where a mode has no stiffness in any corner of a map."""
     if all(np.all(grazing.drifts(osc) | ~there) for _, osc, there in machine.oscillators(system, same, corners)):
         raise InputError(
             f"overlay 'grazing': there is no such line, since a mode of {system.name} has no stiffness and its "
             "impact-free motion may drift anywhere"
         )
-
-
-def _pieces(path: Path) -> list[NDArray[np.float64]]:
-    """The connected lines of a path."""
-    vertices = np.asarray(path.vertices)
-    if not len(vertices):
-        return []
-    codes = np.full(len(vertices), Path.LINETO) if path.codes is None else path.codes
-    return [each for each in np.split(vertices, np.flatnonzero(codes == Path.MOVETO)[1:]) if len(each) > 1]
-
-
-def _told_apart(
-    ax: Axes, pieces: list[NDArray[np.float64]], size: tuple[float, float]
-) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
-    """Lines cut into the parts that run alone, and those with another line, or another part of themselves, beside."""
-    if not pieces:
-        return [], []
-    places = [axes.in_points(ax, piece, size) for piece in pieces]
-    along = [np.append(0.0, np.cumsum(np.hypot(*np.diff(place, axis=0).T))) for place in places]
-    everywhere = np.concatenate(places)
-    line, length = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces]), np.concatenate(along)
-    near = np.zeros(len(everywhere), dtype=bool)
-    one, two = KDTree(everywhere).query_pairs(_CROWDED, output_type="ndarray").T
-    beside_another = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * _CROWDED)
-    near[one[beside_another]] = near[two[beside_another]] = True
-    parts: tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]] = ([], [])
-    for piece, beside in zip(pieces, np.split(near, np.cumsum([len(each) for each in pieces])[:-1]), strict=True):
-        cuts = np.flatnonzero(np.diff(beside)) + 1
-        for first, last in pairwise([0, *cuts, len(piece)]):
-            parts[int(beside[first])].append(piece[first : last + 1])
-    return parts
 
 
 def _boundaries(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options) -> list[Artist]:
@@ -162,59 +128,53 @@ def _isolines(ax: Axes, ds: xr.Dataset, plane: maps.Plane, options: maps.Options
     known = maps.determined(plane.regime) & np.isfinite(plane[LARGEST.name])
     if min(known.shape) < 2:
         return []
+    segments: list[Array] = []
+    named: list[Array] = []
     # Each sign on its own: between them exponents jump, and lines there would show the jump and nothing else.
     for sign, width in ((-1.0, 1.5), (1.0, 2.5)):
         size = np.where(known & (sign * plane[LARGEST.name] > 0.0), np.abs(plane[LARGEST.name]), np.nan)
-        if np.isfinite(size).sum() < 4:
+        shown = _smooth(size, width)
+        if np.isfinite(shown).sum() < 4:
             continue
-        shown = np.ma.masked_invalid(_smooth(size, width))
         ticks = np.asarray(MaxNLocator(5).tick_values(0.0, float(np.nanpercentile(size, 98))))
-        levels = ticks[(ticks > shown.min()) & (ticks < shown.max())] if shown.count() else ticks[:0]
-        if not levels.size:
-            continue
-        lines = ax.contour(plane.x.values, plane.y.values, shown, levels=levels, colors="white", linewidths=0.7)
-        lines.set(zorder=2.5, path_effects=[withStroke(linewidth=1.5, foreground=_SHADOW)])
-        lines.set_paths([_long_pieces(ax, path, options.size) for path in lines.get_paths()])
-        if not options.names:
-            continue
-        names = ax.clabel(lines, fmt=_signed(sign), fontsize=7.0 * options.page.scale, inline=False, colors="black")
-        _thin_out(ax, names, options.size)
+        for level in ticks[(ticks > np.nanmin(shown)) & (ticks < np.nanmax(shown))].tolist():
+            for line in _lines(plane.x.values, plane.y.values, np.ma.masked_invalid(shown), level):
+                place, along = crowding.dense(axes.in_points(ax, line, options.size))
+                if along[-1] >= _LEAST_LINE:
+                    segments.append(line)
+                    if options.names:
+                        _name_line(ax, f"{sign * level:g}".replace("-", "\N{MINUS SIGN}"), place, named, options)
+    if not segments:
+        return []
+    drawn = LineCollection(segments, colors="white", linewidths=0.7, zorder=2.5)
+    drawn.set_path_effects([withStroke(linewidth=1.5, foreground=_SHADOW)])
+    ax.add_collection(drawn, autolim=False)
     shadow = [withStroke(linewidth=2.0, foreground=_SHADOW)]
     return [Line2D([], [], color="white", linewidth=1.0, path_effects=shadow, label=r"$\lambda_1$ constant")]
 
 
-def _signed(sign: float) -> Callable[[float], str]:
-    return lambda level: f"{sign * level:g}".replace("-", "\N{MINUS SIGN}")
+def _lines(x: Array, y: Array, values: Array, level: float) -> list[Array]:
+    """The lines (N, 2) along which an array (y, x) has a value."""
+    return [np.asarray(line) for line in contour_generator(x, y, values).lines(level)]
 
 
-def _long_pieces(ax: Axes, path: Path, size: tuple[float, float]) -> Path:
-    """The pieces of a line that are long enough to be followed by eye."""
-    # Not path.to_polygons, which leaves out points that stand out by less than a ninth of a unit, of data here.
-    long = [each for each in _pieces(path) if _length(axes.in_points(ax, each, size)) >= _LEAST_LINE]
-    return Path.make_compound_path(*map(Path, long)) if long else Path(np.empty((0, 2)))
-
-
-def _length(line: NDArray[np.float64]) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
-
-
-def _thin_out(ax: Axes, names: Iterable[Text], size: tuple[float, float]) -> None:
-    """Take away labels that would stand in another's way or over the frame; give the others a halo."""
-    kept: list[NDArray[np.float64]] = []
-    width, height = axes.in_points(ax, np.array([[ax.get_xlim()[1], ax.get_ylim()[1]]]), size)[0]
-    for name in names:
-        at = axes.in_points(ax, np.array([name.get_position()]), size)[0]
-        framed = (
-            _LABEL_ROOM / 2 < at[0] < width - _LABEL_ROOM / 2 and _LABEL_ROOM / 2 < at[1] < height - _LABEL_ROOM / 2
-        )
-        if framed and all(np.hypot(*(at - other)) > _LABEL_ROOM for other in kept):
-            kept.append(at)
-            upright = (name.get_rotation() + 90.0) % 180.0 - 90.0
-            name.set(
-                rotation=upright, zorder=3.5, path_effects=[withStroke(linewidth=1.6, foreground="white", alpha=0.85)]
-            )
-        else:
-            name.remove()
+def _name_line(ax: Axes, name: str, place: Array, named: list[Array], options: maps.Options) -> None:
+    """Write a name along a line (N, 2) in points, where it keeps off the frame and the places of other names."""
+    size, room = np.array(options.size), _LABEL_ROOM / 2
+    for share in (0.5, 0.25, 0.75):
+        k = int(share * (len(place) - 1))
+        at = place[k]
+        if np.all((at > room) & (at < size - room)) and all(np.hypot(*(at - other)) > _LABEL_ROOM for other in named):
+            named.append(at)
+            across, up = place[min(k + 3, len(place) - 1)] - place[max(k - 3, 0)]
+            upright = (np.degrees(np.arctan2(up, across)) + 90.0) % 180.0 - 90.0
+            data = ax.transData.inverted().transform(ax.transAxes.transform(at / size))
+            ax.text(
+                float(data[0]), float(data[1]), name, fontsize=7.0 * options.page.scale, color="black", zorder=3.5,
+                rotation=upright, ha="center", va="center",
+                path_effects=[withStroke(linewidth=1.6, foreground="white", alpha=0.85)],
+            )  # fmt: skip
+            return
 
 
 DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane, maps.Options], list[Artist]]] = {
@@ -225,7 +185,7 @@ DRAW: dict[str, Callable[[Axes, xr.Dataset, maps.Plane, maps.Options], list[Arti
 }
 
 
-def _smooth(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+def _smooth(values: Array, width: float) -> Array:
     """A Gaussian mean over neighbours that have a value, for the error bars of neighbouring cells not to wrinkle lines.
 
     Cells with few such neighbours are left out: what is chopped up has no isolines.

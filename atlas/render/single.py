@@ -4,7 +4,7 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from atlas.render import impacts, maps, overlays, scales
+from atlas.render import impacts, maps, names, overlays, scales
 from atlas.render.kinds import TABLE, drawn_by
 
 
@@ -29,5 +29,5 @@ def draw_map(
         if painted.names and options.names:
             page.fit(drawn)
             drawn.draw_without_rendering()  # from here on the plot has its size
-            impacts.name_regions(ax, plane, painted.names, impacts.LABEL_SIZE * page.scale)
+            names.in_regions(ax, plane, painted.names, [impacts.LABEL_SIZE * page.scale])
     return drawn

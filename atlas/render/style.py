@@ -3,23 +3,18 @@
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.legend_handler import HandlerPatch
 from matplotlib.mathtext import MathTextParser
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
 
-from atlas.query.window import axis_names
-from atlas.spec.system import stored_name, stored_system
+from atlas.spec.system import stored_system
 from workers.model.parameter import Parameter
 from workers.model.system import System
 from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES, UNDETERMINED
@@ -206,63 +201,3 @@ def number(value: float) -> str:
             return rf"{factor}\pi" + (f"/{below}" if below > 1 else "")
     mantissa, _, power = f"{value:.6g}".partition("e")
     return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
-
-
-class Provenance(NamedTuple):
-    """What a file says of the numbers it shows: a title, the digest of their spec, the software that made them."""
-
-    title: str
-    digest: str
-    software: str
-
-
-def provenance_of(*atlases: xr.Dataset) -> Provenance:
-    """The provenance of a picture of one atlas, or of several: then all their digests, in order."""
-    ds = atlases[0]
-    return Provenance(
-        title=f"impact-atlas: {_system_name(ds)}, axes {', '.join(axis_names(ds))}",
-        digest=" ".join(str(each.attrs.get("digest", "unknown")) for each in atlases),
-        software=str(ds.attrs.get("software", "unknown software")),
-    )
-
-
-def save(figure: Figure, path: Path, suffix: str, provenance: Provenance) -> None:
-    """Write a figure, with the digest of its spec and the software in its metadata and no time of day."""
-    software = f"impact-atlas {own_version()}, matplotlib {mpl.__version__}"
-    source = f"computed by {provenance.software}"
-    # Each format has its own words for the same four; a date would make equal pictures unequal files.
-    words = {
-        "png": {
-            "Title": provenance.title,
-            "Software": software,
-            "Digest": provenance.digest,
-            "Source": source,
-        },
-        "svg": {
-            "Title": provenance.title,
-            "Creator": software,
-            "Identifier": provenance.digest,
-            "Source": source,
-            "Date": None,
-        },
-        "pdf": {
-            "Title": provenance.title,
-            "Creator": software,
-            "Subject": provenance.digest,
-            "Keywords": source,
-            "CreationDate": None,
-        },
-    }
-    figure.savefig(path, format=suffix, metadata=words[suffix])
-
-
-def _system_name(ds: xr.Dataset) -> str:
-    return stored_name(ds.attrs) or "unknown system"
-
-
-def own_version() -> str:
-    """The version of this distribution, as files name it."""
-    try:
-        return version("impact-atlas")
-    except PackageNotFoundError:
-        return "(not installed)"

@@ -1,13 +1,13 @@
-"""What pictures have to know of the machines behind the cells: the gap coordinate, and whether motions have twins."""
+"""The machines behind the cells of an atlas: their oscillators, their gap coordinate, whether motions have twins."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.render import style
+from atlas.spec.system import stored_system
 from workers.model.oscillator import COLUMN, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON
@@ -15,15 +15,12 @@ from workers.results import NO_REASON
 Array = NDArray[np.float64]
 
 AT_ONCE = 4096
-"""So many points whose oscillators are made at a time: together they take some megabytes."""
-
-_TERMS = 3
-"""Terms of a gap coordinate that a label spells out, at most."""
+"""Points whose oscillators are made at a time: together they take some megabytes."""
 
 
 def known_system(ds: xr.Dataset, who: str) -> System:
     """The atlas's system; InputError, for ``who`` needs it, where it names none that is known."""
-    system = style.system_of(ds)
+    system = stored_system(ds.attrs)
     if system is None:
         raise InputError(f"{who}: the atlas does not name a system that is known here")
     return system
@@ -73,7 +70,7 @@ def gap_values(ds: xr.Dataset, x: str, states: xr.DataArray) -> Array:
 
     Of an atlas whose system is not known it is the first component.
     """
-    system = style.system_of(ds)
+    system = stored_system(ds.attrs)
     if system is None:
         return np.asarray(states[..., 0].values, dtype=np.float64)
     rows = gap_rows(system, {**fixed(ds, system), x: np.asarray(ds[x].values, np.float64)})
@@ -88,48 +85,3 @@ def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
     count = max(np.size(value) for value in values.values())
     given = {name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()}
     return system.definition.shown_rows(given)
-
-
-def gap_label(ds: xr.Dataset) -> str:
-    """Meaning, symbol and unit of the gap coordinate at a section, in two lines."""
-    system = style.system_of(ds)
-    return "first state at $t = kT$" if system is None else gap_label_of(system)
-
-
-def gap_label_of(system: System) -> str:
-    """The same, of a system."""
-    entries = [entry.constant for entry in system.definition.shown]
-    states = [system.parameter(name) for name in system.definition.coordinates]
-    (unit, *others) = {each.unit for each, entry in zip(states, entries, strict=True) if entry != 0.0}
-    ending = " at $t = kT$" + ("" if others else f" [{style.unit_text(unit)}]")
-    known = [entry for entry in entries if entry is not None]
-    if len(known) < len(entries):
-        return f"gap coordinate\n$y${ending}"
-    formula = combination(known, [symbol_of(system, each.name) for each in states])
-    alone = [i for i, entry in enumerate(known) if entry != 0.0]
-    if len(alone) == 1 and known[alone[0]] == 1.0:
-        return f"{states[alone[0]].meaning.removeprefix('initial ')}\n${formula}${ending}"
-    return f"gap coordinate\n${formula}${ending}"
-
-
-def symbol_of(system: System, state: str) -> str:
-    """The symbol of a component of the state; the system knows it as the parameter that sets its initial value."""
-    return style.shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
-
-
-def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:
-    """The sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
-
-    ``otherwise`` where there are more than three of them.
-    """
-    terms = sorted(
-        ((c, symbol) for c, symbol in zip(row, symbols, strict=True) if c != 0.0), key=lambda term: term[0] < 0
-    )
-    if not 0 < len(terms) <= _TERMS:
-        return otherwise
-    written = []
-    for k, (c, symbol) in enumerate(terms):
-        sign = "-" if c < 0.0 else "+" if k else ""
-        factor = "" if abs(c) == 1.0 else rf"{style.number(abs(float(c)))}\,"
-        written.append(f"{f' {sign} ' if k else sign}{factor}{symbol}")
-    return "".join(written)

@@ -1,10 +1,12 @@
 """Where the impact-free motion would graze: its extremes over a period against the distances to the stops."""
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from atlas.render import axes, machine
+from atlas.query import machine
 from workers.model.oscillator import Mode, Oscillator
 from workers.model.system import System
 
@@ -21,6 +23,26 @@ _REACH = 3.0
 """Logarithm of the ratio up to which a crest between points may still cross zero."""
 _NEGLIGIBLE = 1e-15
 """Share of all harmonics below which one moves no extreme."""
+
+
+class Axis(Protocol):
+    """An axis of a map."""
+
+    @property
+    def name(self) -> str:
+        """The parameter."""
+
+    @property
+    def values(self) -> Array:
+        """Its values in rising order."""
+
+    @property
+    def edges(self) -> Array:
+        """The edges of their cells, one more."""
+
+    @property
+    def log(self) -> bool:
+        """Whether the map has it on a logarithmic scale."""
 
 
 def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array], y: tuple[str, Array]) -> Array:
@@ -89,7 +111,7 @@ def _roots(ascending: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def grazing_grid(
-    system: System, fixed: dict[str, float], x: axes.DrawnAxis, y: axes.DrawnAxis, points: int = POINTS
+    system: System, fixed: dict[str, float], x: Axis, y: Axis, points: int = POINTS
 ) -> tuple[Array, Array, Array]:
     """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
 
@@ -146,7 +168,7 @@ def _near_zero(ratio: Array) -> NDArray[np.bool_]:
     return np.asarray(ndimage.binary_dilation(crosses, np.ones((3, 3)))[:-1, :-1])
 
 
-def _points(system: System, axis: axes.DrawnAxis, count: int) -> Array:
+def _points(system: System, axis: Axis, count: int) -> Array:
     # From edge to edge, or from the outermost cell's centre where its edge lies outside the parameter's range.
     admits = system.parameter(axis.name).admits
     first, last = axis.edges[0], axis.edges[-1]

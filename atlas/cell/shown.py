@@ -1,0 +1,73 @@
+"""What a portrait shows of a cell's motion: which stretch of time, which displacements, a chatter to enlarge."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.cell.orbit import SAMPLES, CellOrbit, modulation
+from workers.results import QUASIPERIODIC, REGIME
+
+Array = NDArray[np.float64]
+
+_SHOWN = 6
+"""Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+_LEAST_CHATTER = 4
+"""Flights, each shorter than the one before, that make a chatter."""
+
+
+def displacements(orbit: CellOrbit) -> list[Array]:
+    """The rows (n,) of the two displacements that a portrait shows, or of the only one.
+
+    Where the stops are on one coordinate: that and the first other one, in the system's order. Where they are on a
+    combination of several: that, and the first of those.
+    """
+    row = orbit.gap_row
+    stopped = np.flatnonzero(row).tolist()
+    every = np.eye(row.size)
+    if len(stopped) > 1:
+        return [row, every[stopped[0]]]
+    others = [i for i in range(row.size) if i not in stopped][:1]
+    return [row if i in stopped else every[i] for i in sorted([*stopped, *others])]
+
+
+def periods(orbit: CellOrbit) -> int:
+    """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
+    if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
+        return min(_span(orbit), max(_SHOWN, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
+    return min(max(_SHOWN, int(orbit.cell["period"])), 2 * _SHOWN)
+
+
+def path(orbit: CellOrbit, count: int) -> tuple[Array, Array]:
+    """Times (N,) and states (N, 2n) over ``count`` periods or more; a closed orbit that is shorter begins again."""
+    turns = max(1, -(-count // _span(orbit)))
+    return _repeated(orbit, orbit.times, turns), np.concatenate([orbit.states] * turns)
+
+
+def impact_times(orbit: CellOrbit, side: float, count: int) -> Array:
+    """Times of the impacts at the upper (1) or the lower stop (-1) over ``count`` periods."""
+    turns = max(1, -(-count // _span(orbit)))
+    times = _repeated(orbit, orbit.impacts[orbit.impacts[:, 1] == side, 0], turns)
+    return times[times <= count * orbit.period]
+
+
+def chatter(orbit: CellOrbit) -> slice | None:
+    """The first impacts on one stop in ever shorter intervals, from one on whose flights are still drawn; or None."""
+    times, sides = orbit.impacts[:, 0], orbit.impacts[:, 1]
+    flights = np.diff(times)
+    shorter = (sides[2:] == sides[1:-1]) & (sides[1:-1] == sides[:-2]) & (flights[1:] < flights[:-1])
+    ends = np.flatnonzero(np.diff(np.pad(shorter, 1).astype(np.int8)))
+    for first, last in zip(ends[::2], ends[1::2], strict=True):
+        drawn = np.flatnonzero(flights[first : last + 1] > 5.0 * orbit.period / SAMPLES)
+        if last - first >= _LEAST_CHATTER and drawn.size:
+            return slice(int(first + max(0, drawn[-1] - 1)), int(last + 2))
+    return None
+
+
+def _repeated(orbit: CellOrbit, times: Array, turns: int) -> Array:
+    return np.concatenate([times + turn * _span(orbit) * orbit.period for turn in range(turns)])
+
+
+def _span(orbit: CellOrbit) -> int:
+    """Forcing periods of the path."""
+    return round(float(orbit.times[-1] / orbit.period))
