@@ -14,7 +14,7 @@ from atlas.query.attractors import leading
 from atlas.query.compare import Comparison
 from atlas.query.window import Window
 from atlas.render.drawing import Wanted, check_units, draw
-from atlas.render.files import FORMATS, check_path, target_of, write
+from atlas.render.files import FORMATS, check_path, save, target_of
 from atlas.render.kinds import (
     BASINS,
     CURVES,
@@ -97,7 +97,7 @@ def figure(
     if target is not None:
         from atlas.render.provenance import provenance_of
 
-        write(drawn, *target, provenance_of(*_sources(subject, wanted)), wanted.page)
+        save(drawn, *target, provenance_of(*_sources(subject, wanted)), wanted.page)
     return drawn if options.get("ax") is None else options["ax"]
 
 
