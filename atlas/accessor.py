@@ -24,7 +24,7 @@ from atlas.query.cell import solved_cell
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window, axis_names
-from atlas.render import branch_figure, check_path, compared_figure, figure, portrait, side_by_side
+from atlas.render import check_path, figure, portrait
 from atlas.render.options import Look, MapLook, Sheet, takes
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ class DrawnComparison(Comparison):
 
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
         """
-        return compared_figure(self, path, **look)
+        drawn: Figure = figure(self, path=path, **look)
+        return drawn
 
 
 class DrawnBranches(Branches):
@@ -56,7 +57,8 @@ class DrawnBranches(Branches):
 
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
         """
-        return branch_figure(self, path, **look)
+        drawn: Figure = figure(self, path=path, **look)
+        return drawn
 
 
 def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
@@ -180,7 +182,8 @@ class AtlasAccessor:
 
         ``kind`` is "exponent" or "period", by default the first that all of them hold.
         """
-        return side_by_side([self._ds, *others], kind, window, **look)
+        drawn: Figure = figure([self._ds, *others], kind, window, **look)
+        return drawn
 
     @takes(MapLook)
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Unpack[MapLook]) -> Any:

@@ -48,7 +48,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "coexistence": lambda: render.figure(branches()),
     "basins": basins,
     "labels": labels,
-    "portrait": lambda: render.orbit_figure(orbit()),
+    "portrait": lambda: render.figure(orbit()),
 }
 
 

@@ -261,14 +261,14 @@ def test_the_path_of_any_system_stays_in_its_gap_and_rebounds_on_its_stops(
 def test_a_portrait_shows_what_the_stops_limit_with_its_stops(
     orbits: dict[str, CellOrbit], name: str, rows: list[str], stops: list[set[float]]
 ) -> None:
-    axes = render.orbit_figure(orbits[name]).axes[: len(rows)]
+    axes = render.figure(orbits[name]).axes[: len(rows)]
     assert [ax.get_ylabel() for ax in axes] == rows
     assert [{float(each.get_ydata()[0]) for each in ax.lines if each.get_linestyle() == "--"} for ax in axes] == stops
 
 
 @pytest.mark.parametrize("width", ["85mm", "178mm"])
 def test_sixteen_exponents_are_written_beside_each_other(orbits: dict[str, CellOrbit], width: str) -> None:
-    figure = render.orbit_figure(orbits["chain-8"], width=width)
+    figure = render.figure(orbits["chain-8"], width=width)
     figure.draw_without_rendering()
     boxes = [text.get_window_extent() for text in figure.axes[-1].texts]
     assert len(boxes) == 17

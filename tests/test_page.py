@@ -38,14 +38,14 @@ def _curves() -> Iterator[None]:
 def draw(kind: str, **look: Any) -> Figure:
     if kind.startswith("beside"):
         others = [plane().assign_coords(R=r, zeta=r / 7.0, mu_m=7.5 * r) for r in (0.75, 0.875, 0.925)]
-        return render.side_by_side([plane(), *others[: int(kind[-1]) - 1]], **look)
+        return render.figure([plane(), *others[: int(kind[-1]) - 1]], **look)
     if kind == "named":
-        return render.side_by_side([plane()] * 3, "period", names=["a_long_name_of_a_store.zarr", "b", "c"], **look)
+        return render.figure([plane()] * 3, "period", titles=["a_long_name_of_a_store.zarr", "b", "c"], **look)
     if kind == "compared":
         other = plane().roll(omega=1).assign_coords(R=0.75)
-        return render.compared_figure(Comparison.of(plane(), other), **look)
+        return render.figure(Comparison.of(plane(), other), **look)
     if kind == "portrait":
-        return render.orbit_figure(orbit(), **look)
+        return render.figure(orbit(), **look)
     if kind == "hysteresis":
         return render.figure(line("forward", 5), against=line("backward", 3), **look)
     if kind == "coexistence":
@@ -146,7 +146,7 @@ def test_the_scale_of_differences_takes_its_ends_and_one_decides_the_other() -> 
         draw("compared", vmin=1.0, vmax=3.0)
     without = plane().drop_vars("largest")
     with pytest.raises(InputError, match="a comparison without exponents draws classes"):
-        render.compared_figure(Comparison.of(without, without), vmax=1.0)
+        render.figure(Comparison.of(without, without), vmax=1.0)
 
 
 @pytest.mark.parametrize("kind", ["beside2", "compared"])
@@ -174,7 +174,7 @@ def test_a_legend_beside_a_map_is_not_printed_over_its_title(width: str) -> None
 
 def test_the_title_can_be_left_out() -> None:
     assert render.figure(plane(), title=False).axes[0].get_title(loc="left") == ""
-    assert render.orbit_figure(orbit(), title=False).get_suptitle() == ""
+    assert render.figure(orbit(), title=False).get_suptitle() == ""
     assert draw("compared", title=False).get_suptitle() == ""
     beside = draw("beside2", title=False)
     assert (beside.get_suptitle(), "R = 0.75" in beside.axes[1].get_title("left")) == ("", True)

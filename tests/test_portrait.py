@@ -137,7 +137,7 @@ def test_a_motion_is_described_in_words(closed: CellOrbit, chaotic: CellOrbit, s
 
 @pytest.fixture(scope="module")
 def page() -> Figure:
-    return render.orbit_figure(orbit())
+    return render.figure(orbit())
 
 
 def test_a_portrait_has_all_its_panels_with_symbols_and_units(page: Figure) -> None:
@@ -198,7 +198,7 @@ def test_a_portrait_shows_the_mass_that_is_stopped_and_its_stop() -> None:
         section=states[:1],
         stops=(-math.inf, 1.0),
     )
-    axes = render.orbit_figure(found).axes
+    axes = render.figure(found).axes
     assert [ax.get_ylabel() for ax in axes[:2]] == ["$x_{1}$", "$x_{3}$"]
     heights = [[line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == "--"] for ax in axes[:2]]
     assert heights == [[], [1.0]]
@@ -206,7 +206,7 @@ def test_a_portrait_shows_the_mass_that_is_stopped_and_its_stop() -> None:
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
 def test_a_portrait_carries_its_digest(tmp_path: Path, suffix: str) -> None:
-    path = render.render_orbit(orbit(), tmp_path / f"cell.{suffix}")
+    path = render.render(orbit(), tmp_path / f"cell.{suffix}")
     if suffix == "png":
         with Image.open(path) as image:
             assert image.info["Digest"] == orbit().digest
@@ -247,14 +247,14 @@ def test_a_torus_is_shown_until_its_modulation_has_come_round() -> None:
         section=0.1 * np.cos(2 * np.pi * 0.05 * k)[:, None] * np.ones(4),
         times=times,
     )
-    assert render.orbit_figure(torus).axes[0].get_xlim() == (0.0, 30.0)
+    assert render.figure(torus).axes[0].get_xlim() == (0.0, 30.0)
 
 
 def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, closed: CellOrbit) -> None:
-    titles = [[ax.get_title(loc="left") for ax in render.orbit_figure(each).axes] for each in (sticking, closed)]
+    titles = [[ax.get_title(loc="left") for ax in render.figure(each).axes] for each in (sticking, closed)]
     assert "chatter, enlarged" in titles[0]
     assert "chatter, enlarged" not in titles[1]
-    (zoom,) = (ax for ax in render.orbit_figure(sticking).axes if ax.get_title(loc="left"))
+    (zoom,) = (ax for ax in render.figure(sticking).axes if ax.get_title(loc="left"))
     impacts = next(each for each in zoom.lines if each.get_marker() in "^v")
     flights = np.diff(impacts.get_xdata())
     assert len(flights) > 3 and (np.diff(flights) < 0).all()
@@ -265,6 +265,6 @@ def test_the_exponents_written_of_an_undetermined_cell_are_where_its_curves_end(
     found = orbit()
     running = np.tile([-0.02, -0.3, -0.5, -0.9], (100, 1))
     cell = {**found.cell, "regime": UNDETERMINED, "spectrum": np.array([0.223, -0.3, -0.5, -0.9])}
-    figure = render.orbit_figure(replace(found, cell=cell, running=running))
+    figure = render.figure(replace(found, cell=cell, running=running))
     written = [text.get_text() for text in figure.axes[-1].texts]
     assert written[:2] == ["averaged over\n100 periods:", r"$\lambda_{1} = -0.020$"]

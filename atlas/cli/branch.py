@@ -29,7 +29,7 @@ from atlas.errors import InputError
 from atlas.query.export import write_rows, written_whole
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
-from atlas.render import FORMATS, LOOK, branch_figure
+from atlas.render import FORMATS, LOOK, render
 from atlas.service.progress import Progress, prepare_kernels, reporter
 from atlas.spec.spec import checked_parameters, checked_settings
 from atlas.spec.system import checked_system
@@ -209,4 +209,4 @@ def _write(found: Branches, out: Path, look: dict[str, Any]) -> None:
         except OSError as error:
             raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
     else:
-        branch_figure(found, out, **look)
+        render(found, out, **look)

@@ -18,7 +18,7 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, to_json
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
-from atlas.render import check_path, compared_figure
+from atlas.render import check_path, render
 from atlas.text import plural
 
 
@@ -50,7 +50,7 @@ def compare(store: str, other: str, window: tuple[str, ...], out: Path | None, a
         message = compared.as_dict()
         if out is not None:
             say("drawing")
-            compared_figure(compared, out, **look)
+            render(compared, out, **look)
     if as_json:
         click.echo(to_json(message | ({} if out is None else {"file": str(out)})))
         return

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from atlas.cell.orbit import cell_orbit
 from atlas.errors import InputError, RunError
 from atlas.query.open import open_atlas
-from atlas.render import FORMATS, render, render_orbit
+from atlas.render import FORMATS, render
 from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.run import run
@@ -61,7 +61,7 @@ def figures(
     for name, parameters in CELLS.items():
         options.report(Progress(f"{name}: solving and drawing"))
         orbit = cell_orbit(parameters, settings=settings)
-        written += [render_orbit(orbit, target / f"{name}.{each}") for each in formats]
+        written += [render(orbit, target / f"{name}.{each}") for each in formats]
     store = target / f"{SWEEP}.zarr"
     options.report(Progress(f"{SWEEP}: computing the sweep into {store}"))
     summary = run(sweep or Spec.from_toml(SWEEP), store, client, options)

@@ -24,7 +24,7 @@ from atlas.cli.paper import figures as draw_figures
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
-from atlas.render import CURVES, FORMATS, OVERLAYS, check_path, side_by_side
+from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.service.options import RunOptions
@@ -95,7 +95,7 @@ def render(
         say("drawing")
         if len(atlases) > 1:
             stems = [store.rstrip("/").rpartition("/")[2] for store in stores]
-            side_by_side(atlases, kind, bounds, names=stems, path=out, **look)
+            draw(atlases, out, kind, bounds, titles=stems, **look)
         else:
             draw(
                 atlases[0], out, kind=kind, window=bounds, overlay=overlay, curves=curves, names=names, against=other,

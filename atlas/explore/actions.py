@@ -13,7 +13,7 @@ from atlas.explore.known import Cell
 from atlas.explore.subject import Subject
 from atlas.explore.view import Sight
 from atlas.explore.words import data_address
-from atlas.render import SCALAR, has_scale, orbit_figure, render
+from atlas.render import SCALAR, figure, has_scale, render
 from atlas.render.screen import drawing
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
@@ -48,7 +48,7 @@ def portrait_image(subject: Subject, cell: Cell) -> str:
     orbit = cell_orbit(cell.parameters, subject.system, settings)
     data = BytesIO()
     with drawing:
-        orbit_figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
+        figure(orbit, **PORTRAIT).savefig(data, format="png", dpi=PORTRAIT["dpi"])
     return data_address("image/png", data.getvalue())
 
 

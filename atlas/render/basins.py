@@ -7,11 +7,10 @@ import xarray as xr
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from atlas.query.basins import table
 from atlas.render import maps, style
-from atlas.render.classes import PALER, colors_of
+from atlas.render.classes import PALER, colored, colors_of
 from atlas.render.maps import Painted, View
 from workers.results import ATTRACTOR, LABEL, NO_IMPACT, PERIODIC, SETTLED
 
@@ -29,27 +28,14 @@ def paint(view: View) -> Painted:
     A mirror image has a paler tone of its twin's hue.
     """
     known, plane = table(view.ds), view.plane
-    colors = colors_of(known, COLORS, PALER, style.COLORS[NO_IMPACT])
-    labels = np.rint(plane[LABEL.name]).astype(np.int64)
-    painted = painted_basins(plane.regime, labels, plane[SETTLED.name], colors, known)
-    points = partial(_draw_points, known=known, plane=plane, colors=colors)
-    return Painted(painted.rgba, painted.legend, over=points)
-
-
-def painted_basins(
-    regime: NDArray[np.int8],
-    labels: NDArray[np.int64],
-    settled: NDArray[np.float64],
-    colors: list[str],
-    known: xr.Dataset,
-) -> Painted:
-    """The same of arrays (y, x), without the points."""
-    rgba, legend, there = np.zeros((*labels.shape, 4), np.uint8), [], labels >= 0
-    for k, color in enumerate(colors):
-        cells = labels == k
-        if cells.any():
-            rgba[cells] = style.rgb(color)
-            legend.append(style.swatch(color, name_of(known.isel({ATTRACTOR: k}), k)))
+    colors, labels = (
+        colors_of(known, COLORS, PALER, style.COLORS[NO_IMPACT]),
+        np.rint(plane[LABEL.name]).astype(np.int64),
+    )
+    named = [(labels == k, color, name_of(known.isel({ATTRACTOR: k}), k)) for k, color in enumerate(colors)]
+    there, settled = labels >= 0, plane[SETTLED.name]
+    painted = colored(plane.regime, named)
+    rgba, legend = painted.rgba, list(painted.legend)
     if there.any():
         soon, late = np.percentile(settled[there], [SOONEST, LATEST])
         slow = np.clip((settled - soon) / max(late - soon, 1.0), 0.0, 1.0)
@@ -57,8 +43,9 @@ def painted_basins(
         rgba[there, :3] = (rgba[there, :3] * shade[:, None]).astype(np.uint8)
         if late > soon:
             said = f"light to dark: settles in {soon:.0f} to {late:.0f} periods"
-            legend.append(style.Gradient("#c8c8c8", SLOW, said))
-    return Painted(rgba, legend + maps.paint_regimes(rgba, regime, ~there))
+            at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
+            legend.insert(at, style.Gradient("#c8c8c8", SLOW, said))
+    return Painted(rgba, legend, over=partial(_draw_points, known=known, plane=plane, colors=colors))
 
 
 def name_of(one: xr.Dataset, label: int) -> str:

@@ -30,13 +30,12 @@ def target_of(path: str | Path) -> tuple[Path, str]:
     return target, suffix
 
 
-def write(drawn: "Figure", target: Path, suffix: str, provenance: "Provenance", page: "Page") -> Path:
-    """Write a figure and return its path; InputError where that cannot be."""
-    from atlas.render.provenance import save
+def save(drawn: "Figure", target: Path, suffix: str, provenance: "Provenance", page: "Page") -> None:
+    """Write a figure with its provenance; InputError where that cannot be."""
+    from atlas.render.provenance import metadata
 
     try:
         with page.context():
-            save(drawn, target, suffix, provenance)
+            drawn.savefig(target, format=suffix, metadata=metadata(provenance, suffix))
     except OSError as error:
         raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
-    return target

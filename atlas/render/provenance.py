@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib as mpl
@@ -14,8 +13,6 @@ from atlas.spec.system import stored_name
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from atlas.branches.table import Branches
     from atlas.cell.orbit import CellOrbit
 
@@ -62,11 +59,6 @@ def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
         return {"Title": title, "Creator": software, "Subject": digest, "Keywords": source, "CreationDate": None}
     words = {"Title": title, "Software": software, "Digest": digest, "Source": source}
     return {**words, "Solver": provenance.solver, "Spec": spec}
-
-
-def save(figure: "Figure", path: Path, suffix: str, provenance: Provenance) -> None:
-    """Write a figure with its provenance."""
-    figure.savefig(path, format=suffix, metadata=metadata(provenance, suffix))
 
 
 def own_version() -> str:

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from atlas.curves.table import Curves
 from atlas.query import machine
-from atlas.render import axes, curves, maps, names, overlays, style
+from atlas.render import axes, crowding, curves, maps, names, overlays, style
 from atlas.render.impacts import ImpactPattern
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
@@ -52,7 +52,7 @@ def figure(ds: xr.Dataset, options: maps.Options = maps.PLAIN) -> Figure:
         drawn.draw_without_rendering()  # from here on the plot has its size
         times = max(1, round(max(np.array(options.size) / plane.regime.shape[::-1]) / _FINE))
         fine = _finer(plane, times)
-        taken = ndimage.binary_dilation(crossed(fine, found) | _covered(ax, fine))  # a curve has a width
+        taken = _crossed(ax, fine.regime.shape, found, options) | _covered(ax, fine)
         filled = np.ones((2 * times + 1, 2 * times + 1))  # a cell of another motion here and there is no region
         named = [
             (ndimage.binary_closing(np.pad(cells, times, "edge"), filled)[times:-times, times:-times] & ~taken, name)
@@ -85,24 +85,15 @@ def regions(ds: xr.Dataset, plane: maps.Plane) -> Iterator[tuple[str, NDArray[np
         yield name, plane.regime == code
 
 
-def crossed(plane: maps.Plane, found: Curves) -> NDArray[np.bool_]:
-    """The cells (y, x) that a drawn curve runs through, looked at twice a cell along it."""
-    inside = np.zeros(plane.regime.shape, dtype=bool)
-    for curve in found:
-        for line in curves.bounding(curve):
-            along, up = (
-                np.interp(line[:, i], axis.edges, np.arange(len(axis.edges)), left=-1.0, right=np.inf)
-                for i, axis in enumerate((plane.x, plane.y))
-            )
-            for k in range(len(line) - 1):
-                ends = np.array([[along[k], up[k]], [along[k + 1], up[k + 1]]])
-                if not np.all(np.isfinite(ends)) or np.any(ends < 0.0):
-                    continue
-                steps = 1 + int(np.ceil(2.0 * np.max(np.abs(ends[1] - ends[0]))))
-                places = np.floor(ends[0] + np.linspace(0.0, 1.0, steps + 1)[:, None] * (ends[1] - ends[0]))
-                columns, rows = np.minimum(places, np.array(inside.shape[::-1]) - 1).astype(int).T
-                inside[rows, columns] = True
-    return inside
+def _crossed(ax: Axes, cells: tuple[int, ...], found: Curves, options: maps.Options) -> NDArray[np.bool_]:
+    """The cells (y, x), all drawn equally large, that a drawn curve runs through or beside."""
+    inside = np.zeros(cells, dtype=bool)
+    for line in (line for curve in found for line in curves.bounding(curve)):
+        share = crowding.dense(axes.in_points(ax, line, options.size))[0] / np.array(options.size)
+        share = share[np.all((share >= 0.0) & (share < 1.0), axis=1)]
+        columns, rows = (share * cells[::-1]).astype(int).T
+        inside[rows, columns] = True
+    return ndimage.binary_dilation(inside, np.ones((3, 3)))
 
 
 def _finer(plane: maps.Plane, times: int) -> maps.Plane:

@@ -38,9 +38,9 @@ NEUTRAL = "#e4e2d6"
 
 
 @cache
-def colormap_of(colors: tuple[str, ...]) -> LinearSegmentedColormap:
+def colormap_of(colors: tuple[str, ...], steps: int = 512) -> LinearSegmentedColormap:
     """These colours at even steps, and the ones between them."""
-    return LinearSegmentedColormap.from_list("scale", colors, N=512)
+    return LinearSegmentedColormap.from_list("scale", colors, N=steps)
 
 
 def _part(name: str, low: float, high: float) -> Colormap:
@@ -85,7 +85,9 @@ def exponents(regime: NDArray[np.int8], largest: Array, norm: TwoSlopeNorm) -> P
     color = EXPONENT(norm(np.median(largest[quiet])))
     texture = Texture(quiet, style.HATCH[NO_IMPACT], style.ink_on(color), _without_dust(quiet))
     entry = style.swatch(color, style.name_of(NO_IMPACT), texture.hatch, texture.ink)
-    return replace(painted, legend=[*painted.legend, entry], textures=[texture, *painted.textures])
+    at = len(painted.legend) - len(painted.textures)  # before the entry of what is lost
+    legend = [*painted.legend[:at], entry, *painted.legend[at:]]
+    return replace(painted, legend=legend, textures=[texture, *painted.textures])
 
 
 def known_exponents(plane: maps.Plane) -> Array:
@@ -245,7 +247,7 @@ def signed_colormap(norm: Normalize) -> Colormap:
     if not low < 0.0 < high:
         return colormap_of(above)
     shares = np.linspace(low, high, 512) / max(-low, high)
-    return ListedColormap(colormap_of((*BELOW, "#f6f4f4", *above[1:]))(0.5 + 0.5 * shares), name="signed")
+    return ListedColormap(colormap_of((*BELOW, "#f6f4f4", *above[1:]), 1024)(0.5 + 0.5 * shares), name="signed")
 
 
 def known_values(name: str, plane: maps.Plane) -> Array:

@@ -164,7 +164,7 @@ def unit_ending(unit: str) -> str:
 
 def unit_text(unit: str) -> str:
     """A CF unit as an axis shows it."""
-    return {"1": "–", "1/period": "per forcing period"}.get(unit, unit)
+    return "per forcing period" if unit == "1/period" else unit
 
 
 def title_line(ds: xr.Dataset) -> str:

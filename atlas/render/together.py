@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import matplotlib as mpl
@@ -85,11 +85,8 @@ def side_by_side(
         drawn, panels = sheet.draw()
         differing = _differing(shown)
         _head(drawn, page, style.title_line(shown[0].drop_vars(differing)), max(reads.block))
-        known = (
-            np.concatenate([scales.known_exponents(plane).ravel() for plane in planes])
-            if chosen == "exponent"
-            else None
-        )
+        exponents = [scales.known_exponents(plane).ravel() for plane in planes if chosen == "exponent"]
+        known = np.concatenate(exponents) if exponents else None
         norm = None if known is None else scales.two_sided(page, *scales.scale_ends(known))
         entries: dict[str, Artist] = {}
         for k, (ax, plane) in enumerate(zip(panels, planes, strict=True)):
@@ -145,7 +142,7 @@ class _Sheet:
     def panel_title(self, ds: xr.Dataset, differing: Sequence[str], name: str) -> str:
         """The parameters that differ, or the name in lines that are not wider than a map."""
         if differing:
-            return style.parameter_line([(style.symbol(ds, each), float(ds[each])) for each in differing])
+            return _values(ds, differing)
         letters = self.panel.size[0] / (0.6 * self.page.font)
         return textwrap.fill(name, max(4, int(letters)))
 
@@ -197,13 +194,14 @@ def _differing(atlases: Sequence[xr.Dataset]) -> list[str]:
     return [n for n in fixed if len({str(ds[n].values) for ds in atlases}) > 1]
 
 
+def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
+    return style.parameter_line([(style.symbol(ds, each), float(ds[each])) for each in names])
+
+
 def _title(compared: Comparison) -> str:
     """The common parameters, and below them what is there and what is here."""
     common = style.title_line(compared.one.drop_vars(compared.differing))
-    sides = [
-        ",  ".join(f"${style.symbol(ds, n)} = {style.number(float(ds[n]))}$" for n in compared.differing)
-        for ds in (compared.other, compared.one)
-    ]
+    sides = [_values(ds, compared.differing) for ds in (compared.other, compared.one)]
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 
