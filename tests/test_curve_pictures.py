@@ -9,6 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 
 import atlas
 from atlas import render
@@ -253,3 +254,36 @@ def test_a_region_chart_has_lines_and_no_coloured_cells() -> None:
     ax = chart().axes[0]
     assert not ax.images
     assert {each.get_gid() for each in ax.collections} == {"fold", "period_doubling"}
+
+
+def test_a_region_chart_tells_symmetric_motions_from_unsymmetric_ones() -> None:
+    """Of a machine whose motions have mirror images: 1-1-1 on both sides of a symmetry breaking at omega = 3."""
+    omega, b = np.linspace(1.0, 5.0, 41), np.linspace(0.1, 0.7, 31)
+    ones = np.ones((31, 41), np.int32)
+    ds = atlas_of(
+        {"omega": omega, "b": b}, regime=np.full((31, 41), PERIODIC, np.int8), period=ones, impacts_upper=ones,
+        impacts_lower=ones, symmetric=np.broadcast_to(omega > 3.0, (31, 41)),
+    )  # fmt: skip
+    with keeping(Curves(("omega", "b"), (curve("symmetry_breaking", [[3.0, 0.1], [3.0, 0.7]]),))):
+        figure = render.figure(ds, "regions")
+    places = {text.get_text(): text.get_position()[0] for text in figure.axes[0].texts}
+    assert places.keys() == {"1-1-1 u", "1-1-1 s"}
+    assert places["1-1-1 u"] < 3.0 < places["1-1-1 s"]
+    assert "s: symmetric, u: unsymmetric" in figure.legends[0].get_title().get_text()
+
+
+def test_a_region_too_narrow_for_its_name_has_it_beside_at_the_end_of_an_arrow() -> None:
+    omega, b = np.linspace(1.0, 5.0, 161), np.linspace(0.1, 0.7, 121)
+    band = (omega > 3.0) & (omega < 3.06)
+    regime = np.where(band, PERIODIC, CHAOTIC) + np.zeros((121, 161), int)
+    ones = np.ones((121, 161), np.int32)
+    ds = atlas_of(
+        {"omega": omega, "b": b}, regime=regime.astype(np.int8), period=ones, impacts_upper=2 * ones, impacts_lower=ones
+    )
+    edges = tuple(curve("fold", [[at, 0.1], [at, 0.7]]) for at in (3.0, 3.06))
+    with keeping(Curves(("omega", "b"), edges)):
+        ax = render.figure(ds, "regions").axes[0]
+    (name,) = [text for text in ax.texts if text.get_text() == "1-2-1" or isinstance(text, Annotation)]
+    assert isinstance(name, Annotation)
+    assert 3.0 < name.xy[0] < 3.06
+    assert not 3.0 < name.get_position()[0] < 3.06

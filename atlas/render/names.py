@@ -82,6 +82,8 @@ def in_regions(
         for number in largest:
             corner = [part.start for part in boxes[number - 1]]
             region = regions[boxes[number - 1]] == number
+            if free is not None:
+                region &= free[boxes[number - 1]]
             for type_size in type_sizes:
                 half = 0.62 * type_size, 0.29 * type_size * len(name)
                 big_enough = sizes[number] * step[0] * step[1] >= 4.0 * half[0] * half[1]
@@ -92,7 +94,7 @@ def in_regions(
                     place = plane.x.values[column], plane.y.values[row]
                     ax.text(*place, name, fontsize=type_size, ha="center", va="center_baseline", **look)
                     if free is not None:
-                        free = _without(free, (row, column), max(half), step)
+                        free = _without(free, (row, column), float(np.hypot(*half)), step)
                     placed = True
                     break
         if not placed and len(largest) and sizes[largest[0]] * step[0] * step[1] >= _LEAST_AREA:
@@ -127,7 +129,7 @@ def _lead(
         spot = np.unravel_index(int(np.argmin(far)), far.shape)
         if far[spot] > _FARTHEST:
             continue
-        free = _without(free, spot, max(half), step)  # type: ignore[arg-type]
+        free = _without(free, spot, float(np.hypot(*half)), step)  # type: ignore[arg-type]
         ax.annotate(
             name, (plane.x.values[column], plane.y.values[row]), (plane.x.values[spot[1]], plane.y.values[spot[0]]),
             fontsize=type_size, ha="center", va="center", zorder=4, color=style.ink_on("white"),
