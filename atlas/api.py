@@ -74,6 +74,11 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
 
     ``workers`` are those of the run, by default one a processor.
     Raises atlas.errors.InputError where a tile is too large for a store.
+
+    >>> import atlas
+    >>> found = atlas.plan(atlas.Spec.from_toml("tiny"), probe=False)
+    >>> found.tiling.cells, found.tiling.count
+    (48, 4)
     """
     made = make_plan(spec, workers)
     return probed(spec, made, lambda progress: None) if probe else made
@@ -83,6 +88,10 @@ def status(store: str | os.PathLike[str]) -> Status:
     """How far a store is: tiles, cells and regimes done, and the run at work on it.
 
     Raises atlas.errors.InputError where the store is not an atlas.
+
+    >>> import atlas
+    >>> atlas.status("plane.zarr").fraction
+    1.0
     """
     return read_status(read_header(store))
 

@@ -13,6 +13,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from workers import SOLVER_VERSION
@@ -32,6 +33,8 @@ BESIDE = {
     ],
 }
 """The commands of pictures whose page shows none, or another store's."""
+NEEDS = {"work-precision.png": "heyoka", "explorer.png": "playwright"}
+"""What a picture needs beside the development tools."""
 
 
 def pictures() -> dict[str, Path]:
@@ -94,11 +97,15 @@ def main() -> None:
         parser.error(f"no picture of docs/: {', '.join(unknown)}; possible: {', '.join(known)}")
     FOLDER.mkdir(parents=True, exist_ok=True)
     done: set[str] = set()
+    missing = {name: need for name, need in NEEDS.items() if find_spec(need) is None}
     for picture in given.picture or known:
         if given.list:
             print(f"{picture}:", *commands(picture, known[picture]), sep="\n    ")
-        else:
+        elif picture not in missing:
             make(picture, known[picture], done)
+    left_out = [name for name in given.picture or known if name in missing and not given.list]
+    if left_out:
+        raise SystemExit("\n".join(f"{name}: not made, it needs {missing[name]}" for name in left_out))
 
 
 if __name__ == "__main__":

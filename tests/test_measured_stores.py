@@ -62,7 +62,7 @@ def test_measures_enter_a_digest_and_none_leave_it_as_it_was() -> None:
 
 def test_a_measure_is_mapped_by_its_name(store: Path) -> None:
     figure = render.figure(atlas.open(store), variable="place_rms")
-    assert figure.axes[1].get_ylabel() == "root mean square of displacement place [–]"
+    assert figure.axes[1].get_ylabel() == "root mean square of displacement place"
 
 
 def test_a_store_with_measures_is_sound_and_its_cells_are_solved_again_to_the_bit(store: Path) -> None:

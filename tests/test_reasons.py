@@ -178,10 +178,10 @@ def test_a_cell_asked_for_reports_its_reason_in_words(store: Path) -> None:
 
 def test_an_export_names_the_reason_of_every_cell(store: Path, tmp_path: Path) -> None:
     ds = atlas.open(store)
-    call("query", store, "-o", tmp_path / "a.csv")
+    call("export", store, "-o", tmp_path / "a.csv")
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert {(row["regime"] == "invalid", row["reason"]) for row in rows} == {(True, "beyond_stop"), (False, "none")}
-    call("query", store, "-o", tmp_path / "a.nc")
+    call("export", store, "-o", tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc", engine="scipy") as written:
         np.testing.assert_array_equal(written.reason.values, ds.reason.values)
 

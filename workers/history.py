@@ -48,6 +48,11 @@ def trace(system: str | System, params: Mapping[str, float], periods: int, setti
 
     Raises KeyError for unknown names and ValueError, in one line, for another number of periods, for parameters
     without a motion, and where the motion costs more evaluations than a cell solved over as many periods may.
+
+    >>> from workers import trace
+    >>> history = trace("two-mass", {"omega": 4.0, "b": 0.1}, periods=3)
+    >>> history.states.shape, history.impacts.shape
+    ((4, 4), (6, 3))
     """
     check_whole("periods", periods, 0, LONGEST)
     record = find_system(system)

@@ -85,15 +85,15 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> Ticks:
     """The ticks of a window: plain numbers, and where it is close to one value, the distance from a round one."""
     parameter = subject.system.parameter(name)
     meaning = parameter.meaning.split(":")[0]
-    unit = "–" if parameter.unit == "1" else parameter.unit
+    unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
     symbol = symbol_of(subject.system, name)
     span, centre = high - low, 0.5 * (low + high)
     power = math.floor(math.log10(span))
     if span > CLOSE * abs(centre):
-        return Ticks(0.0, 1.0, max(0, 1 - power), f"{meaning} {symbol} [{unit}]")
+        return Ticks(0.0, 1.0, max(0, 1 - power), f"{meaning} {symbol}{unit}")
     base = round(centre, -power)
     scale = f"10{str(power).translate(_ABOVE)}"
-    return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale} [{unit}]")
+    return Ticks(base, 10.0**power, 2, f"{meaning} {symbol}: distance from {base!r} in {scale}{unit}")
 
 
 def cell_line(cell: Cell, subject: Subject) -> str:

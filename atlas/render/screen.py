@@ -109,11 +109,13 @@ def _move_legend(drawn: Figure, ax: Axes, left: float) -> float:
             borderaxespad=0.3,
             fontsize=size,
         )
-        share = float(made.get_window_extent().height / drawn.bbox.height)
-        if share <= 1.0 or size <= LEAST_TYPE:
+        extent = made.get_window_extent()
+        share = float(extent.height / drawn.bbox.height)
+        excess = max(share, float(extent.width / (drawn.bbox.width * (1.0 - left))))
+        if excess <= 1.0 or size <= LEAST_TYPE:
             break
         made.remove()
-        size = max(LEAST_TYPE, 0.97 * size / share)  # no entry may be lost above
+        size = max(LEAST_TYPE, 0.97 * size / excess)  # no entry may be lost above, no word beside
     legend.remove()
     return min(share, MOST_LEGEND)
 
