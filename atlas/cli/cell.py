@@ -151,7 +151,7 @@ def systems(name: str | None, as_json: bool) -> None:
 @click.command(epilog=examples("atlas example omega-b > plane.toml"))
 @click.argument("name", required=False)
 def example(name: str | None) -> None:
-    """A spec to start from: the packaged example of that NAME, as a TOML file; without NAME, which there are."""
+    """Print the packaged example NAME, a spec to start from, as a TOML file; without NAME list all examples."""
     if name is not None:
         click.echo(example_text(name), nl=False)
         return

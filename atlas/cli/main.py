@@ -78,7 +78,7 @@ class _Group(click.Group):
 )
 @click.version_option(package_name="impact-atlas", prog_name="atlas")
 def main() -> None:
-    """Maps of chaos in vibro-impact oscillators.
+    """Maps of the dynamics of impacting machines over planes of parameters.
 
     A SPEC is a TOML file, or the name of an example in the package; a STORE is a folder, a URL or a zip file that holds
     an atlas. Exit codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted.

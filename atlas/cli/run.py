@@ -76,9 +76,9 @@ _out_option = click.option("-o", "--out", required=True, help="The store, a path
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     """The files of an encrypted connection to a scheduler."""
     for option in (
-        click.option("--tls-key", metavar="FILE", help="Its key."),
-        click.option("--tls-cert", metavar="FILE", help="Certificate for a tls:// scheduler."),
-        click.option("--tls-ca-file", metavar="FILE", help="Authority for it; default: Dask's configuration."),
+        click.option("--tls-key", metavar="FILE", help="The key of that certificate."),
+        click.option("--tls-cert", metavar="FILE", help="This program's certificate."),
+        click.option("--tls-ca-file", metavar="FILE", help="Authority of a tls:// scheduler; default: Dask's configuration."),
     ):
         command = option(command)
     return command
