@@ -78,7 +78,9 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     for option in (
         click.option("--tls-key", metavar="FILE", help="The key of that certificate."),
         click.option("--tls-cert", metavar="FILE", help="This program's certificate."),
-        click.option("--tls-ca-file", metavar="FILE", help="Authority of a tls:// scheduler; default: Dask's configuration."),
+        click.option(
+            "--tls-ca-file", metavar="FILE", help="Authority of a tls:// scheduler; default: Dask's configuration."
+        ),
     ):
         command = option(command)
     return command
