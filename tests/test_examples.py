@@ -20,8 +20,8 @@ EXAMPLES = sorted(
     for path in (ROOT / package).rglob("*.py")
     if ">>> " in path.read_text()
 )
-WITHOUT = {"errors", "portrait", "find_curves", "label_attractors", "Settings", "__version__"}
-"""Public names without an example here: settings, and what draws or searches a whole plane."""
+WITHOUT = {"errors", "find_curves", "label_attractors", "__version__"}
+"""Public names without an example here: what searches a whole plane or follows every orbit of it."""
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=str)

@@ -32,6 +32,10 @@ class Settings:
     section_samples    K: keep the last K section states of each cell; 0 to 100,000
 
     Raises ValueError, in one line that names the setting, for anything else.
+
+    >>> from workers import Settings
+    >>> Settings(tolerance=0.05).max_periods
+    20000
     """
 
     exponents: str = "largest"

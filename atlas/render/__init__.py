@@ -181,6 +181,9 @@ def portrait(
     that differ from the defaults, initial state included: with several attractors it decides which is shown. ``look``
     is size, type and resolution.
     Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
+
+    >>> import atlas
+    >>> figure = atlas.portrait({"omega": 4.0, "b": 0.1}, path="cell.png", width="85mm")
     """
     if path is not None:
         check_path(path)
