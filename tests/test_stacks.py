@@ -122,7 +122,7 @@ def test_shares_of_a_stack_are_those_of_all_its_cells(solved: Path) -> None:
 
 
 def test_csv_of_a_stack_has_a_row_for_every_cell_x_fastest(solved: Path, tmp_path: Path) -> None:
-    answered("query", solved, "-o", tmp_path / "out.csv")
+    answered("export", solved, "-o", tmp_path / "out.csv")
     with (tmp_path / "out.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0])[:3] == ["omega", "b", "R"]
@@ -133,7 +133,7 @@ def test_csv_of_a_stack_has_a_row_for_every_cell_x_fastest(solved: Path, tmp_pat
 
 
 def test_a_plane_is_selected_on_the_command_line(solved: Path, tmp_path: Path) -> None:
-    answered("query", solved, "--select", "R=0.7", "-o", tmp_path / "out.csv")
+    answered("export", solved, "--select", "R=0.7", "-o", tmp_path / "out.csv")
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 31
     text = answered("query", solved, "--select", "R=0.72", code=2)
     assert "R has no value 0.72; the nearest is 0.7" in text
