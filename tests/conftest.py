@@ -7,7 +7,7 @@ from pathlib import Path
 
 import dask
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 
 import atlas
 from tests.planes import plane_of
@@ -35,6 +35,16 @@ def client() -> Iterator[Client]:
     with Client(
         processes=False, n_workers=1, threads_per_worker=2, dashboard_address="127.0.0.1:0", set_as_default=False
     ) as made:
+        yield made
+
+
+@pytest.fixture
+def two_workers() -> Iterator[Client]:
+    """A cluster of two workers of one thread in this process, of its own for each test."""
+    with (
+        LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        Client(cluster, set_as_default=False) as made,
+    ):
         yield made
 
 

@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zarr
-from distributed import CancelledError, Client, LocalCluster, get_worker
+from distributed import CancelledError, Client, get_worker
 from distributed.comm.core import CommClosedError
 
 import atlas
@@ -249,15 +248,6 @@ def test_a_tile_whose_first_attempt_did_not_live_runs_in_a_process_of_its_own(
     receipt = run_job(made)
     assert receipt.cells == sum(receipt.counts.values()) == 6
     assert done_tiles(read_header(Path(made.store))) == {(1, 1)}
-
-
-@pytest.fixture
-def two_workers() -> Iterator[Client]:
-    with (
-        LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
-        Client(cluster, set_as_default=False) as made,
-    ):
-        yield made
 
 
 NOTED: dict[str, list[Any]] = {}

@@ -88,14 +88,19 @@ def test_a_chain_between_two_attractors_of_a_cell_is_cut_where_the_orbit_changes
     assert (found.tolist(), cut) == ([0, 0, 0, 1, 1, 1], 1)
 
 
+def random_links(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Of 60 pairs of twins and 30 symmetric orbits: their mirror images and cells; 90 links with their changes."""
+    image = np.concatenate([np.arange(120).reshape(60, 2)[:, ::-1].ravel(), np.arange(120, 150)])
+    cell = np.empty(150, dtype=np.int64)
+    cell[:120], cell[120:] = np.repeat(rng.integers(0, 25, 60), 2), rng.integers(0, 25, 30)
+    return image, cell, rng.integers(0, 150, (90, 2)), rng.random(90)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_the_mirror_image_of_a_branch_is_a_branch(seed: int) -> None:
     """Random links with their mirror images, of equal change and in any order, between twins and symmetric orbits."""
     rng = np.random.default_rng(seed)
-    image = np.concatenate([np.arange(120).reshape(60, 2)[:, ::-1].ravel(), np.arange(120, 150)])
-    cell = np.empty(150, dtype=np.int64)
-    cell[:120], cell[120:] = np.repeat(rng.integers(0, 25, 60), 2), rng.integers(0, 25, 30)
-    pairs, change = rng.integers(0, 150, (90, 2)), rng.random(90)
+    image, cell, pairs, change = random_links(rng)
     order = rng.permutation(180)
     both = np.concatenate([pairs, image[pairs]])[order]
     found, cut = branches(150, both, np.tile(change, 2)[order], cell, image)
@@ -107,10 +112,7 @@ def test_the_mirror_image_of_a_branch_is_a_branch(seed: int) -> None:
 def test_whose_mirror_image_a_branch_is_is_mutual(seed: int) -> None:
     """As above, with orbits that have no label, and images that no cell has."""
     rng = np.random.default_rng(seed)
-    image = np.concatenate([np.arange(120).reshape(60, 2)[:, ::-1].ravel(), np.arange(120, 150)])
-    cell = np.empty(150, dtype=np.int64)
-    cell[:120], cell[120:] = np.repeat(rng.integers(0, 25, 60), 2), rng.integers(0, 25, 30)
-    pairs, change = rng.integers(0, 150, (90, 2)), rng.random(90)
+    image, cell, pairs, change = random_links(rng)
     found, _ = branches(150, np.concatenate([pairs, image[pairs]]), np.tile(change, 2), cell, image)
     order = np.concatenate([np.arange(0, 120, 2), np.arange(120, 150), np.arange(1, 120, 2)])  # the last are unseen
     branch, image = found[order], np.argsort(order)[image[order]]

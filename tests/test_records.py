@@ -25,6 +25,7 @@ from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write
 from atlas.task.attempt import run_job
 from atlas.task.retry import Retry
 from atlas.task.task import Job
+from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, results, spec_of
 from workers.results import FAILED, GAVE_UP, REGIMES
@@ -86,17 +87,7 @@ def copy(header: Header, tmp_path: Path) -> Header:
 @pytest.fixture
 def keys(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Keys of the chunks of cells that Zarr gets from disk, whoever asks."""
-    found: list[str] = []
-    whole = zarr.storage.LocalStore.get
-
-    async def get(self: object, key: str, *args: object, **named: object) -> object:
-        value = await whole(self, key, *args, **named)  # type: ignore[arg-type]
-        if value is not None and key.startswith(("regime/c/", "reason/c/")):
-            found.append(key)
-        return value
-
-    monkeypatch.setattr(zarr.storage.LocalStore, "get", get)
-    return found
+    return noted_keys(monkeypatch, lambda key: key.startswith(("regime/c/", "reason/c/")))
 
 
 def counts_of(path: Path) -> Counter[str]:

@@ -6,13 +6,13 @@ Truth: counts of what was read and compiled, by worker.
 import shutil
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from distributed import Client, LocalCluster, get_worker
+from distributed import Client, get_worker
 
 import atlas
 from atlas.errors import NetworkError
@@ -23,17 +23,11 @@ from atlas.task import task as jobs
 from atlas.task.attempt import run_job
 from atlas.task.task import Job, RefusedError
 from tests.planes import plane_of
+from tests.pretended import Numbered
 from workers import tile as solving
 
 CALLS: dict[str, Counter[str]] = {}
 QUICK = Timing(tick=0.02)
-
-
-@dataclass(frozen=True)
-class Step:
-    """A job."""
-
-    index: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -50,7 +44,7 @@ class Prepared:
 DOES: dict[str, Callable[[], None]] = {}
 
 
-def done(job: Step) -> str:
+def done(job: Numbered) -> str:
     return str(get_worker().address)
 
 
@@ -58,20 +52,11 @@ def nothing() -> None:
     """Nothing is kept."""
 
 
-@pytest.fixture
-def two_workers() -> Iterator[Client]:
-    with (
-        LocalCluster(processes=False, n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
-        Client(cluster, set_as_default=False) as made,
-    ):
-        yield made
-
-
 def run_steps(
     client: Client, name: str, count: int = 20, tick: Callable[[Workers], None] = lambda _: None
 ) -> list[Any]:
-    labour: Labour[Step, str] = Labour(name, done, Prepared(name), nothing)
-    return list(outcomes(client, labour, (Step((k,)) for k in range(count)), tick, QUICK))
+    labour: Labour[Numbered, str] = Labour(name, done, Prepared(name), nothing)
+    return list(outcomes(client, labour, (Numbered((k,)) for k in range(count)), tick, QUICK))
 
 
 def names_of(client: Client) -> set[str]:

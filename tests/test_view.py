@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-import zarr
 from matplotlib.figure import Figure
 
 import atlas
@@ -17,6 +16,7 @@ from atlas.query.window import cell_edges
 from atlas.store import store
 from atlas.store.tiles import write_tile
 from scripts import bench_render
+from tests.chunk_keys import noted_keys
 from tests.synthetic import complete, fill, keep, results, spec_of
 from workers.results import FAILED, PERIODIC
 
@@ -38,17 +38,7 @@ def ds(header: store.Header) -> xr.Dataset:
 @pytest.fixture
 def keys(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Keys of the chunks that Zarr gets from disk, whoever asks."""
-    found: list[str] = []
-    whole = zarr.storage.LocalStore.get
-
-    async def get(self: object, key: str, *args: object, **named: object) -> object:
-        value = await whole(self, key, *args, **named)  # type: ignore[arg-type]
-        if value is not None and "/c/" in key:
-            found.append(key)
-        return value
-
-    monkeypatch.setattr(zarr.storage.LocalStore, "get", get)
-    return found
+    return noted_keys(monkeypatch, lambda key: "/c/" in key)
 
 
 def of_cells(keys: list[str]) -> list[str]:
