@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import xarray as xr
 
 import atlas
 from atlas.errors import InputError
+from atlas.service.options import RunFields
 from atlas.service.progress import Progress
 from tests.synthetic import complete
 from workers.results import FAILED, UNDETERMINED
@@ -103,3 +105,7 @@ def test_an_atlas_opened_in_chunks_has_dask_arrays_of_the_same_values(
     assert lazy.largest.chunks is not None and ds.largest.chunks is None
     xr.testing.assert_identical(lazy.compute(), ds.compute())
     assert lazy.atlas.fractions() == ds.atlas.fractions()
+
+
+def test_every_option_of_a_run_is_a_keyword_of_a_run() -> None:
+    assert list(RunFields.__annotations__) == [field.name for field in fields(atlas.RunOptions)]
