@@ -22,9 +22,7 @@ from atlas.task import task as jobs
 from atlas.task.attempt import do_job
 from atlas.task.task import Job, RefusedError
 from tests.planes import plane_of
-from tests.test_faults import noted, two_workers
-
-__all__ = ["two_workers"]
+from tests.test_faults import noted
 
 pytestmark = pytest.mark.slow
 
