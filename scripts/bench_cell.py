@@ -6,7 +6,7 @@ of two lengths of the same run; and, of this version alone, those of machines of
 the packaged one, and one without chaos. Each version runs in processes of its own, one after another, since where
 memory happens to lie makes up to a tenth of a measure; one waits while the other measures; best of all.
 
-Usage: .venv/bin/python scripts/bench_cell.py [--against ROOT] [--light]      ROOT: a checkout of the other version
+Usage: python -m scripts.bench_cell [--against ROOT] [--light] [--keep]      ROOT: a checkout of the other version
 """
 
 import argparse
@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from scripts.measured import parsed, print_table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -51,8 +53,14 @@ def cells(kind: str, count: int) -> dict[str, Any]:
 
 
 KINDS = ("periodic", "impact-free", "new structure", "plane of omega and b", "plane of R and zeta")
-TARGETS = {"periodic": 0.12, "impact-free": 0.02, "new structure": 0.05}
-"""Milliseconds a cell on a machine where the version before took .61, .29 and .72."""
+DESCRIBED = {
+    "periodic": "periodic",
+    "impact-free": "without impact",
+    "new structure": "without impact, different masses in each cell",
+    "plane of R and zeta": "R from .5 to .95, zeta from .05 to .5: no chaos",
+    "plane of omega and b": "omega from 2 to 4, b from .05 to .5: with chaos",
+}
+"""The kinds in words."""
 
 LEAST_SECONDS = 0.1
 """Of a measure: cells that take less are solved several times."""
@@ -148,7 +156,7 @@ def main() -> None:
     parser.add_argument("--against", type=Path, help="a checkout of another version")
     parser.add_argument("--light", action="store_true", help="few cells, few periods: rough numbers")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.serve:
         serve()
         return
@@ -162,13 +170,18 @@ def main() -> None:
                 best[k] = np.minimum(best[k], [version.measure(case) for version in versions])
         for version in versions:
             version.end()
-    print("| case | target | " + ("other | this | ratio |" if options.against else "this |"))
-    print("|---|---|---|" + ("---|---|" if options.against else ""))
+    versions_head = ["the other version", "this version", "ratio"] if options.against else ["this version"]
+    rows: dict[str, list[list[str]]] = {"cell": [], "period": []}
     for case, found in zip(asked, best, strict=True):
-        what = case.get("system") or f"Fig. {case.get('figure')}"
-        name = f"{case['kind']}, ms a cell" if "kind" in case else f"{what}, {case['exponents']}, us a period"
         numbers = [f"{b:.3f}" for b in found] + ([f"{found[0] / found[1]:.2f}"] if options.against else [])
-        print(f"| {name} | {TARGETS.get(case.get('kind', ''), '')} | {' | '.join(numbers)} |")
+        if "kind" in case:
+            rows["cell"].append([DESCRIBED[case["kind"]], *numbers])
+        else:
+            what = case.get("system") or f"Fig. {case['figure']}"
+            rows["period"].append([f"{what}, exponents: {case['exponents']}", *numbers])
+    print_table("cell", ["milliseconds a cell", *versions_head], rows["cell"], options.keep)
+    print()
+    print_table("period", ["microseconds a period", *versions_head], rows["period"], False)
 
 
 if __name__ == "__main__":

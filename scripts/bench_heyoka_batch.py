@@ -4,7 +4,7 @@ scripts.bench_kernel measures the solver against heyoka's scalar mode. Here as m
 has lanes, with slightly different b, go through one batch integrator; each impact is a callback for its lane. Both
 modes are timed in processor time on one core, in turn, best of several, after half of the periods.
 
-Usage: .venv/bin/python -m scripts.bench_heyoka_batch [--light]
+Usage: python -m scripts.bench_heyoka_batch [--light] [--keep]
 """
 
 import argparse
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from scripts.general_integrator import FIGURES
 from scripts.heyoka_reference import INSTALLED, Taylor, equations, orthonormalise, parameters, rebound
+from scripts.measured import parsed, print_table
 
 if INSTALLED:
     import heyoka
@@ -91,14 +92,15 @@ def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--light", action="store_true", help="a tenth of the periods")
-    light = parser.parse_args().light
+    options = parsed(parser)
     if not INSTALLED:
         raise SystemExit("heyoka is not installed: pip install heyoka")
-    rows = measure(*((LIGHT_PERIODS, LIGHT_REPEATS) if light else (PERIODS, REPEATS)))
+    rows = measure(*((LIGHT_PERIODS, LIGHT_REPEATS) if options.light else (PERIODS, REPEATS)))
     print(f"{heyoka.recommended_simd_size()} lanes, heyoka {heyoka.__version__}")
-    print("| figure | exponents | scalar, us | batch, us | scalar / batch |\n|---|---|---|---|---|")
-    for figure, vectors, alone, together, ratio in rows:
-        print(f"| {figure} | {vectors} | {alone:.1f} | {together:.1f} | {ratio:.2f} |")
+    table = [[f, str(n), f"{alone:.1f}", f"{together:.1f}", f"{ratio:.2f}"] for f, n, alone, together, ratio in rows]
+    print_table(
+        "heyoka-batch", ["figure", "exponents", "scalar, µs", "batch, µs", "scalar / batch"], table, options.keep
+    )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ right-hand side compiled by Numba and the step size kept across impacts.
 All are timed in processor time on one core, best of several: the solver on many cells side by side and on one alone, as
 the difference of two lengths of the same run, so that start-up and transient cancel, the references after a transient.
 
-Usage: .venv/bin/python -m scripts.bench_kernel [--light] [--json]
+Usage: python -m scripts.bench_kernel [--light] [--json] [--keep]
 """
 
 import argparse
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from scripts.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
 from scripts.heyoka_reference import INSTALLED, SoftTaylor, Taylor
+from scripts.measured import parsed, print_table
 from workers import Settings, solve_tile
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
@@ -204,23 +205,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--light", action="store_true", help="short runs: seconds, rough numbers")
     parser.add_argument("--json", action="store_true", help="one JSON list on standard output, nothing else")
-    options = parser.parse_args()
+    options = parsed(parser)
     one_core()
     schedule = LIGHT if options.light else FULL
     rows, soft = measure(schedule), measure_soft(schedule)
     if options.json:
         print(json.dumps(rows + soft))
         return
-    names = ["figure", "exponents", "side by side, us", "alone, us", "heyoka, us", "ratio"]
-    print(f"| {' | '.join([*names, 'DOP853, us', 'ratio', 'tuned, us', 'ratio'])} |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    names = ["figure", "exponents", "batch, µs", "single, µs", "heyoka, µs", "ratio"]
+    table = []
     for row in rows:
         columns = [f"{row['solver_us_per_period']:.2f}", f"{row['solver_alone_us_per_period']:.2f}"]
         columns += [f"{row['heyoka_us_per_period']:.1f}", f"{row['heyoka_ratio']:.1f}"]
         for name in ("dop853_us_per_period", "ratio", "dop853_tuned_us_per_period", "ratio_tuned"):
             columns.append(f"{row[name]:.0f}" if name in row else "")
-        print(f"| {row['figure']} | {row['exponents']} | {' | '.join(columns)} |")
-    print()
+        table.append([row["figure"], str(row["exponents"]), *columns])
+    print_table("kernel", [*names, "DOP853, µs", "ratio", "tuned, µs", "ratio"], table, options.keep)
     for row in rows[::3]:
         count, calls = row["evaluations_per_period"], row["transcendentals_per_period"]
         print(f"Fig. {row['figure']}: {count:.2f} evaluations of two blocks and the force, {calls:.0f} exp, sin or cos")
@@ -228,9 +228,8 @@ def main() -> None:
         if row["exponents"] == 4:
             ours, check = ("  ".join(f"{x:.3f}" for x in row[f"{side}_exponents"]) for side in ("solver", "dop853"))
             print(f"Fig. {row['figure']}, exponents per period: {ours} (DOP853, fewer periods: {check})")
-    print("\n| soft stop, exponents | solver, us | heyoka, us | ratio |\n|---|---|---|---|")
-    for row in soft:
-        print(f"| {row['exponents']} | {' | '.join(f'{row[name]:.2f}' for name in SOFT_COLUMNS)} |")
+    table = [[str(row["exponents"]), *(f"{row[name]:.2f}" for name in SOFT_COLUMNS)] for row in soft]
+    print_table("kernel-soft", ["exponents", "solver, µs a period", "heyoka, µs", "ratio"], table, options.keep)
 
 
 if __name__ == "__main__":

@@ -5,13 +5,12 @@ for so many: share of the workers' time spent solving, for each order of tiles. 
 The plane is taken as it is and turned, since the order by rows depends on which corner is costly. "probe" solves some
 cells of each tile beforehand, and pays for it.
 
-Usage: .venv/bin/python -m scripts.bench_order STORE [--workers W]
+Usage: python -m scripts.bench_order STORE... [--workers W] [--keep]
 """
 
 import argparse
 import heapq
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 import atlas
 from atlas.service.dispatch import IN_FLIGHT
 from atlas.service.schedule import Order
+from scripts.measured import parsed, print_table
 
 SPLIT = 4
 """Along each axis, into how many cells one cell of the real atlas is split."""
@@ -100,22 +100,37 @@ def _descending(costs: np.ndarray) -> Iterator[tuple[int, ...]]:
         yield tuple(map(int, np.unravel_index(place, costs.shape)))
 
 
+ORDERS = {
+    "rows": "row by row",
+    "lattice": "lattice first",
+    "probe": f"{PROBED} cells of each tile probed",
+    "oracle": "costs known",
+    "bound": "bound by the costliest tile",
+}
+
+
+def tiles_and_shares(cells: np.ndarray, side: int, workers: int) -> list[str]:
+    """A row of the table: the number of tiles, and for each order its shares in per cent, one per orientation."""
+    turned = (cells, cells[::-1], cells.T, cells.T[::-1])
+    shares = [efficiencies(plane, side, workers) for plane in turned]
+    row = [f"{tile_costs(cells, side).size:,}"]
+    for order in ORDERS:
+        each = [f"{100 * share[order]:.0f}" for share in shares]
+        row.append(f"{each[0] if len(set(each)) == 1 else ', '.join(each)} %")
+    return row
+
+
 def main(argv: list[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("store", type=Path, help="the atlas whose costs are taken")
+    parser.add_argument("store", type=Path, nargs="+", help="the atlases whose costs are taken")
     parser.add_argument("--workers", type=int, default=256)
-    given = parser.parse_args(argv)
-    started = time.perf_counter()
-    cells = costs_of(given.store)
-    turned = {"as it is": cells, "upside down": cells[::-1], "transposed": cells.T, "both": cells.T[::-1]}
-    print(f"order of tiles, {given.workers} workers, {cells.size} cells: share of the time spent solving")
-    for side in SIDES:
-        for name, plane in turned.items():
-            shares = efficiencies(plane, side, given.workers)
-            shown = "  ".join(f"{order} {100 * share:3.0f} %" for order, share in shares.items())
-            print(f"tiles of {side:>2} x {side:<2} {name:<12} {shown}", flush=True)
-    print(f"(simulated in {time.perf_counter() - started:.0f} s)")
+    given = parsed(parser, argv)
+    planes = [costs_of(store) for store in given.store]
+    rows = [tiles_and_shares(cells, side, given.workers) for cells in planes for side in SIDES]
+    print_table(
+        "order", ["tiles", *ORDERS.values()], sorted(rows, key=lambda row: int(row[0].replace(",", ""))), given.keep
+    )
     return 0
 
 

@@ -4,7 +4,7 @@ Cells are drawn over all parameters. Those that come out chaotic with each ``sur
 periods in which their energy relaxes; *settles* are those that a watch of so many periods, the same for all of them,
 sees settle on an orbit, or without impact, after they were called chaotic.
 
-Usage: .venv/bin/python -m scripts.bench_relaxation [--cells 16000] [--far 200000] [--survivals 0,48000]
+Usage: python -m scripts.bench_relaxation [--cells 16000] [--far 200000] [--survivals 0,48000]
 """
 
 import argparse
@@ -17,6 +17,7 @@ import numpy as np
 
 from scripts.bench_error_bars import drawn
 from scripts.bench_survival import FURTHER, SETTLED, followed, solved
+from scripts.measured import parsed, print_table
 from workers import Settings
 from workers.attractors.starts import wilson
 from workers.results import CHAOTIC
@@ -25,8 +26,8 @@ EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, np.inf)
 """Forcing periods of relaxation between which cells are counted together."""
 
 
-def rows(pool: Any, cells: int, seed: int, far: int, survivals: list[int], tolerance: float) -> Iterator[str]:
-    """The rows of the table: one for each range of relaxation times and each survival that has chaotic cells."""
+def rows(pool: Any, cells: int, seed: int, far: int, survivals: list[int], tolerance: float) -> Iterator[list[str]]:
+    """The rows of the table, one for each range of relaxation times: three numbers for each survival."""
     params = drawn(seed, cells)
     called = [
         (survival, solved(pool, params, Settings(tolerance=tolerance, survival=survival))[0]) for survival in survivals
@@ -35,16 +36,19 @@ def rows(pool: Any, cells: int, seed: int, far: int, survivals: list[int], toler
     truth = followed(pool, {name: values[looked_chaotic] for name, values in params.items()}, far)
     settles = np.isin(truth["regime"], SETTLED)
     for low, high in pairwise(EDGES):
-        for survival, found in called:
+        row = [f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"]
+        for _, found in called:
             used = found["periods_used"][looked_chaotic]
             here = (truth["relaxation"] >= low) & (truth["relaxation"] < high)
             here &= found["regime"][looked_chaotic] == CHAOTIC
             if not here.any():
+                row += ["0", "", ""]
                 continue
             wrong = int(np.sum(here & settles & (truth["periods_used"] <= used + FURTHER)))
             least, most = wilson(wrong, int(here.sum()))
             share = f"{100 * wrong / here.sum():.2f} ({100 * least:.1f} to {100 * most:.1f})"
-            yield f"| {low:g} to {high:g} | {survival} | {here.sum()} | {share} | {used[here].mean():.0f} |"
+            row += [str(here.sum()), share, f"{used[here].mean():,.0f}"]
+        yield row
 
 
 def main() -> None:
@@ -55,13 +59,14 @@ def main() -> None:
     parser.add_argument("--far", type=int, default=200_000, help="periods for which all are watched")
     parser.add_argument("--survivals", default="0,48000")
     parser.add_argument("--tolerance", type=float, default=0.02)
-    options = parser.parse_args()
+    options = parsed(parser)
     survivals = [int(survival) for survival in options.survivals.split(",")]
-    print("| relaxation, periods | survival | chaotic | settle, % | periods a chaotic cell |")
-    print("|---|---|---|---|---|")
+    head = ["relaxation, periods"]
+    for survival in survivals:
+        head += [f"chaotic at survival {survival:,}", "wrong, %", "periods a cell"]
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        for row in rows(pool, options.cells, options.seed, options.far, survivals, options.tolerance):
-            print(row, flush=True)
+        table = list(rows(pool, options.cells, options.seed, options.far, survivals, options.tolerance))
+    print_table("relaxation", head, table, options.keep)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ solving; store and overviews are written as a run writes them. Each question is 
 """
 
 import argparse
-import json
 import re
 import resource
 import subprocess
@@ -27,8 +26,10 @@ from atlas.store.records import put_together
 from atlas.store.store import create, done_tiles, find
 from atlas.store.tiles import write_tile
 from atlas.store.tiling import Tile
+from scripts.measured import parsed, print_table
 from workers.results import CHAOTIC, FAILED, GAVE_UP, PERIODIC, UNDETERMINED, empty_results, result_variables
 
+COUNTS = ("MB", "chunks")
 WINDOW = ("--window", "omega=2.5:2.6", "--window", "b=0.2:0.22")
 
 
@@ -113,31 +114,32 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--tile", type=int, default=250, help="cells along each side of a tile")
     parser.add_argument("--store", type=Path, default=Path("build/bench-render.zarr"))
     parser.add_argument("--light", action="store_true", help="ask for shares only")
-    parser.add_argument("--json", action="store_true")
-    given = parser.parse_args(arguments)
+    given = parsed(parser, arguments)
     made = make(given.store, given.cells, given.tile)
     store = str(given.store)
     with tempfile.TemporaryDirectory() as folder:
         picture = str(Path(folder) / "map.png")
         questions = {
-            "help": ("--help",),
-            "whole, exponent": ("render", store, "-o", picture),
-            "whole, period": ("render", store, "-o", picture, "--kind", "period"),
-            "window, exponent": ("render", store, "-o", picture, *WINDOW),
-            "whole, shares": ("query", store),
-            "window, shares": ("query", store, *WINDOW),
+            "chaos map of the whole plane": ("render", store, "-o", picture),
+            "period map of the whole plane": ("render", store, "-o", picture, "--kind", "period"),
+            "chaos map of a window of 500 × 444 cells": ("render", store, "-o", picture, *WINDOW),
+            "fractions of the whole plane": ("query", store),
+            "fractions of the window": ("query", store, *WINDOW),
             "status": ("status", store),
         }
-        found = {name: ask(*words) for name, words in questions.items() if "shares" in name or not given.light}
-    if given.json:
-        print(json.dumps({"made": made, "asked": found}))
-        return found
+        found = {name: ask(*words) for name, words in questions.items() if "fractions" in name or not given.light}
     print(f"{given.cells} x {given.cells} cells in tiles of {given.tile}")
     print(f"written now in {made['tiles']:.1f} s, overviews in {made['overviews']:.1f} s")
-    print(f"{'':20}{'seconds':>9}{'of CPU':>8}{'MB':>7}{'chunks':>8}")
-    for name, row in found.items():
-        peak, chunks = ("-" if row[key] is None else f"{row[key]:.0f}" for key in ("MB", "chunks"))
-        print(f"{name:20}{row['seconds']:9.2f}{row['cpu']:8.2f}{peak:>7}{chunks:>8}")
+    rows = [
+        [
+            name,
+            f"{row['seconds']:.1f}",
+            f"{row['cpu']:.1f}",
+            *("-" if row[k] is None else f"{row[k]:.0f}" for k in COUNTS),
+        ]
+        for name, row in found.items()
+    ]
+    print_table("render", ["question", "seconds", "seconds of CPU", "peak MB", "chunks read"], rows, given.keep)
     return found
 
 

@@ -10,7 +10,7 @@ store     The store lies on a server of objects whose every request takes 25 ms.
 
 What is replaced is printed. Nothing is in the path of the coordinator.
 
-Usage: .venv/bin/python -m scripts.bench_scale [--workers N ...] [--seconds S] [--side CELLS] [--no-store]
+Usage: python -m scripts.bench_scale [--workers N ...] [--seconds S] [--side CELLS] [--no-store] [--keep]
 """
 
 import argparse
@@ -42,6 +42,7 @@ from atlas.store.schema import extra_sizes
 from atlas.store.store import Header, chunk_key, create, read_header
 from atlas.store.tiles import write_tile
 from atlas.task.task import peak_memory
+from scripts.measured import parsed, print_table
 from tests.loopback import ObjectStore, object_store
 from workers.results import PERIODIC, REGIME, empty_results
 
@@ -179,18 +180,28 @@ def run_on(found: Cluster, store: str, side: int, folder: Path) -> tuple[dict[st
     return made, Load(after.seconds - before.seconds, after.peak_bytes)
 
 
-def row(made: dict[str, Any], scheduler: Load) -> str:
-    """A line of the table of the cluster. The last number is how many workers the busier process could serve."""
-    each, seconds = 1e3 / made["tiles"], made["solving"] / made["tiles"]
-    ours, between = each * made["processor"], each * scheduler.seconds
-    shown = f"{made['workers']:>7} {made['tiles']:>7} {seconds:>7.2f} {100 * made['busy']:>6.1f} %"
-    memory = f"{made['peak'] / 1e6:>12.0f} {scheduler.peak_bytes / 1e6:>10.0f}"
-    return f"{shown} {ours:>12.2f} {between:>10.2f} {memory} {1e3 * seconds / max(ours, between):>10.0f}"
+def row(made: dict[str, Any], scheduler: Load) -> list[str]:
+    """A row of the table of the cluster."""
+    each = 1e3 / made["tiles"]
+    return [
+        str(made["workers"]),
+        f"{made['tiles']:,}",
+        f"{100 * made['busy']:.1f} %",
+        f"{each * made['processor']:.2f}",
+        f"{each * scheduler.seconds:.2f}",
+        f"{made['peak'] / 1e6:.0f}",
+        f"{scheduler.peak_bytes / 1e6:.0f}",
+    ]
 
 
-HEADING = (
-    "                                  coordinator  scheduler  coordinator  scheduler       most\n"
-    "workers   tiles  s/tile     busy      ms/tile    ms/tile           MB         MB    workers"
+HEAD = (
+    "workers",
+    "tiles",
+    "workers busy",
+    "coordinator, ms per tile",
+    "scheduler, ms per tile",
+    "coordinator, MB",
+    "scheduler, MB",
 )
 
 
@@ -216,14 +227,14 @@ class Counted:
         self._server, self._begin = server, time.perf_counter()
         server.forget()
 
-    def __str__(self) -> str:
-        counts = self._server.counts
-        each = ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
-        return f"{time.perf_counter() - self._begin:7.2f} s, {counts.total():>6} requests ({each})"
+    def columns(self) -> tuple[str, str]:
+        """The seconds and the requests until now."""
+        return f"{time.perf_counter() - self._begin:.2f}", f"{self._server.counts.total():,}"
 
 
-def measure_store(side: int, delay: float, folder: Path) -> None:
-    """Print what it takes to look at and to resume an atlas on a slow store, half done and finished."""
+def measure_store(side: int, delay: float, folder: Path) -> list[tuple[str, str, str]]:
+    """What it takes to look at and to resume an atlas on a slow store, half done and finished: seconds, requests."""
+    rows: list[tuple[str, str, str]] = []
     with object_store() as server, mock.patch.dict(os.environ, server.environment):
         url = "s3://scale/plane.zarr"
         plan = make_plan(spec_of(side), 1000)
@@ -234,33 +245,39 @@ def measure_store(side: int, delay: float, folder: Path) -> None:
         done = {bucket + key for index in half for key in (chunk_key(header.regime, index), record_key(index))}
         server.put({key: data for key, data in objects.items() if key in done})
         server.delay(delay)
-        print(f"store: {plan.tiling.count} tiles, {1e3 * delay:.0f} ms a request, half of them done")
+        print(f"store: {plan.tiling.count} tiles, {1e3 * delay:.0f} ms a request, half of them done", flush=True)
         with cluster(folder, 50, 1000.0) as found:
-            for what in ("a resume, to the first tiles handed out", "the same after a kill of the coordinator"):
+            for lacking in (" that lacks its overviews' metadata", ""):
                 counted = Counted(server)
                 with coordinator(found, url, side, folder) as process:
                     line_of(process, folder)
-                    print(f"{what:<45} {counted}", flush=True)
+                    rows.append((f"resume of a half-done run{lacking}, to the first tile", *counted.columns()))
                     time.sleep(3.0)
-                    if "kill" in what:
-                        _print_status(url, server, "of the running atlas")
+                    if not lacking:
+                        rows.append(_status(url, server, "a running atlas", len(half)))
         server.put(objects)
         with cluster(folder, 50, 0.0) as found:
             counted = Counted(server)
             made, _ = run_on(found, url, side, folder)
-            print(f"{'the end of a run whose tiles are all done':<45} {counted}")
-            print(f"{'':<45} {made['processor']:.1f} s of the coordinator, {made['peak'] / 1e6:.0f} MB")
-        _print_status(url, server, "of the finished atlas")
+            ended = "end of a run whose tiles are all done, after a kill before that"
+            rows.append((ended, *counted.columns()))
+            print(f"{ended}: {made['processor']:.1f} s of the coordinator, {made['peak'] / 1e6:.0f} MB", flush=True)
+        rows.append(_status(url, server, "a finished atlas", len(tiles)))
+    return rows
 
 
-def _print_status(url: str, server: ObjectStore, whose: str) -> None:
+def _status(url: str, server: ObjectStore, whose: str, tiles: int) -> tuple[str, str, str]:
+    """What a first and a second status of an atlas take, of which so many tiles are done."""
     counted = Counted(server)
     census = Census(read_header(place_of(url)))
-    first = census.take(settled=True)
-    print(f"{'status ' + whose:<45} {counted}; {first.tiles_done} tiles", flush=True)
-    counted = Counted(server)
-    second = census.take()
-    print(f"{'the next status ' + whose:<45} {counted}; {second.tiles_done} tiles", flush=True)
+    looks = []
+    for settled in (True, False):
+        counted = counted if settled else Counted(server)
+        found = census.take(settled=settled)
+        assert found.tiles_done == tiles
+        looks.append(counted.columns())
+    seconds, requests = (", ".join(each) for each in zip(*looks, strict=True))
+    return f"status of {whose}, first and next", seconds, requests
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -276,18 +293,21 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--side", type=int, default=SIDE, help="cells along each side of the plane of the second part")
     parser.add_argument("--delay", type=float, default=0.025, help="seconds of a request")
     parser.add_argument("--no-store", action="store_true", help="leave out the second part")
-    asked = parser.parse_args(given)
-    print(REPLACED)
-    if asked.workers:
-        print(HEADING, flush=True)
+    asked = parsed(parser, given)
+    print(REPLACED, flush=True)
+    rows = []
     for workers in asked.workers:
         with tempfile.TemporaryDirectory(prefix="bench-scale-") as name, object_store() as server:
             server.delay(asked.delay)
             with mock.patch.dict(os.environ, server.environment), cluster(Path(name), workers, asked.seconds) as found:
-                print(row(*run_on(found, "s3://scale/plane.zarr", side_for(workers), Path(name))), flush=True)
+                rows.append(row(*run_on(found, "s3://scale/plane.zarr", side_for(workers), Path(name))))
+    if rows:
+        print_table("scale-workers", HEAD, rows, asked.keep)
     if not asked.no_store:
         with tempfile.TemporaryDirectory(prefix="bench-scale-") as name:
-            measure_store(asked.side, asked.delay, Path(name))
+            print_table(
+                "scale-store", ("", "s", "requests"), measure_store(asked.side, asked.delay, Path(name)), asked.keep
+            )
     return 0
 
 

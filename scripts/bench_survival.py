@@ -6,19 +6,18 @@ within 80,000 further periods, with its 95 % interval (Wilson); ``of all`` the s
 ``undecided`` the share of undetermined cells; ``periods`` the mean cost of a cell, without those that proofs of orbits
 take.
 
-Usage: .venv/bin/python -m scripts.bench_survival [--light] [--json FILE]
+Usage: python -m scripts.bench_survival [--light] [--planes PARTS] [--keep]
 """
 
 import argparse
-import json
 import multiprocessing
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scripts.measured import header, keep_table, line, parsed
 from workers import Settings, solve_tile
 from workers.attractors.starts import wilson
 from workers.cell.cells import Cells
@@ -42,6 +41,17 @@ PLANES: dict[str, dict[str, Any]] = {
     "capsule, omega-alpha": {"system": "capsule", "omega": (0.3, 1.6), "alpha": (0.2, 3.0)},
 }
 """Parameters of each plane; of another system than the default one also its name."""
+
+DESCRIBED = {
+    "packaged omega-b": "omega 1 to 4.5, b .05 to .6 (`omega-b`: R .8, zeta .05)",
+    "omega-R, zeta .005": "omega 1.5 to 4.5, R .9 to 1; zeta .005, b .3",
+    "zeta 1e-4, omega-R": "omega 1.5 to 4.5, R .99 to 1; zeta 1e-4, b .3",
+    "R near 1, omega-b": "as the first, R .97",
+    "low damping, omega-b": "as the first, R .7, zeta .01",
+    "soft-impact, omega-a": "`soft-impact`: omega .6 to 1.2, a .2 to 1",
+    "capsule, omega-alpha": "`capsule`: omega .3 to 1.6, alpha .2 to 3",
+}
+"""The planes in words."""
 
 
 def plane(name: str, side: int) -> dict[str, NDArray[Any] | float]:
@@ -132,14 +142,22 @@ def measure(pool: Any, name: str, side: int, survivals: list[int], far: int, tol
     return rows
 
 
-def show(row: dict[str, Any]) -> str:
-    """A row of the table."""
+HEAD = ("plane", "`survival`", "chaotic", "wrong, % of them", "of all, %", "undetermined, %", "periods a cell")
+
+
+def cells_of(row: dict[str, Any], first: bool) -> list[str]:
+    """A row of the table; ``first`` is that of a plane, whose name it has. The default survival is set bold."""
     low, high = row["interval"]
-    return (
-        f"| {row['plane']} | {row['survival']} | {row['chaotic']} of {row['cells']} | {100 * row['wrong_share']:.2f} "
-        f"({100 * low:.2f} to {100 * high:.2f}) | {100 * row['wrong_of_all']:.2f} | {100 * row['undetermined']:.2f} | "
-        f"{row['uncertain']} | {row['periods']:.0f} | {row['ms_a_cell']:.2f} |"
-    )
+    survival = f"{row['survival']:,}"
+    return [
+        DESCRIBED[row["plane"]] if first else "",
+        f"**{survival}**" if row["survival"] == Settings().survival else survival,
+        str(row["chaotic"]),
+        f"{100 * row['wrong_share']:.2f} ({100 * low:.1f} to {100 * high:.1f})",
+        f"{100 * row['wrong_of_all']:.2f}",
+        f"{100 * row['undetermined']:.2f}",
+        f"{row['periods']:,.0f}",
+    ]
 
 
 def main() -> None:
@@ -151,21 +169,19 @@ def main() -> None:
     parser.add_argument("--planes", default="", help="parts of names of planes, by comma; all by default")
     parser.add_argument("--survivals", default="0,16000,48000,160000")
     parser.add_argument("--tolerance", type=float, default=0.02)
-    parser.add_argument("--json", type=Path, help="write the rows here, too")
-    options = parser.parse_args()
+    options = parsed(parser)
     side, far = (6, 4000) if options.light else (options.side, options.far)
     survivals = [0, 4000] if options.light else [int(s) for s in options.survivals.split(",")]
     chosen = [name for name in PLANES if any(part in name for part in options.planes.split(","))]
-    rows = []
-    print("| plane | survival | chaotic | wrong, % of them | of all, % | undetermined, % | uncertain | periods | ms |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    rows: list[list[str]] = []
+    print(header(HEAD))
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         for name in chosen:
-            for row in measure(pool, name, side, survivals, far, options.tolerance):
-                print(show(row), flush=True)
-                rows.append(row)
-    if options.json:
-        options.json.write_text(json.dumps(rows, indent=1))
+            for k, row in enumerate(measure(pool, name, side, survivals, far, options.tolerance)):
+                rows.append(cells_of(row, first=k == 0))
+                print(line(rows[-1]), flush=True)
+    if options.keep:
+        keep_table("survival-modes" if all("system" in PLANES[name] for name in chosen) else "survival", HEAD, rows)
 
 
 if __name__ == "__main__":

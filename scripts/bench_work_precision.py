@@ -16,7 +16,7 @@ find chaotic was a chaotic transient or too close to call, and is counted separa
 
 Cells are timed one at a time; those of the plane once more in batches, as a tile is solved.
 
-Usage: .venv/bin/python -m scripts.bench_work_precision [--light] [--json] [--long N] [--picture FILE]
+Usage: python -m scripts.bench_work_precision [--light] [--json] [--long N] [--picture FILE] [--keep]
 """
 
 import argparse
@@ -40,7 +40,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from scripts.bench_kernel import one_core
 from scripts.general_integrator import FIGURES, GeneralIntegrator
 from scripts.heyoka_reference import INSTALLED, Taylor
-from scripts.work_precision_report import KINDS, TARGET, Cell, Point, draw_picture, report
+from scripts.measured import parsed, print_table
+from scripts.work_precision_report import KINDS, TARGET, Cell, Point, draw_picture, merits, report
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC, PERIODIC
 
@@ -348,7 +349,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output, nothing else")
     parser.add_argument("--long", type=float, metavar="N", help="true values of chaotic cells from N times the periods")
     parser.add_argument("--picture", metavar="FILE", help="draw the work-precision diagram")
-    options = parser.parse_args()
+    options = parsed(parser)
     plan = LIGHT if options.light else FULL
     plan = replace(plan, long=options.long or plan.long)
     cells = collect(plan, 1 if options.light else os.cpu_count() or 1)
@@ -373,6 +374,7 @@ def main() -> None:
         print(json.dumps({**result, "cells": rows, "points": [p._asdict() for p in points]}))
         return
     report(result)
+    print_table("work-precision", ("", "measured", "aim"), merits(result), options.keep)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from scripts.measured import parsed, print_table
 from workers.attractors.starts import Starts, boxes
 from workers.attractors.waves import solve_attractors
 from workers.model.system import find_system
@@ -109,15 +110,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--few", type=int, default=64)
     parser.add_argument("--many", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args(arguments)
+    asked = parsed(parser, arguments)
     rng = np.random.default_rng(asked.seed)
-    missed, expected, variance, covered, intervals, beyond = 0, 0.0, 0.0, 0, 0, 0
+    reached, missed, expected, variance, covered, intervals, beyond = 0, 0, 0.0, 0.0, 0, 0, 0
     begin = time.perf_counter()
     for k in range(asked.cells):
         cell = {name: float(rng.uniform(*ends)) for name, ends in RANGES.items()}
         one = check(cell, asked.few, asked.many, asked.seed + 1 + k)
         chance = np.array([(1.0 - share) ** one.tried for share in one.shares])
-        missed += one.found.count(False)
+        reached, missed = reached + len(one.found), missed + one.found.count(False)
         expected, variance = expected + float(chance.sum()), variance + float((chance * (1.0 - chance)).sum())
         covered, intervals = covered + sum(one.covered), intervals + len(one.covered)
         beyond += one.beyond
@@ -126,9 +127,18 @@ def main(arguments: list[str] | None = None) -> None:
         )
         where = " ".join(f"{name} {value:.4f}" for name, value in cell.items())
         print(f"{k} {where}: {one.tried} starts, shares {shown}, {one.beyond} beyond the many", flush=True)
-    print(f"missed {missed}, expected {expected:.2f} +- {variance**0.5:.2f}")
-    print(f"intervals cover {covered} of {intervals}, {100 * covered / max(intervals, 1):.1f} %")
-    print(f"found by the few alone: {beyond}; {time.perf_counter() - begin:.0f} s")
+    law = f"the law (1 - p)^n expects {expected:.1f} ± {variance**0.5:.1f}"
+    rows = [
+        (f"attractors that the {asked.many} reach", str(reached)),
+        (f"of these missed by the {asked.few}", f"{missed}; {law}"),
+        (f"attractors that only the {asked.few} reach", str(beyond)),
+        (
+            f"Wilson intervals of the {asked.few} that cover the share among the {asked.many}",
+            f"{covered} of {intervals}",
+        ),
+    ]
+    print_table("attractors", [f"in {asked.cells} cells", ""], rows, asked.keep)
+    print(f"{time.perf_counter() - begin:.0f} s")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scripts.measured import parsed, print_table
 from workers.attractors.basins import Table, added
 from workers.attractors.record import STATISTICAL
 from workers.attractors.same import distance, mirrored
@@ -57,12 +58,13 @@ class Counts:
         self.motions, self.wrong = self.motions + motions, self.wrong + wrong
         self.cells, self.cells_wrong = self.cells + 1, self.cells_wrong + (wrong > 0)
 
-    def __str__(self) -> str:
-        shares = []
+    def columns(self) -> list[str]:
+        """Mistakes among motions with their 95 % interval, then among cells."""
+        found = []
         for hits, count in ((self.wrong, self.motions), (self.cells_wrong, self.cells)):
             low, high = wilson(hits, count)
-            shares.append(f"{hits} of {count} ({100 * float(low):.1f} to {100 * float(high):.1f} %)")
-        return f"motions {shares[0]}, in cells {shares[1]}"
+            found += [f"{hits} of {count}", f"{100 * float(low):.1f} to {100 * float(high):.1f} %"]
+        return found
 
 
 @dataclass
@@ -131,20 +133,29 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=60, help="cells whose motion is not periodic")
     parser.add_argument("--motions", type=int, default=8, help="motions of each set in a cell")
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args(arguments)
-    rng, found, shown = np.random.default_rng(asked.seed), Found(), 0
-    begin = time.perf_counter()
-    while shown < asked.cells:
+    parser.add_argument("--seed", type=int, nargs="*", default=[1])
+    asked = parsed(parser, arguments)
+    found, begin = Found(), time.perf_counter()
+    for seed in asked.seed:
+        check_cells(asked.cells, asked.motions, seed, found)
+    rows = [
+        ["one attractor counted as two", *found.splits.columns()],
+        ["two attractors, mirror images of each other, counted as one", *found.lumps.columns()],
+    ]
+    print_table("lumps", ["mistake", "motions", "95 % interval", "cells", "95 % interval"], rows, asked.keep)
+    print(f"not clear: {found.unclear} cells; {time.perf_counter() - begin:.0f} s")
+
+
+def check_cells(cells: int, motions: int, seed: int, found: Found) -> None:
+    """Count what random cells show, and print a line for each."""
+    rng, shown = np.random.default_rng(seed), 0
+    while shown < cells:
         cell: dict[str, Any] = {name: float(rng.uniform(*ends)) for name, ends in RANGES.items()}
-        told = check(cell, asked.motions, found)
+        told = check(cell, motions, found)
         if told:
             shown += 1
             where = " ".join(f"{name} {value:.4f}" for name, value in cell.items())
             print(f"{shown} {where}: {told}", flush=True)
-    print(f"one attractor taken for two: {found.splits}")
-    print(f"two attractors taken for one: {found.lumps}")
-    print(f"not clear: {found.unclear} cells; {time.perf_counter() - begin:.0f} s")
 
 
 if __name__ == "__main__":

@@ -6,11 +6,10 @@ end at once, at an event that is the last one; of the two usual remedies one res
 does not look for events during the first 1e-6 of a period. Nothing is done about chatter, because nothing announces it.
 A cell goes wrong if the trajectory passes through the wall (|x1| > b by more than 1e-6 b), if it does not get through
 the periods within a bounded number of impacts, or if it ends on another state.
-Usage: .venv/bin/python scripts/compare_sticking.py [--light] [--json] [--cells N] [--seed S]
+Usage: python -m scripts.compare_sticking [--light] [--cells N] [--seed S] [--keep]
 """
 
 import argparse
-import json
 import math
 import time
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from scripts.measured import parsed, print_table
 from workers import Settings, solve_tile, trace
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ FIG6 = {"mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "tau": math.pi}
 PERIODS = 5
 IMPACTS_PER_PERIOD = 200
 """The most impacts that the loop may take; our own chatter needs fewer than a hundred before it is at rest."""
-REMEDIES = ("restart a hair inside", "look away at first")
+REMEDIES = ("restart a hair inside the stop", "no events for the first 1e-6 T")
 THROUGH = 1e-6
 """Share of b beyond a stop that counts as through the wall."""
 OTHER_STATE = 1e-3
@@ -132,24 +132,18 @@ def tally(outcomes: list[Outcome]) -> dict[str, float]:
     }
 
 
-def table(facts: dict[str, dict[str, float]]) -> str:
-    """A markdown table of the tallies, one column for each remedy."""
+def table(facts: dict[str, dict[str, float]]) -> tuple[list[str], list[list[str]]]:
+    """The head and the rows of a table of the tallies, one column for each remedy."""
     cells = int(next(iter(facts.values()))["cells"])
     rows = [
-        ("passes through the wall (more than 1e-6 b)", "through_the_wall"),
+        ("passes through the wall by more than 1e-6 b", "through_the_wall"),
         (f"does not finish {PERIODS} periods in {IMPACTS_PER_PERIOD * PERIODS} impacts", "never_finishes"),
         ("finishes on another state", "another_state"),
-        ("wrong, and says nothing", "wrong_without_a_word"),
+        ("wrong without a message", "wrong_without_a_word"),
         ("agrees with this solver", "right"),
     ]
-    lines = [
-        f"| solve_ivp with events, {cells} sticking cells | " + " | ".join(facts) + " |",
-        "|---|" + "---|" * len(facts),
-    ]
-    for text, key in rows:
-        shares = " | ".join(f"{100.0 * tally[key] / max(1, cells):.0f} %" for tally in facts.values())
-        lines.append(f"| {text} | {shares} |")
-    return "\n".join(lines)
+    shares = [[f"{100.0 * tally[key] / max(1, cells):.0f} %" for tally in facts.values()] for _, key in rows]
+    return [f"of {cells} sticking cells", *facts], [[text, *each] for (text, _), each in zip(rows, shares, strict=True)]
 
 
 def run(cells: int, seed: int) -> dict[str, dict[str, float]]:
@@ -164,13 +158,9 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--cells", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--light", action="store_true", help="4 cells")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args(argv)
+    options = parsed(parser, argv)
     facts = run(4 if options.light else options.cells, options.seed)
-    if options.json:
-        print(json.dumps(facts))
-        return
-    print(table(facts))
+    print_table("sticking", *table(facts), options.keep)
     for remedy, counts in facts.items():
         print(f"\n{remedy}: up to {counts['deepest_beyond_in_b']:.2g} b beyond a stop, ", end="")
         print(f"{counts['seconds_per_period']:.2g} s of processor time a period", end="")

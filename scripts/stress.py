@@ -10,8 +10,8 @@ their orbit over up to 20 periods in multiprecision.
 
 Cells depend on the seed and their number alone. The work is spread over local processes by Dask. What the report lists
 can be solved again alone: it gives the parameters, and a random system's whole definition.
-Usage: .venv/bin/python -m scripts.stress [--cells N] [--systems SHARE] [--modes SHARE] [--seed S] [--workers W]
-    [--light] [--json] [--report FILE]
+Usage: python -m scripts.stress [--cells N] [--systems SHARE] [--modes SHARE] [--seed S] [--workers W]
+    [--light] [--json] [--report FILE] [--keep]
 """
 
 import argparse
@@ -25,9 +25,10 @@ from pathlib import Path
 from typing import Any
 
 from scripts import stress_modes
+from scripts.measured import keep_table, parsed
 from scripts.stress_checks import recheck
 from scripts.stress_findings import Findings
-from scripts.stress_report import report, summary
+from scripts.stress_report import report, summary, table
 from scripts.stress_results import cells_of, solve
 from scripts.stress_systems import CELLS
 from workers import Settings
@@ -150,7 +151,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--light", action="store_true", help="240 cells, 12 of them re-evaluated, in this process")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report there as well")
-    options = parser.parse_args(argv)
+    options = parsed(parser, argv)
     for name in ("systems", "modes"):
         share = getattr(options, name)
         if not 0.0 <= share <= 1.0:
@@ -166,6 +167,8 @@ def main(argv: list[str] | None = None) -> int:
     if options.report:
         options.report.write_text(report(facts), encoding="utf-8")
     print(json.dumps(facts, allow_nan=False) if options.json else report(facts), end="" if not options.json else "\n")
+    if options.keep:
+        keep_table("stress" if options.modes < 1.0 else "stress-modes", ("", "found"), table(facts))
     return 1 if failed(facts) else 0
 
 

@@ -103,3 +103,42 @@ def report(facts: dict[str, Any]) -> str:
         for one in listed:
             lines += [f"  {one['what']}", f"    {_cell(one)}", *_definition(one)]
     return "\n".join(lines) + "\n"
+
+
+def table(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    """The report's figures in brief, as rows of a table: what, and how often or how large."""
+    cells, regimes, checked, worst = facts["cells"], facts["regimes"], facts["checked"], facts["worst"]
+
+    def per_cent(*names: str) -> str:
+        return f"{100 * sum(regimes.get(name, 0) for name in names) / cells:.1f} %"
+
+    def total(*starts: str) -> int:
+        return sum(count for what, count in checked.items() if what.startswith(starts))
+
+    def largest(*starts: str) -> float:
+        return max((each["value"] for what, each in worst.items() if what.startswith(starts)), default=0.0)
+
+    reasons = "".join(f"; {count}: {why}" for why, count in facts["failed"].items())
+    rows = [
+        ("cells", f"{cells:,}: {', '.join(f'{count:,} {kind}' for kind, count in facts['kinds'].items())}"),
+        ("periodic or no impact", per_cent("periodic", "no_impact")),
+        ("chaotic", per_cent("chaotic")),
+        (f"undetermined within {facts['max_periods']} periods", per_cent("undetermined")),
+        ("given up for their cost, of all", f"{100 * facts['given_up'] / cells:.1f} %"),
+        ("invalid", per_cent("invalid")),
+        ("failed", f"{sum(facts['failed'].values())}{reasons}"),
+        *((what, str(count)) for what, count in facts["never"].items()),
+        ("section positions checked", f"{total('section positions'):,}"),
+        ("impact positions checked", f"{total('impact positions', 'positions at rigid contacts'):,}"),
+        ("flights sampled densely", f"{total('flights sampled densely'):,}"),
+        (
+            "largest defect of the sum law, periodic cells",
+            f"{largest('sum law, periodic'):.1e} in {total('sum law, periodic'):,} cells",
+        ),
+        ("orbits compared with the simulator", f"{total('orbits compared', 'orbits closed'):,}"),
+    ]
+    if any(what.startswith("deviation") for what in worst):
+        rows.append(("their largest deviation, in eps times the norm of the Jacobian", f"{largest('deviation,'):.1f}"))
+    if any(what.startswith("orbit not closed") for what in worst):
+        rows.append(("largest gap of a closed orbit, of the state", f"{largest('orbit not closed'):.1e}"))
+    return rows

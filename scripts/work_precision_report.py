@@ -150,3 +150,49 @@ def report(result: dict[str, Any]) -> None:
     for name, value in result.items():
         if name != "curves":
             print(f"{name}: {value}")
+
+
+def merits(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """The figures of merit beside what was aimed at; without heyoka, those that need none."""
+    curves, tolerance, paper = result["curves"], result["tolerance"], result["paper_periods"]
+    errors = {
+        method: next(row["error"] for row in curves[method]["periodic"] if row["setting"] == setting)
+        for method, setting in (("adaptive", tolerance), ("fixed", paper))
+    }
+    together, cells = result["window_together_seconds"], sum(result["window_cells"].values())
+    rows = [
+        (
+            f"median periodic cell, against {paper} periods of the paper's schedule with the same kernels",
+            f"{result['periodic_median_ratio']:.1f} times faster, error {errors['adaptive']:.0e} against "
+            f"{errors['fixed']:.0e}",
+            "20",
+        ),
+        (
+            f"{cells} cells of the plane of Fig. 6 at tolerance {tolerance}, against the same",
+            f"{result['window_ratio']:.1f} times faster",
+            "4",
+        ),
+        (
+            "the same cells, both methods in a batch",
+            f"{result['window_together_ratio']:.1f} times faster ({together['adaptive']:.2f} s against "
+            f"{together['fixed']:.2f} s)",
+            "4",
+        ),
+    ]
+    if "heyoka_window_together_ratio" in result:
+        rows += [
+            (
+                "the same cells in a batch, against heyoka to errors of 1e-4 and 1e-2, one at a time",
+                f"{result['heyoka_window_together_ratio']:.1f} times faster (periodic cells alone, one at a time: "
+                f"{result['heyoka_periodic_ratio']:.1f})",
+                "40",
+            ),
+            (
+                "against DOP853, extrapolated from three cells",
+                f"{result['dop853_window_ratio']:.0f} times faster one at a time, "
+                f"{result['dop853_window_together_ratio']:.0f} in a batch",
+                "10,000",
+            ),
+        ]
+    spread = f"root mean square {result['z_rms']:.2f}, {100 * result['z_below_2']:.1f} % below 2"
+    return [*rows, ("chaotic cells, (short - long) / combined standard error", spread, "0.8 to 1.25, 90 %")]

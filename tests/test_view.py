@@ -260,5 +260,7 @@ def test_an_atlas_without_exponents_is_drawn_by_its_periods(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_the_benchmark_of_pictures_runs_on_a_small_atlas(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = bench_render.main(["--cells", "300", "--tile", "100", "--store", str(tmp_path / "a.zarr"), "--light"])
-    assert found["whole, shares"]["chunks"] == 2  # shares and cells of the last level; reasons are of the records
+    assert (
+        found["fractions of the whole plane"]["chunks"] == 2
+    )  # shares and cells of the last level; reasons are of the records
     assert "chunks" in capsys.readouterr().out
