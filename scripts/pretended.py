@@ -20,7 +20,7 @@ from distributed import Worker, get_worker
 from atlas.service import batches
 from atlas.store.record import CELLS, WIDTH
 from atlas.task import task
-from atlas.task.task import Job, MadeChunk, Receipt
+from atlas.task.task import Job, Made, Receipt
 from workers.results import PENDING, PERIODIC
 
 TOGETHER = 50
@@ -36,12 +36,12 @@ def pretend(seconds: float, draw: random.Random) -> None:
     row[CELLS.start + PERIODIC - PENDING] = CELLS_OF_TILE
 
     async def sleep(_act: object, job: Job) -> batches.Done[Any]:
-        if job.index[0] < 0:
-            return batches.Done(get_worker().address, MadeChunk(job.index))
+        if job.level:
+            return batches.Done(get_worker().address, Made(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))
         solved, counts = time.perf_counter() - begin, {"periodic": CELLS_OF_TILE}
-        receipt = Receipt(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row), overview=True)
+        receipt = Receipt(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
         return batches.Done(get_worker().address, receipt)
 
     batches.work = sleep  # type: ignore[assignment]

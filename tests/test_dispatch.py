@@ -11,11 +11,11 @@ import pytest
 from distributed import Client
 
 from atlas.service import batches, dispatch, setup
-from atlas.service.dispatch import Labour, Workers, outcomes
+from atlas.service.dispatch import Labour, Workers
 from atlas.service.fitness import FAILURES
 from atlas.service.summary import TileFailure
 from atlas.service.timing import Timing
-from tests.pretended import Cluster, Numbered
+from tests.pretended import Cluster, Numbered, outcomes
 
 WORKERS = [f"tcp://10.0.{k // 250}.{k % 250}:1" for k in range(1000)]
 BAD = WORKERS[0]

@@ -91,18 +91,18 @@ class Levels:
 
     def over_alone(self, tile: Index) -> bool:
         """Whether a tile is all that the chunk of level 1 over it lies over."""
-        below = self.finer(1, self.block(1, self.over(tile)))
-        return bool(self.count) and below == self.cells_of(tuple(slice(i, i + 1) for i in tile))
+        return bool(self.count) and list(self.children(1, self.over(tile))) == [tile]
 
     def above(self, index: Index) -> Index:
         """The chunk of the next level that lies over a chunk of a level."""
         return tuple(i >> times for i, times in zip(index, self.halvings(1), strict=True))
 
     def children(self, level: int, index: Index) -> Iterator[Index]:
-        """The chunks of the level before that a chunk of a level from the second on is made of."""
+        """What a chunk of a level is made of: of level 1, tiles; of a later one, chunks of the level before."""
+        if level == 1:
+            return itertools.product(*(range(s.start, s.stop) for s in self.tiles_below(1, self.block(1, index))))
         ends = zip(index, self.grid(level - 1), self.halvings(1), strict=True)
-        spans = (range(i << times, min(i + 1 << times, n)) for i, n, times in ends)
-        return itertools.product(*spans)
+        return itertools.product(*(range(i << times, min(i + 1 << times, n)) for i, n, times in ends))
 
     def finer(self, level: int, part: Slices) -> Slices:
         """The cells of the level before that make up a part of a level."""

@@ -16,7 +16,7 @@ from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
 from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import Labour, Workers, outcomes
+from atlas.service.dispatch import Labour, Workers, workforce
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
@@ -187,10 +187,12 @@ class _Coordinator:
             self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.workers))
             self.begin = time.monotonic()
-        for outcome in outcomes(self.client, self._labour, jobs, self._tick, self.options.timing):
-            if isinstance(outcome, TileFailure):
-                raise RunError(f"a task failed: {outcome.message}; what is found is kept, and the same command resumes")
-            self._count(outcome)
+        with workforce(self.client, self._labour, self.options.timing) as force:
+            for outcome in force.outcomes(jobs, self._tick):
+                if isinstance(outcome, TileFailure):
+                    kept = "what is found is kept, and the same command resumes"
+                    raise RunError(f"a task failed: {outcome.message}; {kept}")
+                self._count(outcome)
 
     def _count(self, receipt: CurveReceipt) -> None:
         self.tasks += 1

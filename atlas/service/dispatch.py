@@ -5,7 +5,7 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Generic
@@ -17,7 +17,7 @@ from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, MadeChunk, Receipt, forget, prepare
+from atlas.task.task import Job, Made, Receipt, forget, prepare
 from atlas.text import byte_size, duration, plural
 
 if TYPE_CHECKING:
@@ -68,47 +68,31 @@ class Labour(Generic[J, R]):
     memory: int = LEAST_MEMORY
 
 
-def tile_outcomes(
-    client: "Client",
-    job: Job,
-    indices: Iterable[tuple[int, ...]],
-    tick: Callable[[Workers], None],
-    timing: Timing = TIMING,
-    cells: int = 0,
-) -> Iterator[Receipt | MadeChunk | TileFailure]:
-    """The outcomes of tiles and chunks of overviews, each a job that differs by its index only; see ``outcomes``.
-
-    ``indices`` may have more after they were at an end: what an outcome makes possible. ``cells`` are those of a tile.
-    """
+def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
+    """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
     ready, done = partial(prepare, job), partial(forget, job.store, job.run_id, job.patience)
-    labour = Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
-    return outcomes(client, labour, map(lambda index: replace(job, index=index), indices), tick, timing)
+    return Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
 
 
-def outcomes(
-    client: "Client",
-    labour: Labour[J, R],
-    jobs: Iterable[J],
-    tick: Callable[[Workers], None],
-    timing: Timing = TIMING,
-) -> Iterator[R | TileFailure]:
-    """Submit jobs in a window and give each one's outcome as it ends; what is under way is dropped on the way out.
-
-    A job that fails is tried again, elsewhere if there is another worker, on another machine if there is one. A worker
-    at which FAILURES jobs in a row failed gets no more while others do theirs, nor does one with too little memory.
-
-    ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it. Raises
-    RunError where the cluster is lost, no worker may have a job any more, or the store has no room.
-    """
+@contextmanager
+def workforce(client: "Client", labour: Labour[J, R], timing: Timing = TIMING) -> "Iterator[Workforce[J, R]]":
+    """The workers of a cluster, set up for what they are to do until the end of the block."""
     from atlas.service.setup import set_up  # with it Dask, which takes a while to load
 
     with set_up(client, labour.name, labour.act, labour.prepare, labour.forget, timing.connect) as act:
-        yield from _Window(client, act, jobs, timing, labour.memory).run(tick)
+        yield Workforce(client, act, timing, labour.memory)
 
 
-class _Window(Generic[J, R]):
-    def __init__(self, client: "Client", act: Callable[[J], R], jobs: Iterable[J], timing: Timing, memory: int) -> None:
-        self.client, self.waiting, self.timing, self.memory = client, iter(jobs), timing, memory
+class Workforce(Generic[J, R]):
+    """The workers of a cluster, and what is known of them.
+
+    A job that fails is tried again, on another worker or machine if there is one. A worker at which FAILURES jobs in a
+    row failed gets no more while others do theirs, nor does one with too little memory.
+    """
+
+    def __init__(self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int) -> None:
+        self.client, self.timing, self.memory = client, timing, memory
+        self.waiting: Iterator[J] = iter(())
         self.running: Batches[J, R] = Batches(client, act, timing.connect)
         self.again: deque[Attempt[J]] = deque()
         self.doubtful: list[Attempt[J]] = []
@@ -117,8 +101,14 @@ class _Window(Generic[J, R]):
         self.most_workers = 0
         self.last_good = self.last_end = time.monotonic()
 
-    def run(self, tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
-        ticked = -math.inf
+    def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
+        """Submit jobs in a window and give each one's outcome as it ends; what is under way at an error is dropped.
+
+        ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it.
+        Raises RunError if the cluster is lost, no worker may have a job any more, or the store has no room.
+        """
+        self.waiting, ticked = iter(jobs), -math.inf
+        self.last_good = self.last_end = time.monotonic()
         try:
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:

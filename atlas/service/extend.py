@@ -12,7 +12,7 @@ from atlas.errors import InputError, check_names, shown
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import Target, complete
+from atlas.service.run import complete
 from atlas.service.summary import Summary
 from atlas.spec.axis import Axis, check_count
 from atlas.spec.differences import differences
@@ -77,12 +77,11 @@ def extend(
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
-    target = Target(grown, place, origin=Origin(str(old.place), old.run_id))
     options = options.updated(**fields)
     with reporting(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
-        return complete(target, client, options)
+        return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
 
 
 def extended(old: Header, given: Spec) -> Spec:

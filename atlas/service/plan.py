@@ -3,7 +3,7 @@
 import math
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -54,20 +54,22 @@ class Probe:
 class Plan:
     """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is what a terminal shows.
 
-    tiling    how the cells, along each of ``dims``, are cut into tiles
+    tiling    how the cells of the spec are cut into tiles
     workers   how many are to share the work
     bytes     an upper bound of the store's size: no compression assumed
     probe     measured time, or None
-    note      what else its user may have meant, empty for most
     """
 
-    dims: tuple[str, ...]
-    axes: tuple[str, ...]
+    spec: Spec = field(repr=False)
     tiling: Tiling
     workers: int
     bytes: int
     probe: Probe | None = None
-    note: str = ""
+
+    @property
+    def note(self) -> str:
+        """What else the user may have meant, empty for most specs."""
+        return NO_BASINS if self.spec.of_states and self.spec.attractors is None else ""
 
     @property
     def seconds(self) -> float | None:
@@ -85,8 +87,8 @@ class Plan:
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas plan --json`` prints."""
         return {
-            "axes": self.axes,
-            "dims": self.dims,
+            "axes": self.spec.described,
+            "dims": self.spec.dims,
             "shape": self.tiling.shape,
             "cells": self.tiling.cells,
             "tile": self.tiling.tile,
@@ -111,8 +113,8 @@ class Plan:
             cost += f", {duration(low)} to {duration(high)}" if wide else f", about {duration(self.seconds)}"
             cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
         return (
-            f"axes   {' x '.join(self.axes)}\n"
-            f"cells  {self.tiling.cells} ({shape}; {', '.join(self.dims)}) in "
+            f"axes   {' x '.join(self.spec.described)}\n"
+            f"cells  {self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in "
             f"{plural(self.tiling.count, 'tile')} of {tile}\n"
             f"cost   {cost}"
         ) + (f"\nnote   {self.note}" if self.note else "")
@@ -128,8 +130,7 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
     _check_chunks(spec, chosen)
     tiling = Tiling(spec.shape, chosen)
-    note = NO_BASINS if spec.of_states and spec.attractors is None else ""
-    return Plan(spec.dims, spec.described, tiling, count, _bytes_needed(spec, tiling), note=note)
+    return Plan(spec, tiling, count, _bytes_needed(spec, tiling))
 
 
 def default_workers() -> int:
@@ -137,15 +138,14 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def disk_shortage(plan: Plan, target: Path, tiles: int | None = None) -> str:
-    """What to say where the disk that is to hold ``target`` has no room for that many tiles, or for all; else empty."""
+def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
+    """InputError if the disk that is to hold ``target`` has no room for that number of tiles, by default all."""
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
-    bytes_needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
-    if bytes_needed <= free:
-        return ""
-    needed, room = byte_size(bytes_needed), byte_size(free)
-    return f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk"
+    needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
+    if needed > free:
+        found = f"needs up to {byte_size(needed)}, {home} has {byte_size(free)} free"
+        raise InputError(f"{target}: {found}; take fewer cells or another disk")
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:

@@ -46,16 +46,29 @@ class _Measured(NamedTuple):
     most: Array
 
 
-def estimated(spec: Spec, plan: Plan, report: Callable[[Progress], None]) -> Plan:
-    """The plan with the time that its cells will take; without where a probe would solve them all."""
-    return plan if plan.tiling.cells <= CELLS else probed(spec, plan, report)
+def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
+    """The same function for the progress of a run, whose first plan gets the time that its cells will take.
+
+    Nothing is probed for an atlas that is complete, nor where a probe would solve all of it.
+    """
+    planned = False
+
+    def reported(progress: Progress) -> None:
+        nonlocal planned
+        if progress.plan is not None and not planned:
+            planned = True
+            if progress.tiles_done < progress.tiles and progress.plan.tiling.cells > CELLS:
+                progress = replace(progress, plan=probed(progress.plan, report))
+        report(progress)
+
+    return reported
 
 
-def probed(spec: Spec, plan: Plan, report: Callable[[Progress], None]) -> Plan:
+def probed(plan: Plan, report: Callable[[Progress], None]) -> Plan:
     """The plan with the time that a probe of its spec measures."""
-    prepare_kernels(report, *kernels_of(spec))
+    prepare_kernels(report, *kernels_of(plan.spec))
     report(Progress("probing a few cells"))
-    return replace(plan, probe=probe(spec, plan.tiling.tile))
+    return replace(plan, probe=probe(plan.spec, plan.tiling.tile))
 
 
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:

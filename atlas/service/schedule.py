@@ -10,8 +10,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from atlas.overview.upkeep import Chunk, Overviews
-
 STRIDE = 4
 """Every how many tiles, along each dimension, one is solved first; then every half as many."""
 NEIGHBOURS = 4
@@ -56,34 +54,3 @@ class Order:
         distance, near = KDTree(np.argwhere(known)).query(wanted, k=neighbours)
         guess = np.average(self._cost[known][near], axis=1, weights=1 / distance)
         return places[np.argsort(-guess, kind="stable")]
-
-
-class Due(Iterator[tuple[int, ...]]):
-    """The indices of the jobs of a run: chunks of overviews as soon as they can be made, and the tiles due.
-
-    That of a chunk begins with minus its level. More may come after the end: what is taken may make a chunk possible.
-    """
-
-    def __init__(self, tiles: np.ndarray, overviews: Overviews) -> None:
-        self.order, self.overviews = Order(tiles), overviews
-        self._tiles = iter(self.order)
-        self._failed: list[Chunk] = []
-
-    def __next__(self) -> tuple[int, ...]:
-        if self.overviews:
-            level, index = next(self.overviews)
-            return (-level, *index)
-        return next(self._tiles)
-
-    def take(self, index: tuple[int, ...], made: bool) -> None:
-        """A chunk is made, or no worker could make it."""
-        chunk = (-index[0], index[1:])
-        if made:
-            self.overviews.made(chunk)
-        else:
-            self._failed.append(chunk)
-
-    def return_failed(self) -> None:
-        """Leave the chunks that no worker could make to the coordinator, which says why."""
-        for chunk in self._failed:
-            self.overviews.again(chunk)

@@ -13,7 +13,7 @@ from atlas.service.fitness import Refusal
 from atlas.service.lease import note_end
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import Target, complete
+from atlas.service.run import complete
 from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
@@ -153,15 +153,15 @@ def check_coordinator(task: Submission) -> None:
 def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:
     run_id = task.run_id
     if not run_id:
-        header = find(task.store, task.spec)
+        header = find(task.store)
         run_id = header.run_id if header else uuid.uuid4().hex
 
     def report(progress: Progress) -> None:
         if progress.stage == "solving":
             begin(run_id)
 
-    target = Target(task.spec, place_of(task.store), run_id=run_id)
-    summary = complete(target, client, replace(task.options, on_progress=report))
+    options = replace(task.options, on_progress=report)
+    summary = complete(task.spec, place_of(task.store), client, options, run_id=run_id)
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
         note_end(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")

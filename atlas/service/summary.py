@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from atlas.service.plan import Plan
@@ -97,22 +97,19 @@ class Summary:
 
 
 class Totals:
-    """Receipts added up: the state of a run between its snapshots."""
+    """The state of a run between its snapshots: its receipts added up."""
 
     def __init__(
-        self, plan: Plan, tiles: int, cells: int, tiles_done: int, cells_done: int, retried: bool = False
+        self, plan: Plan, tiles: int, cells: int, tiles_done: int = 0, cells_done: int = 0, retried: bool = False
     ) -> None:
-        self.plan, self.retried = plan, retried
-        self.workers = plan.workers
+        self.plan, self.retried, self.workers = plan, retried, plan.workers
         self.tiles, self.cells, self.tiles_done, self.cells_done = tiles, cells, tiles_done, cells_done
         self.tiles_solved = self.cells_solved = self.changed = self.periods = self.peak_bytes = 0
-        self.counts: Counter[str] = Counter()
-        self.reasons: Counter[str] = Counter()
-        self.failures: list[TileFailure] = []
+        self.solve_seconds = self.write_seconds = self.processor_seconds = self.seconds = 0.0
+        self.counts, self.reasons = Counter[str](), Counter[str]()
+        self.failures: tuple[TileFailure, ...] = ()
         self.refused: Mapping[str, str] = {}
         self.trouble = ""
-        self.solve_seconds = self.write_seconds = self.processor_seconds = 0.0
-        self.seconds = 0.0
         self.start()
 
     def start(self) -> None:
@@ -123,64 +120,28 @@ class Totals:
         """Count one tile's outcome."""
         self.seconds = time.perf_counter() - self.begin
         if isinstance(outcome, TileFailure):
-            self.failures.append(outcome)
+            self.failures += (outcome,)
             return
         self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.taken
         self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
-        self.solve_seconds += outcome.solve_seconds
-        self.processor_seconds += outcome.processor_seconds
-        self.write_seconds += outcome.write_seconds
-        self.periods += outcome.periods
-        self.changed += outcome.changed
+        for name in ("solve_seconds", "processor_seconds", "write_seconds", "periods", "changed"):
+            setattr(self, name, getattr(self, name) + getattr(outcome, name))
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     def progress(self, stage: str) -> Progress:
         """The snapshot of now."""
-        return Progress(
-            stage=stage,
-            plan=self.plan,
-            tiles=self.tiles,
-            cells=self.cells,
-            tiles_done=self.tiles_done,
-            cells_done=self.cells_done,
-            cells_solved=self.cells_solved,
-            seconds=self.seconds,
-            counts=dict(self.counts),
-            failures=len(self.failures),
-        )
+        names = ("plan", "tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds")
+        now = {name: getattr(self, name) for name in names}
+        return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
         """What the run's claim reports to those who ask for the store's status."""
-        return {
-            "workers": threads,
-            "cells": self.cells,
-            "cells_done": self.cells_done,
-            "cells_solved": self.cells_solved,
-            "seconds": self.seconds,
-            "trouble": self.trouble,
-        }
+        names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
+        return {"workers": threads} | {name: getattr(self, name) for name in names}
 
     def summary(self, store: str) -> Summary:
         """The sum, for a store at that path or URL."""
-        return Summary(
-            store=store,
-            tiles=self.tiles,
-            tiles_done=self.tiles_done,
-            tiles_solved=self.tiles_solved,
-            cells_solved=self.cells_solved,
-            counts=dict(self.counts),
-            reasons=dict(self.reasons),
-            seconds=self.seconds,
-            solve_seconds=self.solve_seconds,
-            write_seconds=self.write_seconds,
-            periods=self.periods,
-            workers=self.workers,
-            peak_bytes=self.peak_bytes,
-            failures=tuple(self.failures),
-            refused=dict(self.refused),
-            retried=self.retried,
-            changed=self.changed,
-            processor_seconds=self.processor_seconds,
-        )
+        sums = {each.name: getattr(self, each.name) for each in fields(Summary) if each.name != "store"}
+        return Summary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})

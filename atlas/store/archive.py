@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from atlas.errors import InputError
+from atlas.store.place import Place
 
 SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
@@ -28,74 +29,37 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runtim
 
 
 @dataclass(frozen=True)
-class ZipPlace:
-    """A zip file as a place that is read only: see ``location.Place``. A damaged one raises OSErrors."""
+class ZipPlace(Place):
+    """A zip file as a place that is read only. A damaged one raises OSErrors."""
 
     path: Path
 
     def __str__(self) -> str:
         return str(self.path)
 
-    @property
-    def local(self) -> None:
-        """See Place: it is no folder."""
-
     def get(self, key: str) -> bytes | None:
-        """See Place."""
         archive = self._archive()
         if archive is None:
             return None
         with archive.lock, reading(self.path):
-            try:
-                return archive.file.read(key)
-            except KeyError:
-                return None
-
-    def exists(self, key: str) -> bool:
-        """See Place."""
-        archive = self._archive()
-        return archive is not None and key in archive.keys
-
-    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """See Place."""
-        return {key: data for key in keys if (data := self.get(key)) is not None}
+            return archive.file.read(key) if key in archive.keys else None
 
     def version(self, key: str) -> Hashable:
-        """See Place."""
-        return self.path.stat().st_mtime_ns if self.exists(key) else None
+        archive = self._archive()
+        return self.path.stat().st_mtime_ns if archive is not None and key in archive.keys else None
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """See Place."""
         archive = self._archive()
         yield from (key for key in (archive.keys if archive else ()) if key.startswith(prefix))
 
-    def put(self, key: str, data: bytes) -> None:
-        """See Place: refused."""
-        raise self._read_only()
-
-    def put_new(self, key: str, data: bytes) -> bool:
-        """See Place: refused."""
-        raise self._read_only()
-
-    def remove(self, key: str) -> None:
-        """See Place: refused."""
-        raise self._read_only()
-
-    def remove_all(self, keys: Iterable[str]) -> None:
-        """See Place: refused."""
-        raise self._read_only()
-
     def _archive(self) -> "_Archive | None":
-        """The open file, None where there is none."""
+        """The open file, None if there is none."""
         try:
             found = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         with reading(self.path):
             return _opened(self.path, found.st_ino, found.st_size, found.st_mtime_ns, os.getpid())
-
-    def _read_only(self) -> OSError:
-        return OSError(errno.EROFS, "a zip file is read only", str(self.path))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
-"""Making a store appear at once or not at all, and whether one may be made or written at a place."""
+"""Making a store appear at once or not at all, and whether a run may make or resume one."""
 
+import errno
 import glob
 import json
 import os
@@ -10,16 +11,22 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError, NetworkError
+from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
+from atlas.store.archive import refuse_packed
 from atlas.store.axes import ROOT
 from atlas.store.build import build, consolidate
 from atlas.store.location import AT_ONCE, LocalPlace, Place
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from atlas.store.store import Header
 
 TRIAL = ".trial-"
 
@@ -35,18 +42,48 @@ def refused(place: Place, what: str) -> Iterator[None]:
         raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error
 
 
-def is_free(place: Place, spec: Spec) -> bool:
-    """Whether a store of this spec may be made here: nothing is there, or only what a creation cut short left."""
+def is_free(place: Place) -> bool:
+    """Whether there is no store at a place, and nothing else on a disk."""
     path = place.local
-    if path is not None:
-        return not path.exists() or (path.is_dir() and not any(path.iterdir()))
-    if place.exists(ROOT):
-        return False
+    if path is None:
+        return not place.exists(ROOT)
+    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+
+
+def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
+    """InputError unless a run of a spec may make the store at a place, or resume the one with that header."""
+    refuse_packed(place)
+    if header is None:
+        with refused(place, "written"):
+            if place.local is None:
+                _refuse_foreign(place, spec)
+            _check_writable(place)
+        return
+    if header.solver_version != SOLVER_VERSION:
+        raise InputError(
+            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
+            "their numbers do not mix: choose another path"
+        )
+    # Without its values where the digest says so, since these may be damaged.
+    if not (header.format_version > 1 and header.digest == spec.digest) and header.spec.digest != spec.digest:
+        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
+    if header.unknown:
+        names = ", ".join(variable.name for variable in header.unknown)
+        raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")
+    with refused(place, "written"):
+        if place.local is not None:
+            if not os.access(place.local, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        elif root := place.get(ROOT):
+            place.put_new(ROOT, root)  # writes nothing, and a missing permission is refused in another way
+
+
+def _refuse_foreign(place: Place, spec: Spec) -> None:
+    """InputError where something lies at a URL that no creation cut short has left there."""
     ours = {MACHINES, TILES, *coordinate_names(spec)} | {variable.name for variable in spec.variables}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
-    return True
 
 
 def create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
@@ -100,14 +137,7 @@ def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
         list(pool.map(lambda key: place.put(key, (built.path / key).read_bytes()), keys))
 
 
-def check_replaceable(place: Place) -> None:
-    """Try to write the root if there is none: a missing permission is refused in another way."""
-    root = place.get(ROOT)
-    if root:
-        place.put_new(ROOT, root)
-
-
-def check_writable(place: Place) -> None:
+def _check_writable(place: Place) -> None:
     """Try it: permission bits do not say all. On a disk, in the nearest folder there is."""
     if place.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"

@@ -37,11 +37,9 @@ class RemoteStore(ObjectStore[Any]):
         self._place = place
 
     def with_read_only(self, read_only: bool = False) -> Self:
-        """See Zarr's Store."""
         return type(self)(self._place, read_only)
 
     def __str__(self) -> str:
-        """See Zarr's Store."""
         return str(self._place)
 
     get = _again(ObjectStore.get)
@@ -54,21 +52,17 @@ class RemoteStore(ObjectStore[Any]):
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """See Zarr's Store."""
         once, wanted = super().get_partial_values, list(key_ranges)
         return await self._persist(lambda: once(prototype, wanted))
 
     def list(self) -> AsyncGenerator[str, None]:
-        """See Zarr's Store."""
         return self._listed(super().list)
 
     def list_prefix(self, prefix: str) -> AsyncGenerator[str, None]:
-        """See Zarr's Store."""
         once = super().list_prefix
         return self._listed(lambda: once(prefix))
 
     def list_dir(self, prefix: str) -> AsyncGenerator[str, None]:
-        """See Zarr's Store."""
         once = super().list_dir
         return self._listed(lambda: once(prefix))
 
@@ -90,14 +84,12 @@ class PackedStore(ZipStore):
         super().__init__(place.path, mode="r")
 
     async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
-        """See Zarr's Store."""
         with reading(self.path):
             return await super().get(key, prototype, byte_range)
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """See Zarr's Store."""
         with reading(self.path):
             return await super().get_partial_values(prototype, key_ranges)
 

@@ -85,7 +85,6 @@ class Folder:
         return data
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
-        """See Notes."""
         if expected is None:
             return self._create(name, data)
         with self._locked(name, write=True) as file:
@@ -112,7 +111,6 @@ class Folder:
             self.path.rmdir()
 
     def clear(self, keep: str) -> None:
-        """See Notes."""
         for file in self.path.glob("*"):
             if file.name != keep:
                 file.unlink(missing_ok=True)

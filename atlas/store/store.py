@@ -1,6 +1,5 @@
 """A store: made whole and empty, found again, and what it says about itself."""
 
-import errno
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -11,21 +10,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from atlas.errors import ChunkError, InputError, RunError, message_of, shown
 from atlas.spec.axis import Values
-from atlas.spec.differences import differences
 from atlas.spec.resolved import with_values
 from atlas.spec.spec import Spec
-from atlas.store.archive import ZipPlace, refuse_packed
+from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Place, place_of
-from atlas.store.making import (
-    check_replaceable,
-    check_writable,
-    create_locally,
-    create_remotely,
-    is_free,
-    refused,
-)
+from atlas.store.making import create_locally, create_remotely, is_free, refused
 from atlas.store.record import DIGESTS, RECORD
 from atlas.store.schema import (
     ALLOWANCES,
@@ -38,7 +29,6 @@ from atlas.store.schema import (
     variable_of,
 )
 from atlas.store.tiling import Tiling, chunk_index
-from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, REGIME, Variable, leading
 
 if TYPE_CHECKING:
@@ -252,38 +242,12 @@ def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str
     return {name: node for name, node in nodes if node["node_type"] == "array" and "/" not in name}
 
 
-def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
-    """The header of a store that a run of this spec may resume, None where there is none yet; else InputError."""
+def find(store: str | os.PathLike[str] | Place) -> Header | None:
+    """The header of a store, None where there is none yet; InputError where there is something else."""
     place = place_of(store)
-    refuse_packed(place)
-    with refused(place, "written"):
-        if is_free(place, spec):
-            check_writable(place)
-            return None
-    header = read_header(place)
-    if header.solver_version != SOLVER_VERSION:
-        raise InputError(
-            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
-            "their numbers do not mix: choose another path"
-        )
-    if not _is_of(header, spec):
-        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
-    if header.unknown:
-        names = ", ".join(variable.name for variable in header.unknown)
-        raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")
-    with refused(place, "written"):
-        if place.local is None:
-            check_replaceable(place)
-        elif not os.access(place.local, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    return header
-
-
-def _is_of(header: Header, spec: Spec) -> bool:
-    """Whether a store is of a spec; without its values where its digest says so, since these may be damaged."""
-    if header.format_version > 1 and header.digest == spec.digest:
-        return True
-    return header.spec.digest == spec.digest
+    with refused(place, "read"):
+        free = is_free(place)
+    return None if free else read_header(place)
 
 
 def done_tiles(header: Header, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:

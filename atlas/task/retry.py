@@ -93,8 +93,8 @@ def checked_retry(spec: Spec, names: str, max_periods: int | None = None, surviv
 
 def solve_again(
     spec: Spec, cells: dict[str, np.ndarray], stored: dict[str, np.ndarray], retry: Retry
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """A stored tile with the selected cells solved again: its arrays, and the mask of those cells.
+) -> dict[str, np.ndarray]:
+    """The arrays of stored cells, with the selected ones solved again.
 
     ``cells`` holds the parameters of every cell of the tile, each in the tile's shape. Cells are solved from their
     beginning, so that they have the bits of an atlas whose spec gives them as much.
@@ -113,4 +113,4 @@ def solve_again(
             arrays[name][chosen] = values
         for each, n in amount.items():
             arrays[each.name][chosen] = n
-    return arrays, mask
+    return arrays
