@@ -11,8 +11,8 @@ from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from atlas.service.batches import Done
-from atlas.service.dispatch import Labour, Workers, workforce
+from atlas.service.batches import Done, Labour
+from atlas.service.dispatch import Workers, workforce
 from atlas.service.fitness import Failure
 from atlas.service.timing import TIMING, Timing
 

@@ -16,9 +16,10 @@ from distributed import Client, LocalCluster
 import atlas
 import workers
 from atlas.cli.main import main
+from atlas.cli.progress import LogReporter, reporter
 from atlas.errors import InputError, RunError
 from atlas.service.probe import CELLS, with_time
-from atlas.service.progress import LogReporter, Progress, reporter
+from atlas.service.progress import Progress
 from atlas.store.store import done_tiles, read_header
 from atlas.task.task import peak_memory
 from tests.planes import plane_of

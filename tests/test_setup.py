@@ -16,7 +16,8 @@ from distributed import Client, get_worker
 
 import atlas
 from atlas.errors import NetworkError
-from atlas.service.dispatch import Labour, Workers
+from atlas.service.batches import Labour
+from atlas.service.dispatch import Workers
 from atlas.service.timing import Timing
 from atlas.store.store import create, done_tiles, read_header
 from atlas.task import task as jobs

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import click
 
+from atlas.cli import progress
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
@@ -23,7 +24,6 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import to_json
 from atlas.errors import InputError
-from atlas.service import progress
 from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run

@@ -25,6 +25,8 @@ PAUSE, LONGEST_PAUSE = 5e-3, 50e-3
 BATCH, HOLD = 16, 0.25
 """Ends that are waited for, or one in 20 of the jobs under way where that is less, so that no thread runs out of jobs;
 and for how many seconds."""
+LEAST_MEMORY = 500_000_000
+"""Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
 MANY = 400
 """Jobs under way that are looked at with the longest pause."""
 
@@ -39,6 +41,23 @@ class Numbered(Protocol):
 
 J = TypeVar("J", bound=Numbered)
 R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Labour(Generic[J, R]):
+    """What workers do, as functions of modules, for one run at a time by this name.
+
+    act       does a job
+    prepare   does, once on each worker, what is to be done before the first job
+    forget    drops what that keeps, at the end
+    memory    bytes that a worker needs for it
+    """
+
+    name: str
+    act: Callable[[J], R]
+    prepare: Callable[[], object]
+    forget: Callable[[], object]
+    memory: int = LEAST_MEMORY
 
 
 @dataclass(frozen=True)

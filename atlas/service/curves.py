@@ -15,8 +15,9 @@ from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
+from atlas.service.batches import Labour
 from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import Labour, Workers, workforce
+from atlas.service.dispatch import Workers, workforce
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions

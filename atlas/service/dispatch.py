@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Generic
 
 from atlas.errors import RunError
-from atlas.service.batches import Attempt, Batches, Done, J, R, Result
+from atlas.service.batches import LEAST_MEMORY, Attempt, Batches, Done, J, Labour, R, Result
 from atlas.service.cluster import LOST, worker_memory, worker_threads
 from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
@@ -27,8 +27,6 @@ IN_FLIGHT = 2
 """Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
-LEAST_MEMORY = 500_000_000
-"""Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
 SMALL, BYTES_PER_CELL = 4096, 750
 """Cells of a tile that this is enough for, and bytes that each further one takes: 200 MB in one of 512 x 512."""
 NAMED = 3
@@ -51,23 +49,6 @@ class Workers:
     trouble: str = ""
 
 
-@dataclass(frozen=True)
-class Labour(Generic[J, R]):
-    """What workers do, as functions of modules, for one run at a time by this name.
-
-    act       does a job
-    prepare   does, once on each worker, what is to be done before the first job
-    forget    drops what that keeps, at the end
-    memory    bytes that a worker needs for it
-    """
-
-    name: str
-    act: Callable[[J], R]
-    prepare: Callable[[], object]
-    forget: Callable[[], object]
-    memory: int = LEAST_MEMORY
-
-
 def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
     """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
     ready, done = partial(prepare, job), partial(forget, job.store, job.run_id, job.patience)
@@ -79,7 +60,7 @@ def workforce(client: "Client", labour: Labour[J, R], timing: Timing = TIMING) -
     """The workers of a cluster, set up for what they are to do until the end of the block."""
     from atlas.service.setup import set_up  # with it Dask, which takes a while to load
 
-    with set_up(client, labour.name, labour.act, labour.prepare, labour.forget, timing.connect) as act:
+    with set_up(client, labour, timing.connect) as act:
         yield Workforce(client, act, timing, labour.memory)
 
 

@@ -9,17 +9,15 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from distributed import WorkerPlugin, get_worker
 
+from atlas.service.batches import J, Labour, R
 from atlas.task.task import RefusedError
 
 if TYPE_CHECKING:
     from distributed import Client
-
-J = TypeVar("J")
-R = TypeVar("R")
 
 
 class Setup(WorkerPlugin):
@@ -68,23 +66,17 @@ def after_setup(name: str, act: Callable[[J], R], job: J) -> R:
 
 
 @contextmanager
-def set_up(
-    client: "Client",
-    name: str,
-    act: Callable[[J], R],
-    prepare: Callable[[], object],
-    forget: Callable[[], object],
-    seconds: float,
-) -> Iterator[Callable[[J], R]]:
-    """Have every worker prepare once, and give ``act`` as a function that waits for it.
+def set_up(client: "Client", labour: Labour[J, R], seconds: float) -> Iterator[Callable[[J], R]]:
+    """Have every worker prepare once for a labour, and give its ``act`` as a function that waits for that.
 
-    ``name`` is that of the store: a run that resumes after a kill replaces the setup that was left behind. Dask asks
-    all workers, and is waited for ``seconds``: one that stands still must not hold up the others. A worker that has
-    not heard of it does its jobs all the same, since each job checks what it needs.
+    A run that resumes after a kill has the same name, and replaces the setup that was left behind. Dask asks all
+    workers, and is waited for ``seconds``: one that stands still must not hold up the others. A worker that has not
+    heard of the setup does its jobs all the same, since each job checks what it needs.
     """
-    _asked(client, lambda: client.register_plugin(Setup(name, prepare, forget)), seconds)
+    name = labour.name
+    _asked(client, lambda: client.register_plugin(Setup(name, labour.prepare, labour.forget)), seconds)
     try:
-        yield partial(after_setup, name, act)
+        yield partial(after_setup, name, labour.act)
     finally:
         _asked(client, lambda: client.unregister_worker_plugin(name), seconds)
 

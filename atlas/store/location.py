@@ -100,8 +100,8 @@ class ObjectPlace(Place):
         def once() -> "tuple[bytes, UpdateVersion]":
             found = obstore.get(self.client, key)
             # S3 and Azure compare the tag, Google's store its generation, which is the version.
-            names = (name for name in ("e_tag", "version") if found.meta[name] is not None)  # type: ignore[literal-required]
-            version: Any = {name: found.meta[name] for name in names}  # type: ignore[literal-required]
+            tags = {"e_tag": found.meta["e_tag"], "version": found.meta["version"]}
+            version: Any = {name: tag for name, tag in tags.items() if tag is not None}
             return bytes(found.bytes()), version
 
         try:

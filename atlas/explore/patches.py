@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
+from atlas.explore.patch import Patch, solve_patch
 from atlas.service.cluster import LOST, loss_reported, worker_threads
 from atlas.service.timing import TIMING, Timing
-from atlas.task.patch import Patch, solve_patch
 
 if TYPE_CHECKING:
     from distributed import Client, Future
