@@ -18,9 +18,9 @@ import atlas
 from atlas.errors import RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service import run as running
-from atlas.service.extend import refined
 from atlas.service.lease import Claim, Record
 from atlas.service.progress import Progress
+from atlas.spec.grown import refined
 from atlas.store.location import LocalPlace
 from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction

@@ -23,10 +23,10 @@ from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
 from atlas.store import store
 from atlas.store.curves import GROUP as CURVES
+from atlas.store.groups import ATTRACTORS, LABELS
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
-from atlas.store.tables import ATTRACTORS, LABELS
 from tests.test_systems import table
 from workers import Settings, System
 from workers.model.entries import DefinitionError

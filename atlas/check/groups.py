@@ -7,11 +7,10 @@ from atlas.errors import MADE_BY, ChunkError
 from atlas.overview.pyramid import drop_all
 from atlas.store.curves import GROUP as CURVES
 from atlas.store.curves import damaged_parts
-from atlas.store.groups import drop_group, read_group
+from atlas.store.groups import ATTRACTORS, LABELS, drop_group, read_group
 from atlas.store.machines import damaged_machines, forget_machine
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import Header
-from atlas.store.tables import ATTRACTORS, LABELS
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from zarr.storage import WrapperStore
 
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
+from atlas.store.groups import ATTRACTORS, LABELS
 from atlas.store.remote import zarr_store
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from atlas.store.store import ROOT, Header
-from atlas.store.tables import ATTRACTORS, LABELS
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4

@@ -13,11 +13,10 @@ from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
 from atlas.store.curves import GROUP as CURVES
-from atlas.store.groups import read_group
+from atlas.store.groups import ATTRACTORS, LABELS, read_group
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, chunk_key, done_tiles, read_header
-from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.text import byte_size, plural
 
 SHOWN = 3

@@ -22,14 +22,13 @@ from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
 from atlas.store.added import add_allowances, add_records
-from atlas.store.groups import group_attributes
+from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Place, place_of, waiting
 from atlas.store.making import check_run, remove_half_made
 from atlas.store.records import Records, RunRecords
 from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
 from atlas.store.store import Header, create, find, read_header
-from atlas.store.tables import ATTRACTORS
 from atlas.store.tiles import listed_tiles, read_tile
 from atlas.store.tiling import Index
 from atlas.task.retry import NEEDED, Retry

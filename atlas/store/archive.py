@@ -22,10 +22,10 @@ SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, so that equal atlases are equal files."""
 _LARGEST_UNPACKED = 2**28
-"""Bytes that a member may have that is compressed, as none of ours is: its few bytes may say that they are many."""
+"""Largest unpacked size of a compressed member, in bytes. None of ours is compressed: it may be a zip bomb."""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
-"""What zipfile raises for bytes that nobody packed: a wrong checksum, an unknown method, a mark of encryption."""
+"""What zipfile raises for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """What zipfile raises for a damaged file becomes an OSError that says so: EIO, as of a bad sector."""
+    """Turn what zipfile raises for a damaged file into an OSError that says so: EIO, as of a bad sector."""
     try:
         yield
     except _DAMAGE as error:
@@ -88,7 +88,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def refuse_packed(place: object) -> None:
-    """InputError where a place that is to be written is a zip file."""
+    """InputError if a place that is to be written is a zip file."""
     if isinstance(place, ZipPlace):
         raise InputError(f"{place}: a zip file is read only; give a folder such as {place.path.with_suffix('.zarr')}")
 
@@ -105,8 +105,8 @@ def _remove_left(target: Path) -> None:
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
     """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
 
-    Nothing is compressed: the chunks of a store are, and its few metadata are small. What writers left behind that were
-    killed is removed: the files that nobody holds a lock on.
+    Nothing is compressed: chunks already are, and metadata are small. Files that killed writers left behind, on which
+    nobody holds a lock, are removed.
     """
     _remove_left(target)
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")

@@ -72,7 +72,7 @@ def create_variable(
 
 
 def consolidate(group: "zarr.Group", path: str = "") -> None:
-    """Copy the metadata of all arrays below a group, the root or one in it, into its own, which is all xarray reads."""
+    """Copy the metadata of all arrays below a group into its own metadata, which is all that xarray reads."""
     import zarr
 
     with warnings.catch_warnings():

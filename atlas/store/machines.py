@@ -29,10 +29,7 @@ def _recorded(place: Place, run_id: str, machine: Machine) -> None:
 
 
 def machines(header: Header) -> tuple[Machine, ...]:
-    """The machines that solved tiles of this store, in no order; empty where no tile is written yet.
-
-    One whose record is damaged, so that its facts are not those that it is named by, has the name UNKNOWN has.
-    """
+    """The machines that solved tiles of this store, in no order; UNKNOWN for one whose record is damaged."""
     return tuple(_recorded_in(header.place, key) or UNKNOWN for key in _machine_keys(header))
 
 
@@ -42,7 +39,7 @@ def damaged_machines(header: Header) -> list[str]:
 
 
 def forget_machine(header: Header, key: str) -> None:
-    """Put an unknown machine in the place of one whose record is damaged: that there was one still counts."""
+    """Replace a machine whose record is damaged by UNKNOWN, since it still counts."""
     record_machine(header, UNKNOWN)
     header.place.remove(key)
 

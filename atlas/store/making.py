@@ -33,7 +33,7 @@ TRIAL = ".trial-"
 
 @contextmanager
 def refused(place: Place, what: str) -> Iterator[None]:
-    """An OSError within it as an InputError, whose cause it is; a server that does not answer stays a NetworkError."""
+    """Turn an OSError into an InputError that it is the cause of; a server that does not answer is a NetworkError."""
     try:
         yield
     except NetworkError:
@@ -109,9 +109,9 @@ def create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Ori
 
 @contextmanager
 def metadata_apart(place: Place, group: str) -> Iterator[Any]:
-    """A copy of a store's metadata as a root group, for making a group in it anew: what is made is put many at once.
+    """A copy of a store's metadata as a root group, in which to make a group anew; its objects are then put at once.
 
-    The metadata of the group itself are put last but for the root, which then has a copy of all that is new.
+    The group's own metadata come last but for the root's, which have a copy of all that is new.
     """
     import zarr
 
@@ -138,7 +138,7 @@ def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
 
 
 def _check_writable(place: Place) -> None:
-    """Try it: permission bits do not say all. On a disk, in the nearest folder there is."""
+    """Try it, since permission bits do not say all; on a disk, in the nearest folder that exists."""
     if place.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"
         place.put(trial, b"")
@@ -150,7 +150,7 @@ def _check_writable(place: Place) -> None:
 
 
 def remove_half_made(store: Path) -> None:
-    """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
+    """Remove what killed runs left of this store while they made it. For the claim's holder only."""
     run_id = "[0-9a-f]" * 32
     for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
         shutil.rmtree(leftover, ignore_errors=True)

@@ -1,7 +1,7 @@
-"""Waiting for a store at a URL that does not answer: a server or a network that is away comes back, as a rule.
+"""Waiting for a store at a URL that does not answer: as a rule, a server or a network that is away comes back.
 
-obstore's own retries are not used: they count from the beginning of a request, so that one that was under way for long
-before it failed is not made again, and they do not say which conditional write may have had its effect before.
+obstore's own retries are not used. They count from the beginning of a request, so that a request that fails after long
+is not made again, and they do not tell whether a conditional write may have had its effect before.
 """
 
 import asyncio
@@ -26,10 +26,10 @@ _T = TypeVar("_T")
 
 
 def persist(call: Callable[[], _T], url: str, patience: float) -> _T:
-    """The result of a call to obstore, made again with growing pauses while the store does not answer.
+    """The result of a call to obstore, repeated with growing pauses while the store does not answer.
 
-    Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that waiting
-    does not mend. A call may have had its effect although it failed.
+    Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that do not pass.
+    A call may have had its effect although it failed.
     """
     from obstore.exceptions import BaseError
 
@@ -56,14 +56,14 @@ async def persist_async(call: Callable[[], Awaitable[_T]], url: str, patience: f
 
 
 def first_line(error: Exception) -> str:
-    """The first line of an error, without the server's XML and the library's own account of it."""
+    """The first line of an error, without the server's XML and the library's details."""
     lines = str(error).splitlines()
     text = lines[0].partition("<?xml")[0].rstrip(": ") if lines else ""
     return text or type(error).__name__
 
 
 class _Outage:
-    """The failed attempts at one call; the outage begins with the first, however long that was under way."""
+    """The failed attempts at one call; the outage begins when the first of them fails."""
 
     def __init__(self, url: str, patience: float) -> None:
         self.url, self.patience = url, patience

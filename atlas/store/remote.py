@@ -1,7 +1,4 @@
-"""Zarr's own store of a place.
-
-At a URL it waits for a server that does not answer, as the place itself does; of a zip file damage is an OSError.
-"""
+"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file is an OSError."""
 
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -30,7 +27,7 @@ def _again(
 
 
 class RemoteStore(ObjectStore[Any]):
-    """Zarr's ObjectStore of a place. All that it does may be done twice, so that a failed call is simply repeated."""
+    """Zarr's ObjectStore of a place. A failed call is simply repeated, since all that it does may be done twice."""
 
     def __init__(self, place: ObjectPlace, read_only: bool) -> None:
         super().__init__(place.client, read_only=read_only)

@@ -1,4 +1,7 @@
-"""Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write."""
+"""Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write.
+
+A run claims a store by a note. Notes are files next to a folder, and objects next to a store at a URL.
+"""
 
 import fcntl
 import json
@@ -6,13 +9,14 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Protocol
+from urllib.parse import urlsplit
 
+from atlas.errors import InputError
 from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
-from atlas.store.notes import notes_at_url
 
 CLAIM = "claim"
 """The note by which one run at a time has the store."""
@@ -21,11 +25,7 @@ _LOOKS, _BETWEEN_LOOKS = 100, 0.01
 
 
 class Notes(Protocol):
-    """Small named notes of one store that several processes share, with a conditional write.
-
-    An object store gives the same by its conditional puts: If-None-Match: * for an absent note, If-Match with the
-    entity tag that came with the expected bytes to replace one.
-    """
+    """Small named notes of one store that several processes share, with a conditional write."""
 
     def read(self, name: str) -> bytes | None:
         """A note's bytes, None where there is none."""
@@ -153,3 +153,40 @@ class Folder:
             return os.path.samestat(os.fstat(file.fileno()), os.stat(self.path / name))
         except FileNotFoundError:
             return False
+
+
+@dataclass(frozen=True)
+class UrlNotes:
+    """Notes as small objects under one prefix.
+
+    An object store makes each write one act (If-None-Match, If-Match). It has no removal under a condition, so that a
+    note that was removed under one is empty, which reads and counts as none.
+    """
+
+    place: ObjectPlace
+
+    def read(self, name: str) -> bytes | None:
+        return self.place.get(name) or None
+
+    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+        if expected is None and self.place.put_new(name, data):
+            return True
+        found = self.place.get_tagged(name)
+        return found is not None and found[0] == (expected or b"") and self.place.put_if(name, data, found[1])
+
+    def remove(self, name: str, expected: bytes) -> bool:
+        return self.put(name, b"", expected)
+
+    def clear(self, keep: str) -> None:
+        self.place.remove_all(name for name in self.place.list_keys() if name != keep)
+
+    def drop(self, name: str) -> None:
+        self.place.remove(name)
+
+
+def notes_at_url(store: ObjectPlace) -> UrlNotes:
+    """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
+    above, _, name = str(store).rpartition("/")
+    if not urlsplit(str(store)).path.strip("/"):
+        raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")
+    return UrlNotes(replace(store, url=f"{above}/.{name}.run"))

@@ -133,7 +133,7 @@ class Header:
 
     @cached_property
     def writable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of the cells and of digests for writing, by name, opened once; RunError for another store."""
+        """The Zarr arrays of cells and digests for writing, by name, opened once; RunError if it is another store."""
         group: Any = open_group(self.place, "r+", consolidated=True)  # one request for all arrays
         if group.attrs.get("run_id") != self.run_id:
             raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
@@ -245,7 +245,7 @@ def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str
 def find(store: str | os.PathLike[str] | Place) -> Header | None:
     """The header of a store, None where there is none yet; InputError where there is something else."""
     place = place_of(store)
-    with refused(place, "read"):
+    with refused(place, "written"):
         free = is_free(place)
     return None if free else read_header(place)
 

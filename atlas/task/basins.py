@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.store.groups import group_attributes
+from atlas.store.groups import ATTRACTORS, group_attributes, write_table
 from atlas.store.record import Rows
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
-from atlas.store.tables import ATTRACTORS, write_table
 from atlas.store.tiles import read_tile, write_tile
 from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL
