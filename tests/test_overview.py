@@ -18,7 +18,7 @@ import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
 from atlas.overview.coarsen import CODES, coarsen, from_cells
-from atlas.overview.pyramid import Pyramid, drop, levels_of
+from atlas.overview.pyramid import Pyramid, drop
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
@@ -185,8 +185,8 @@ def test_undetermined_cells_are_shown_from_a_sixteenth_of_the_area_on(count: int
 
 
 def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Header) -> None:
-    assert levels_of(shared).count == 3
-    assert levels_of(shared).shape_of(3) == (5, 6)
+    assert Pyramid(shared).levels.count == 3
+    assert Pyramid(shared).levels.shape_of(3) == (5, 6)
 
 
 # In the store
@@ -210,7 +210,7 @@ def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.Header) ->
 
 
 def test_making_overviews_again_makes_nothing(filled: store.Header) -> None:
-    assert keep(filled) == sum(len(list(levels_of(filled).chunks(level))) for level in (1, 2, 3))
+    assert keep(filled) == sum(len(list(Pyramid(filled).levels.chunks(level))) for level in (1, 2, 3))
     assert keep(filled) == 0
 
 
@@ -260,7 +260,7 @@ def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_siz
 def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None:
     overviews = Overviews(whole)
     assert overviews.finish() == 0
-    assert levels_of(whole).count == 3
+    assert Pyramid(whole).levels.count == 3
 
 
 @pytest.mark.slow
@@ -327,7 +327,7 @@ def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, clien
 
 def test_finished_parts_of_an_unfinished_atlas_get_overviews(header: store.Header) -> None:
     keep(header)
-    first = [tile for tile in indices(header) if levels_of(header).over(tile) == (0, 0)]
+    first = [tile for tile in indices(header) if Pyramid(header).levels.over(tile) == (0, 0)]
     for tile in first:
         write_tile(header, tile, results(header, tile))
     keep(header)
@@ -410,7 +410,9 @@ def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.Header
 def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_is_done(header: store.Header) -> None:
     fill(header, skip=((0, 0), (4, 5)))
     overviews = overviews_of(header)
-    assert overviews.missing(1) == [index for index in levels_of(header).chunks(1) if index not in ((0, 0), (2, 2))]
+    assert overviews.missing(1) == [
+        index for index in Pyramid(header).levels.chunks(1) if index not in ((0, 0), (2, 2))
+    ]
     write_tile(header, (0, 0), results(header, (0, 0)))
     assert (0, 0) in overviews.missing(1)
     for index in ((0, 0), (0, 1), (1, 0)):
@@ -434,12 +436,12 @@ def made_of_level_1(header: store.Header) -> set[tuple[int, ...]]:
 
 def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_arrays_to_the_bit(tmp_path: Path) -> None:
     header, other = large(tmp_path / "a.zarr"), large(tmp_path / "b.zarr")
-    assert levels_of(header).chunk == (8, 8)
+    assert Pyramid(header).levels.chunk == (8, 8)
     for index in indices(header):
         made = results(header, index)
         write_tile(other, index, made)
         commit(header, job_of(header, index), made)
-        assert levels_of(header).over(index) in made_of_level_1(header)
+        assert Pyramid(header).levels.over(index) in made_of_level_1(header)
     assert [len(overviews_of(header).missing(level)) for level in (1, 2, 3)] == [0, 4, 0]
     assert keep(other) == 9 + 4 + 1
     assert keep(header) == 4 + 1
@@ -455,7 +457,7 @@ def test_overviews_of_chunks_of_whole_tiles_stay_as_they_are(tmp_path: Path) -> 
     top = zarr.open_group(header.path / "overviews", mode="r+", use_consolidated=False)
     assert top.attrs["version"] == 2
     top.attrs["version"] = 1
-    assert levels_of(header).chunk == (16, 16)
+    assert Pyramid(header).levels.chunk == (16, 16)
     commit(header, job_of(header, (0, 0)), results(header, (0, 0)))
     assert not made_of_level_1(header)
 
@@ -474,7 +476,7 @@ def test_a_run_has_its_workers_make_the_overviews(begun: Path, client: Client, m
     made: list[tuple[int, tuple[int, ...]]] = []
     monkeypatch.setattr(attempt, "make_chunk", lambda job: (made.append((job.level, job.index)), make_chunk(job))[1])
     atlas.run(plane_of(), begun, client=client)
-    levels = levels_of(store.read_header(begun))
+    levels = Pyramid(store.read_header(begun)).levels
     assert sorted(made) == sorted(
         (level, index) for level in range(1, levels.count + 1) for index in levels.chunks(level)
     )
@@ -590,7 +592,7 @@ def test_a_run_killed_between_two_levels_is_completed_by_the_next(whole: store.H
         for name in ("regime", "regime_shown"):
             array = root[f"overviews/{level}/{name}"].with_config({"write_empty_chunks": False})
             array[...] = PENDING
-    assert keep(whole) == len(list(levels_of(whole).chunks(1))) + 1
+    assert keep(whole) == len(list(Pyramid(whole).levels.chunks(1))) + 1
     assert_view_is_true(whole)
 
 

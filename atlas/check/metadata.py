@@ -178,3 +178,12 @@ def coordinate_faults(header: Header) -> list[str]:
         if not np.array_equal(values, coordinate.values):
             faults.append(f"coordinate {name} is not the spec's, or missing")
     return faults
+
+
+def restore_coordinates(header: Header) -> None:
+    """Write the coordinates and their copies again, from the spec."""
+    group: Any = open_group(header.place, "r+")
+    for name, coordinate in header.coordinates.items():
+        group[name][...] = coordinate.values
+    for key, data in header.copies.items():
+        header.place.put(key, data)

@@ -23,8 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.overview.levels import Levels
-from atlas.spec.spec import Spec
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -82,13 +80,6 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
         if variable.name == LARGEST.name:
             found.append(POSITIVE)
     return (*found, PERIOD_COUNT, CELLS, SHARE, REGIME_SHOWN, REGIME)
-
-
-def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
-    """Bytes of all levels of an atlas, uncompressed."""
-    results = spec.variables
-    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
-    return Levels(spec.shape, tile, kept=spec.kept).cell_count() * sum(sizes)
 
 
 def count_of(name: str) -> str:

@@ -7,7 +7,6 @@ over two chunks of the one before, along each dimension.
 """
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -127,7 +126,3 @@ class Levels:
         return tuple(
             slice(s.start * t, min(s.stop * t, n)) for s, t, n in zip(tiles, self.tile, self.shape, strict=True)
         )
-
-    def cell_count(self) -> int:
-        """Cells of all levels together."""
-        return sum(math.prod(self.shape_of(level)) for level in range(1, self.count + 1))

@@ -61,11 +61,6 @@ _UNSTATED = {"side": 256, "least": 128, "classes": 8}
 _opened: dict[tuple[str, str], "Pyramid"] = {}
 
 
-def levels_of(header: Header) -> Levels:
-    """The geometry of a store's overviews: as they say of themselves, or as they would be made."""
-    return Pyramid(header).levels
-
-
 class Pyramid:
     """A store's cells and overviews: read, made and dropped, with the number of chunks read since. Level 0: the cells.
 
@@ -77,8 +72,12 @@ class Pyramid:
     """
 
     def __init__(self, header: Header, side: int = SIDE, least: int = LEAST) -> None:
+        import zarr
+
+        from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
+
         self.header = header
-        self.root = _guarded_root(header)
+        self.root: Any = zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False, zarr_format=3)
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
@@ -293,15 +292,6 @@ def drop(header: Header, tiles: Iterable[Index]) -> None:
 def drop_all(header: Header) -> None:
     """Drop the overviews as a whole, metadata and all: without its own metadata the group counts as not there."""
     header.place.remove(f"{GROUP}/{ROOT}")
-
-
-def _guarded_root(header: Header) -> Any:
-    """The root group for reading, on a store that lets no bad chunk pass."""
-    import zarr
-
-    from atlas.overview.guard import GuardedStore
-
-    return zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False, zarr_format=3)
 
 
 @contextmanager

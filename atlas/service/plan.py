@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.overview.coarsen import overview_bytes
+from atlas.overview.coarsen import level_variables
+from atlas.overview.levels import Levels
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
 from atlas.text import byte_size, duration, plural
+from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
 """Cells along each side of a tile by default, and of one of a large atlas: an object store likes large objects."""
@@ -179,11 +181,14 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 
 def _bytes_needed(spec: Spec, tiling: Tiling) -> int:
-    """Every chunk of every variable in whole file blocks, the coordinates, and the overviews."""
+    """Every chunk of every variable in whole file blocks, the coordinates, and the overviews, all uncompressed."""
     total = 8 * sum(spec.shape) * (1 + len(spec.points))
     for chunk in _chunks(spec, tiling.tile).values():
         total += tiling.count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
-    return total + overview_bytes(spec, tiling.tile)
+    levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
+    cells = sum(math.prod(levels.shape_of(level)) for level in range(1, levels.count + 1))
+    sizes = (np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.variables))
+    return total + cells * sum(sizes)
 
 
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:

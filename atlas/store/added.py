@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 from atlas.store.axes import ROOT
 from atlas.store.build import codecs, consolidate, create_variable
@@ -22,15 +21,6 @@ def add_records(header: Header) -> Header:
     consolidate(root)
     _leave_out(header.place, f"{ZOOM}/")
     return read_header(header.place)
-
-
-def restore_coordinates(header: Header) -> None:
-    """Write the coordinates and their copies again, from the spec."""
-    group: Any = open_group(header.place, "r+")
-    for name, coordinate in header.coordinates.items():
-        group[name][...] = coordinate.values
-    for key, data in header.copies.items():
-        header.place.put(key, data)
 
 
 def add_allowances(header: Header, raised: Iterable[Allowance]) -> None:

@@ -17,21 +17,19 @@ Rows that are missing, damaged or do not add up to the cells of their tile count
 their chunks, like all tiles of a store of an earlier version.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.spec.cells import widths_along
 from atlas.store.record import (
     ADDED,
     BY_REASON,
     CELLS,
-    DIGEST,
     RECORD,
     RECORDS,
     WIDTH,
@@ -44,7 +42,7 @@ from atlas.store.record import (
     unpacked,
 )
 from atlas.store.store import READERS, Header, done_tiles, is_done, open_arrays
-from atlas.store.tiles import EXCHANGED, read_tile
+from atlas.store.tiles import read_tile
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 _LOOKS = 10
@@ -241,38 +239,6 @@ def by_name(total: Rows, header: Header) -> tuple[dict[str, int], dict[str, int]
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}
     return regimes, named if REASON.name in header.arrays else {}
-
-
-def tile_areas(header: Header) -> NDArray[np.float64]:
-    """The area of every tile in the units of rows, as an array over the tiles."""
-    widths = zip(widths_along(header.spec), header.tile, strict=True)
-    along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
-    return np.asarray(reduce(np.multiply.outer, along))
-
-
-def record_faults(header: Header, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
-    """What is wrong with a store's records, given the rows that its finished tiles have by their cells."""
-    faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
-    counts = slice(CELLS.start, None if REASON in header.variables else BY_REASON.start)
-    wrong = [
-        index
-        for index, row in counted.items()
-        if records.known[index] and not np.allclose(records.rows[index][counts], row[counts], rtol=1e-9, atol=0)
-    ]
-    return faults + [f"the record of tile {index} contradicts its cells" for index in wrong]
-
-
-def tile_faults(header: Header, records: Records, index: Index, row: Rows) -> list[str]:
-    """Why the record of a finished tile is wrong, given its ``row`` by its cells."""
-    key = record_key(index)
-    if key in records.damaged:
-        return [f"{key} {records.damaged[key]}"]
-    if records.rows[index][DIGEST].any():
-        return [] if np.array_equal(records.rows[index][DIGEST], row[DIGEST]) else [EXCHANGED]
-    if header.record is None or ADDED in header.record["attributes"]:
-        return []
-    lost = RECORDS not in records.damaged and index not in records.single
-    return [f"{key} is missing"] if lost else []
 
 
 def _compaction(header: Header, mode: Any) -> Any:

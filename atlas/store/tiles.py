@@ -33,7 +33,6 @@ from workers.results import REGIME, Variable
 
 REPLACED = f"{REGIME.name}/replaced/"
 """Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
-EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
 
 
 def write_tile(
@@ -137,7 +136,7 @@ def read_tile(
             values[variable.name] = _as_in_spec(header, index, variable)
             continue
         key, array = chunk_key(variable, index), arrays[variable.name]
-        found = _read(array, index)
+        found = read_chunk(array, index)
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
@@ -154,19 +153,6 @@ def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Var
     """The variables that digests cover, by the attributes of their array; KeyError for one that the store lacks."""
     known = {variable.name: variable for variable in (*header.variables, *header.unknown, *ALLOWANCES)}
     return [known[name] for name in attributes[COVERED]]
-
-
-def digest_faults(
-    header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
-) -> tuple[str, ...]:
-    """Why ``values``, of all variables, cannot belong to that tile, by an older store's digests."""
-    stored = _read(digests, index)
-    key = "/".join([digests.path, "c", *map(str, index)])
-    if isinstance(stored, str):
-        return (f"{key} {stored}",)
-    if int(stored.item()) == digest_of(index, covered_variables(header, digests.attrs), values):
-        return ()
-    return (EXCHANGED,) if header.place.exists(key) else (f"{key} is missing",)
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:
@@ -211,7 +197,7 @@ def _as_in_spec(header: Header, index: tuple[int, ...], allowance: Allowance) ->
     return np.full(header.tiling.at(index).shape, allowance.of_spec(header.spec), allowance.dtype)
 
 
-def _read(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
+def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
     """A tile's part of an array, or what is wrong with its chunk."""
     try:
         return np.asarray(array[block(array, index)])

@@ -6,7 +6,7 @@ commit rule, so that whatever reads an atlas reads it. Sheets are written by exp
 
 import json
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -17,7 +17,7 @@ from atlas.store.store import ROOT, ZOOM, Header
 from workers.results import REGIME
 
 _SEEN = "seen"
-_ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
+ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
 FILE_BLOCK = 4096
 """Bytes that an object takes at least, where nobody tells its size."""
 
@@ -34,7 +34,7 @@ def sheet_place(header: Header, plane: str, sheet: str) -> Place:
 
 def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, where there are none."""
-    for key, attributes in ((ZOOM, _ABOUT), (f"{ZOOM}/{plane}", dict(described))):
+    for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
         group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
         if not header.place.exists(f"{key}/{ROOT}"):
             header.place.put_new(f"{key}/{ROOT}", json.dumps(group).encode())
@@ -90,39 +90,6 @@ def drop_sheet(header: Header, plane: str, sheet: str) -> None:
         header.place.remove_all(some)
     if header.place.local is not None:
         shutil.rmtree(header.place.local / root, ignore_errors=True)
-
-
-def plane_faults(header: Header) -> dict[str, str]:
-    """What is wrong with the metadata of planes, and of sheets that are not whole, by the keys of these metadata."""
-    found: dict[str, str] = {}
-    folders = {tuple(key.split("/")[1:-1][:2]) for key in header.place.list_keys(f"{ZOOM}/")}
-    whole = (folder for folder in folders if not any(name.startswith(".") for name in folder))  # not half made ones
-    for parts in sorted({folder[:n] for folder in whole for n in range(len(folder) + 1)}):
-        key = "/".join([ZOOM, *parts, ROOT])
-        try:
-            group = json.loads(header.place.get(key) or b"")
-            own = group["attributes"]
-            wrong = {0: own != _ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
-            if wrong or (group["zarr_format"], group["node_type"]) != (3, "group"):
-                found[key] = "is damaged"
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            found[key] = "is missing or damaged"
-    return found
-
-
-def drop_zoom(header: Header, folders: Iterable[tuple[str, ...]]) -> None:
-    """Remove sheets, each given as (plane, sheet), and planes with all their sheets, as (plane,).
-
-    Of the group of all planes, (), the metadata alone go, which the next plane makes anew.
-    """
-    for folder in folders:
-        if len(folder) == 2:
-            drop_sheet(header, *folder)
-            continue
-        header.place.remove("/".join([ZOOM, *folder, ROOT]))
-        keys = header.place.list_keys(f"{ZOOM}/{folder[0]}/") if folder else ()
-        for sheet in sorted({key.split("/")[2] for key in keys}):
-            drop_sheet(header, folder[0], sheet)
 
 
 def _plane_group(header: Header, plane: str) -> dict[str, Any]:
