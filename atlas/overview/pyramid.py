@@ -37,7 +37,7 @@ from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.build import codecs, consolidate
+from atlas.store.build import codecs, consolidate, create_whole
 from atlas.store.making import metadata_apart
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, Header, chunk_key, open_group
@@ -231,15 +231,8 @@ class Pyramid:
             "digest": self.header.digest,
         }
         group = top.create_group(str(level), attributes=described)
-        for name, (values, dims, attributes) in level_coordinates(self.header, level).items():
-            group.create_array(
-                name,
-                data=values,
-                chunks=values.shape,
-                dimension_names=dims,
-                compressors=codecs(),
-                attributes=attributes,
-            )
+        for name, coordinate in level_coordinates(self.header, level).items():
+            create_whole(group, name, coordinate)
         results = {variable.name for variable in self.header.variables}
         fixed = " ".join(name for name in spec.parameters if name in self.header.coordinate_names)
         for variable in self.variables:

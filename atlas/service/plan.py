@@ -130,7 +130,12 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     count = default_workers() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
-    _check_chunks(spec, chosen)
+    name, size = max(_chunks(spec, chosen).items(), key=lambda item: item[1])
+    if size > LARGEST_CHUNK:
+        raise InputError(
+            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, chosen))} take {size} bytes a chunk, "
+            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
+        )
     tiling = Tiling(spec.shape, chosen)
     return Plan(spec, tiling, count, _bytes_needed(spec, tiling))
 
@@ -200,12 +205,3 @@ def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
         * math.prod(sizes[dim] for dim in variable.extra)
         for variable in spec.variables
     }
-
-
-def _check_chunks(spec: Spec, tile: tuple[int, ...]) -> None:
-    name, size = max(_chunks(spec, tile).items(), key=lambda item: item[1])
-    if size > LARGEST_CHUNK:
-        raise InputError(
-            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, tile))} take {size} bytes a chunk, "
-            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
-        )

@@ -129,8 +129,9 @@ def coordinate(task: Submission) -> Refusal | None:
                 return refusal
             _run(task, client, begin)
         except BaseException as error:
-            if unwatched or not isinstance(error, InputError):  # bad input is the submitter's to report
-                _note_error(task, error)
+            # Bad input is the submitter's to report; without a store nobody asks for a status.
+            if (unwatched or not isinstance(error, InputError)) and _run_id(task.store):
+                note_end(notes_of(task.store), _in_words(error))
             forget()
             raise
         forget()
@@ -165,12 +166,6 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
         note_end(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
-
-
-def _note_error(task: Submission, error: BaseException) -> None:
-    """Note the error for the status, where there is a store to ask for one."""
-    if _run_id(task.store):
-        note_end(notes_of(task.store), _in_words(error))
 
 
 def _run_id(store: str) -> str:

@@ -93,22 +93,18 @@ def refuse_packed(place: object) -> None:
         raise InputError(f"{place}: a zip file is read only; give a folder such as {place.path.with_suffix('.zarr')}")
 
 
-def _remove_left(target: Path) -> None:
-    begin = f".{target.name}"
-    for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
-        if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
-            with suppress(OSError), left.open("rb") as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                left.unlink()
-
-
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
     """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
 
     Nothing is compressed: chunks already are, and metadata are small. Files that killed writers left behind, on which
     nobody holds a lock, are removed.
     """
-    _remove_left(target)
+    begin = f".{target.name}"
+    for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
+        if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
+            with suppress(OSError), left.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                left.unlink()
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
         with unfinished.open("wb") as file:

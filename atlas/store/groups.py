@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.store.build import codecs, consolidate
+from atlas.store.build import consolidate, create_whole
 from atlas.store.schema import StoredArray, coordinates
 from atlas.store.store import ROOT, Header, open_group
 
@@ -26,20 +26,9 @@ ARRAYS, CHECKSUM = "arrays", "checksum"
 def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Write a group, in the place of one that is there."""
     drop_group(header, group)
-    root: Any = open_group(header.place, "r+")
-    for name, (values, dims, described) in arrays.items():
-        array = root.create_array(
-            f"{group}/{name}",
-            shape=values.shape,
-            chunks=tuple(max(1, size) for size in values.shape),
-            dtype="str" if values.dtype.kind == "T" else values.dtype,
-            dimension_names=dims,
-            compressors=codecs(),
-            attributes=described,
-            overwrite=True,
-        )
-        if values.size:
-            array.with_config({"write_empty_chunks": True})[...] = values
+    root = open_group(header.place, "r+")
+    for name, array in arrays.items():
+        create_whole(root, f"{group}/{name}", array)
     own = {**attributes, ARRAYS: list(arrays)}
     whole = {
         "zarr_format": 3,

@@ -86,8 +86,20 @@ def _refuse_foreign(place: Place, spec: Spec) -> None:
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
 
 
-def create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result in a folder of this machine; a rename makes it appear."""
+def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
+    """Make a store without a result, which appears at once or not at all.
+
+    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if there are none.
+    """
+    path = place.local
+    if path is None:
+        with tempfile.TemporaryDirectory() as folder:
+            built = LocalPlace(Path(folder) / "store")
+            build(built.path, spec, tile, origin, run_id)
+            _put_all(built, place, [key for key in built.list_keys() if key != ROOT])
+            if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
+                raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+        return
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -95,16 +107,6 @@ def create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
-
-
-def create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result at a URL; its root, which is put last and only if absent, makes it appear."""
-    with tempfile.TemporaryDirectory() as folder:
-        built = LocalPlace(Path(folder) / "store")
-        build(built.path, spec, tile, origin, run_id)
-        _put_all(built, place, [key for key in built.list_keys() if key != ROOT])
-        if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
-            raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Place, place_of
-from atlas.store.making import create_locally, create_remotely, is_free, refused
+from atlas.store.making import is_free, make_store, refused
 from atlas.store.record import DIGESTS, RECORD
 from atlas.store.schema import (
     ALLOWANCES,
@@ -171,17 +171,13 @@ def create(
     origin: Origin | None = None,
     run_id: str = "",
 ) -> Header:
-    """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
+    """Make a store without a result, see ``making.make_store``, and return its header.
 
-    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
-    them meanwhile. ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
+    ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
     with refused(place, "written"):
-        if place.local is None:
-            create_remotely(place, spec, tile, origin, run_id)
-        else:
-            create_locally(place.local, spec, tile, origin, run_id)
+        make_store(place, spec, tile, origin, run_id)
     return read_header(place)
 
 
@@ -295,14 +291,10 @@ def open_digests(header: Header, consolidated: bool = False) -> Any | None:
     return group.get(DIGESTS, None)
 
 
-def _zarr_store(place: Place, mode: str) -> Any:
-    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
-
-    return zarr_store(place, read_only=mode == "r")
-
-
 def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = False) -> "zarr.Group":
     """The root group of a store, its metadata read anew: of each array its own, or the root's copy of them."""
     import zarr
 
-    return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=consolidated, zarr_format=3)
+    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+
+    return zarr.open_group(zarr_store(place, mode == "r"), mode=mode, use_consolidated=consolidated, zarr_format=3)

@@ -37,7 +37,9 @@ def solve_isolated(job: Job, slices: Slices) -> dict[str, np.ndarray] | str:
             if ended.returncode == 0:
                 break
         else:
-            return f"the process that solved them died each of {ATTEMPTS} times ({_how(ended.returncode)})"
+            code = ended.returncode
+            how = f"signal {-code}, {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+            return f"the process that solved them died each of {ATTEMPTS} times ({how})"
         answer: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
         if "error" in answer:
             raise _KINDS.get(answer["kind"], RunError)(answer["error"])
@@ -60,7 +62,3 @@ def main() -> None:
         kind = type(error).__name__
         answer = {"kind": kind, "error": str(error) if kind in _KINDS else f"{kind}: {error}"}
     print(json.dumps(answer))
-
-
-def _how(code: int) -> str:
-    return f"signal {-code}, {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
