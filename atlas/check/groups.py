@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 from atlas.check.metadata import copy_faults, restore
+from atlas.curves.stored import GROUP as CURVES
+from atlas.curves.stored import damaged_parts
 from atlas.errors import MADE_BY, ChunkError
 from atlas.overview.pyramid import drop_all
-from atlas.store.curves import GROUP as CURVES
-from atlas.store.curves import damaged_parts
 from atlas.store.groups import ATTRACTORS, LABELS, drop_group, read_group
 from atlas.store.machines import damaged_machines, forget_machine
 from atlas.store.schema import OVERVIEWS

@@ -13,6 +13,7 @@ from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, prepare, read_
 from atlas.curves.plane import plane_of
 from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
+from atlas.curves.stored import drop_parts, get_part, part_names, put_part
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
 from atlas.service.batches import Labour
@@ -25,7 +26,6 @@ from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.run import check_client, claimed_place, joined, worker_count
 from atlas.service.summary import TileFailure
 from atlas.store.archive import ZipPlace, refuse_packed
-from atlas.store.curves import drop_parts, get_part, part_names, put_part
 from atlas.store.location import place_of, waiting
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, kernels_for

@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from atlas.curves.stored import GROUP as CURVES
 from atlas.errors import ChunkError, InputError
 from atlas.service.lease import Observer
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
-from atlas.store.curves import GROUP as CURVES
 from atlas.store.groups import ATTRACTORS, LABELS, read_group
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of

@@ -117,8 +117,8 @@ def create_arrays(
     described |= {ADDED: True} if added else {}
     group = root.require_group(TILES)
     for name, chunk, packing, meant in (
-        ("record", (1,) * len(grid), [Crc32cCodec()], "digest and counts of a tile, written by its worker"),
-        ("records", grid, codecs, "digests and counts of all tiles, collected by the last run"),
+        ("record", (1,) * len(grid), [Crc32cCodec()], "digest and counts of a tile, as its worker wrote them"),
+        ("records", grid, codecs, "digests and counts of all tiles, as the last run put them together"),
     ):
         group.create_array(
             name,

@@ -151,30 +151,33 @@ class RunRecords:
     def __init__(self, header: Header, records: Records, due: NDArray[np.bool_]) -> None:
         self._header, self._rows, self._open = header, records.rows.copy(), due.copy()
         self._new = bool(records.single)
-        self._done, self._known = records.done.copy(), records.known.copy()
+        self._done = records.done.copy()
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)
 
     def add(self, index: Index, row: Sequence[float]) -> None:
         """Take the record of a tile that is written; empty if it is not known."""
         new = np.array(row) if len(row) == WIDTH else np.zeros(WIDTH)
         self._total += new - self._rows[index]
-        self._rows[index], self._done[index], self._known[index] = new, True, len(row) == WIDTH
-        self._open[index], self._new = False, True
+        self._rows[index], self._done[index], self._open[index], self._new = new, True, False, True
 
     @property
     def counts(self) -> dict[str, Any] | None:
         """What the store holds: tiles done, cells by regime and by reason; None if some are not counted."""
-        if (self._done & ~self._known).any():
+        if self._uncounted.any():
             return None
         regimes, reasons = by_name(self._total, self._header)
         return {"tiles": int(self._done.sum()), "regimes": regimes, "reasons": reasons}
+
+    @property
+    def _uncounted(self) -> NDArray[np.bool_]:
+        return self._done & ~self._rows.any(axis=-1)
 
     def compact(self, held: Callable[[], None], on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
         """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number.
 
         ``held`` is called before each write, and raises if another run has the store.
         """
-        uncounted = _indices(self._done & ~self._known & ~self._open)
+        uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
         for index, row in zip(uncounted, count_tiles(self._header, uncounted), strict=True):

@@ -1,7 +1,7 @@
-"""What was explored and is kept: the group ``zoom`` of a store, beside its arrays.
+"""What explorers keep: the group ``zoom`` of a store, beside its arrays.
 
-``zoom/PLANE/SHEET`` is a store of its own within the store: a block of a level's cells with their own spec, digest and
-commit rule, so that whatever reads an atlas reads it. Sheets are written by explorers under the store's claim.
+``zoom/PLANE/SHEET`` is a store within the store: a block of a level's cells with a spec, a digest and a commit rule of
+its own, so that whatever reads an atlas reads it. Explorers write sheets under the store's claim.
 """
 
 import json
@@ -44,8 +44,12 @@ def sheets(header: Header) -> list[tuple[str, str]]:
     """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
     if isinstance(header.place, ZipPlace):
         return []
-    parts = [key.split("/") for key in _roots(header)]
-    return sorted((each[1], each[2]) for each in parts)
+    local = header.place.local
+    if local is not None:  # without a look at what lies in them
+        keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
+    else:
+        keys = [key for key in header.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
+    return sorted((key.split("/")[1], key.split("/")[2]) for key in keys)
 
 
 def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
@@ -99,11 +103,3 @@ def _plane_group(header: Header, plane: str) -> dict[str, Any]:
         return found if isinstance(found.get("attributes"), dict) else {}
     except (ValueError, AttributeError, RecursionError):
         return {}
-
-
-def _roots(header: Header) -> list[str]:
-    """The keys of the roots of all sheets; on a disk without a look at what lies in them."""
-    local = header.place.local
-    if local is not None:
-        return [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
-    return [key for key in header.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
