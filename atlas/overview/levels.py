@@ -1,9 +1,8 @@
 """The geometry of overviews: how many levels an atlas has, their shapes, and which chunk lies over which tile.
 
-A cell of level L stands for a block of 2^L cells along each dimension (fewer at the far ends), but for leading ones
-that are kept as they are: the planes of a stack, the rows of a table. Every level has chunks of the same shape, a whole
-number of tiles or half of a large one, so that a chunk of level 1 lies over whole tiles and a chunk of any later level
-over two chunks of the one before, along each dimension.
+A cell of level L stands for a block of 2^L cells along each dimension, fewer at the far ends. Leading dimensions are
+kept as they are: the planes of a stack, the rows of a table. All levels have chunks of one shape, so that a chunk of
+level 1 lies over whole tiles and a chunk of a later level over two chunks of the level before, along each dimension.
 """
 
 import itertools
@@ -25,10 +24,10 @@ class Levels:
     """The levels over a grid of cells.
 
     shape   cells of the grid along each dimension, slowest first
-    tile    cells of a tile, likewise
-    side    cells along each side of a chunk, about: a whole number of tiles
-    halved  whether a chunk has half the side of a tile that is larger, so that one of level 1 lies over one such tile
-    least   the length of a side from which on it is not coarsened again
+    tile    cells of a tile along each dimension
+    side    about how many cells a chunk has along each side: a whole number of tiles
+    halved  whether a chunk has half the side of a larger tile, so that one of level 1 lies over one such tile
+    least   sides of this length or less are not coarsened again
     kept    leading dimensions that no level coarsens
     """
 

@@ -1,7 +1,7 @@
-"""What a worker does once for a run, before the first job that it gets: as a plugin of Dask's workers.
+"""What a worker does once for a run, before its first job: a plugin of Dask's workers.
 
-Dask hands it to every worker of the scheduler, and to those that join later. It runs in a thread of its own, since
-Dask's event loop must not stand still while kernels are compiled; jobs that come meanwhile wait for it.
+Dask hands it to every worker, also to one that joins later. It runs in a thread of its own, since Dask's event loop
+must not stand still while kernels are compiled; jobs that come meanwhile wait for it.
 """
 
 import asyncio
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Setup(WorkerPlugin):
-    """The setup of one run. ``prepare`` does it; what it raises is raised for each job that waited.
+    """The setup of one run, by ``prepare``; what that raises is raised for each job that waited.
 
-    A worker that refuses does so for good. Anything else that goes wrong may pass, so that the next job tries again.
+    A worker that refuses does so for good. Any other failure may pass, so that the next job tries again.
     """
 
     def __init__(self, name: str, prepare: Callable[[], object], forget: Callable[[], object]) -> None:

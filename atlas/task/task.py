@@ -27,8 +27,8 @@ from atlas.store.tiling import PART, Tiling
 from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
-from atlas.task.reuse import known_cells, solve_unknown
-from atlas.task.solving import kernels_of
+from atlas.task.reuse import known_cells
+from atlas.task.solving import kernels_of, solve_block
 from workers import SOLVER_VERSION
 from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
 
@@ -189,10 +189,23 @@ def solve_cells(
 
 
 def _solve_part(spec: Spec, job: Job, slices: Slices, stored: Arrays, solved: np.ndarray) -> Arrays:
-    if job.retry is None:
-        return solve_unknown(spec, slices, stored, solved)
+    """The arrays of some cells with those of the mask solved.
+
+    A cell depends on nothing but its parameters, the settings and the solver, so that cells known from the store's
+    origin have the values that they would get here.
+    """
+    from workers.tile import solve_tile
+
+    if job.retry is None and solved.all():
+        return solve_block(spec, slices)
     cells = {name: np.broadcast_to(value, solved.shape) for name, value in spec.cell_params(slices).items()}
-    return solve_again(spec, cells, stored, job.retry)
+    if job.retry is not None:
+        return solve_again(spec, cells, stored, job.retry)
+    if solved.any():
+        params = {name: values[solved] for name, values in cells.items()}
+        for name, values in solve_tile(spec.record, params, spec.settings).items():
+            stored[name][solved] = values
+    return stored
 
 
 def commit(header: Header, job: Job, arrays: Arrays) -> tuple[float, ...]:
