@@ -18,7 +18,7 @@ import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
 from atlas.overview.coarsen import CODES, coarsen, from_cells
-from atlas.overview.pyramid import Pyramid, drop
+from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
@@ -499,7 +499,7 @@ def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: 
     atlas.run(plane_of(), begun, client=client)
     header = store.read_header(begun)
     (begun / "largest" / "c" / "0" / "0").unlink()
-    drop(header, [(0, 0), (2, 2)])
+    Pyramid(header).drop([(0, 0), (2, 2)])
     drop_tile(header, (2, 2))
     job = job_of(header, (0, 0), 1)
     assert "largest/c/0/0 is missing" in getattr(do_job(job), "fault", "")

@@ -24,7 +24,7 @@ from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, u
 from atlas.check.rules import broken_rules
 from atlas.check.zoom import drop_zoom, plane_faults
 from atlas.errors import ChunkError, InputError
-from atlas.overview.pyramid import drop
+from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
@@ -155,7 +155,7 @@ def _verified(
     if worn:
         restore_coordinates(header)
     drop_unsound(header, overviews)
-    drop(header, bad)  # first: an overview must not outlive what it is of
+    Pyramid(header).drop(bad)  # first: an overview must not outlive what it is of
     for index in bad:
         drop_tile(header, index)
     for key in foreign:

@@ -1,4 +1,4 @@
-"""Coarsening by two: what a cell of an overview says of the cells below it. Arrays in, arrays out.
+"""Coarsening by two: the values of an overview cell from the cells below it. Arrays in, arrays out.
 
 regime         the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
 regime_shown   the class a picture shows: failed if any cell below is, else pending if any is, else undetermined where

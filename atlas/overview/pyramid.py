@@ -51,8 +51,7 @@ _LOOKS, _PAUSE = 10, 0.2
 """A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
 
 _WHOLE, _HALVED = 1, 2
-"""Versions of the form of the levels: with chunks of whole tiles, and with those of half a large tile. Those of another
-version are not read, and made anew by the next run."""
+"""Versions of levels: chunks of whole tiles, and of half a large tile. The next run makes any other version anew."""
 _MOST_OPEN = 4
 """Runs whose overviews a process keeps open."""
 _UNSTATED = {"side": 256, "least": 128, "classes": 8}
@@ -62,13 +61,12 @@ _opened: dict[tuple[str, str], "Pyramid"] = {}
 
 
 class Pyramid:
-    """A store's cells and overviews: read, made and dropped, with the number of chunks read since. Level 0: the cells.
+    """A store's cells, which are level 0, and overviews: read, made and dropped.
 
-    header   of the store
-    root     its group, for reading; no chunk that is missing or damaged passes
+    root     its group, for reading; a chunk that is missing or damaged raises
     made     whether there are overviews at all
     levels   their geometry; ``side`` and ``least`` are those of overviews that are yet to be made
-    classes  how many regimes they know: what was added to the table since is read as a share of 0
+    classes  the number of regimes they know; a regime that was added since has share 0
     """
 
     def __init__(self, header: Header, side: int = SIDE, least: int = LEAST) -> None:
@@ -143,10 +141,7 @@ class Pyramid:
         return {index for index in found if index is not None}
 
     def create(self) -> None:
-        """Make the groups of all levels, without a value; the last step says that they are there.
-
-        Those that there are stay, unless a regime was added to the table since.
-        """
+        """Make the groups of all levels, without a value, unless they are there and know all regimes."""
         if self.made and self.classes == CODES.size:
             return
         self.made, self.classes = False, int(CODES.size)
@@ -263,10 +258,7 @@ class Pyramid:
 
 
 def opened(header: Header, run: str) -> Pyramid:
-    """The overviews of a store for one run, opened once: before its first job they are there, and stay of that form.
-
-    Without the name of a run they are opened anew.
-    """
+    """The overviews of a store, opened once for a run, in which they keep their form; opened anew without a run."""
     key = (str(header.place), run)
     found = _opened.get(key) if run else None
     if found is None:
@@ -277,19 +269,14 @@ def opened(header: Header, run: str) -> Pyramid:
     return found
 
 
-def drop(header: Header, tiles: Iterable[Index]) -> None:
-    """Drop the overviews of these tiles: to be done before any of them is written."""
-    Pyramid(header).drop(tiles)
-
-
 def drop_all(header: Header) -> None:
-    """Drop the overviews as a whole, metadata and all: without its own metadata the group counts as not there."""
+    """Drop the overviews as a whole: without its own metadata the group counts as absent."""
     header.place.remove(f"{GROUP}/{ROOT}")
 
 
 @contextmanager
 def _named(header: Header, path: str) -> Iterator[None]:
-    """What reading bytes that nobody wrote raises becomes a ChunkError that names the path."""
+    """Turn what reading damaged bytes raises into a ChunkError that names the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):
@@ -299,10 +286,7 @@ def _named(header: Header, path: str) -> Iterator[None]:
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:
-    """What the overviews of a store say of the shapes of their levels; None where there are none of a known form.
-
-    Metadata that are damaged say nothing.
-    """
+    """The shapes of levels that a store's overviews state; None if there are no sound overviews of a known form."""
     try:
         attributes = dict(root[GROUP].attrs) if GROUP in root else {}
         shapes = {name: int(attributes.get(name, size)) for name, size in _UNSTATED.items()}

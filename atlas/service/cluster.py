@@ -74,8 +74,7 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 def local_cluster(count: int) -> Iterator["Client"]:
     """Worker processes of one thread each, reachable from this machine only.
 
-    Dask does not sample what their threads do: nobody looks at that, and Python 3.11 can crash where the frames of a
-    thread are read while it runs.
+    Dask's profiler is off: nobody looks at it, and Python 3.11 can crash when the frames of a running thread are read.
     """
     import dask
     from distributed import Client, LocalCluster

@@ -37,12 +37,7 @@ CHOICES = 64
 
 @dataclass(frozen=True)
 class Workers:
-    """The workers of a run at some moment.
-
-    threads    of all
-    left_out   those that get no job, and why
-    trouble    why no job has ended for a while, empty where nothing is known to be wrong
-    """
+    """The threads of a run's workers, the workers that get no job and why, and why no job has ended for a while."""
 
     threads: int
     left_out: Mapping[str, str]
@@ -130,7 +125,7 @@ class Workforce(Generic[J, R]):
         return Workers(sum(self.threads.values()), self.fitness.left_out, self.trouble())
 
     def trouble(self) -> str:
-        """Why no job has ended for a while, empty where nothing is known to be wrong."""
+        """Why no job has ended for a while, empty if nothing is known to be wrong."""
         silent = time.monotonic() - self.last_end
         if silent < self.timing.stalled or not self.running:
             return ""

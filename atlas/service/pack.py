@@ -57,13 +57,12 @@ def pack(
     on_progress: Callable[[Progress], None] | None = None,
     timing: Timing = TIMING,
 ) -> Packed:
-    """Pack a store, a folder or a URL, into one zip file; the store stays as it is.
+    """Pack a store, a folder or a URL, into one zip file; the store stays as it is, and may be incomplete.
 
     The file's name ends in .zip. It appears whole or not at all, and replaces a file of that name only with ``force``.
-    An incomplete atlas is packed as it is.
-    Raises ChunkError where a chunk of a finished tile, or of a table, is missing; InputError for another suffix, where
-    the file exists, where there is no store, where it contains links or special files, and where a run is at work on
-    it, since the file could then contain part of a tile.
+    Raises ChunkError if a chunk of a finished tile or of a table is missing; InputError for another suffix, if the file
+    exists, if there is no store or it contains links or special files, and if a run is at work on it, since the file
+    could then contain part of a tile.
 
     >>> import atlas
     >>> atlas.pack("plane.zarr", "plane.zip").complete

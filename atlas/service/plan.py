@@ -21,7 +21,7 @@ from workers.results import REGIMES
 DEFAULT_TILE, LARGE_TILE = 64, 256
 """Cells along each side of a tile by default, and of one of a large atlas: an object store likes large objects."""
 MANY_TILES, MOST_TILES = 1024, 50_000
-"""Tiles are larger than the default where at least MANY_TILES remain, and larger still beyond MOST_TILES."""
+"""Tiles are larger than the default if at least MANY_TILES remain, and larger still above MOST_TILES."""
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
 CLEAR_RANGE = 1.5
@@ -39,10 +39,9 @@ NO_BASINS = (
 
 @dataclass(frozen=True)
 class Probe:
-    """Cells solved for their cost: how many, and what one of the atlas costs on average.
+    """Cells solved for their cost, and the average cost of a cell of the atlas: forcing periods, processor seconds.
 
-    periods_per_cell   forcing periods
-    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells show
+    ``low`` and ``high`` are the range of the seconds, which few cells leave uncertain.
     """
 
     cells: int
@@ -123,9 +122,9 @@ class Plan:
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
-    """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins.
+    """The plan of a spec for a number of workers; ``tile`` is the shape of a store that exists, and wins.
 
-    Raises InputError where a tile is too large for a store.
+    Raises InputError if a tile is too large for a store.
     """
     count = default_workers() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
@@ -156,10 +155,10 @@ def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
-    """64 along each dimension, the longer side halved until there are 16 tiles a worker; lines continued are whole.
+    """64 along each dimension, the longer side halved until there are 16 tiles a worker; continued lines are whole.
 
-    128 or 256 where there are many tiles all the same, and twice as much again until there are at most MOST_TILES. No
-    tile has cells of two planes of a stack.
+    128 or 256 if there are many tiles nevertheless, doubled again until there are at most MOST_TILES. No tile has cells
+    of two planes of a stack.
     """
     shape = spec.shape
     fixed = {0: 1} if len(shape) == MOST_AXES else {}

@@ -72,12 +72,11 @@ def probed(plan: Plan, report: Callable[[Progress], None]) -> Plan:
 
 
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:
-    """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, fewer where they cost much.
+    """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, on fewer if they cost much.
 
     A first solution, which loads the kernels, is not counted. Cells are solved in batches, as in a tile. ``clock``
-    gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
-    not count. Cells that are continued are measured in short parts of lines; where all
-    attractors are sought, what a budget above the probed one would add is not known and left out.
+    gives seconds, by default the processor time of this thread: a kernel runs on one thread. Continued cells are
+    measured in short parts of lines; of all attractors, the cost above the probed budget is unknown and left out.
     """
     warm_up(*kernels_for(spec.record))
     starts, length = spread_cells(spec)
@@ -132,10 +131,9 @@ def brief(settings: Settings) -> tuple[Settings, float]:
 
 
 def _evenness(steps: list[_Measured]) -> float:
-    """Which share of the starts does all the work, if they do it in equal parts; 1 before the first step.
+    """Which fraction of the starts does all the work, if they share it equally; 1 before the first step.
 
-    The cells of a tile cost alike, so that a costly one is solved together with as many as costly. Of starts spread
-    over the plane it takes more for that.
+    The cells of a tile cost about the same; among starts spread over the plane, a batch needs more of them for that.
     """
     work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
@@ -174,8 +172,7 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
 def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
     """The least and the most periods that cells solved with this share of their budget cost with all of it.
 
-    The square of a chaotic cell's error falls as one over the periods that its budget allows for. Of a cell that is
-    undetermined nothing is known.
+    The square of a chaotic cell's error falls as one over its periods. Of an undetermined cell nothing is known.
     """
     settings = spec.settings
     used = arrays["periods_used"].astype(np.float64)
@@ -195,10 +192,7 @@ def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], 
 
 
 def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
-    """Periods for which chaos that was watched for its part of ``few`` is still to be watched.
-
-    What survived all of them may have to for a stable orbit that is known, or for its relaxation.
-    """
+    """Periods for which chaos that was watched for its part of ``few`` is still to be watched."""
     from workers.cell.course import part_to_survive, relaxation_periods
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())

@@ -104,7 +104,7 @@ def complete(
         if client is None and run.needs_workers:
             run.report(f"starting {plural(workers, 'worker')}")
             client = stack.enter_context(local_cluster(workers))
-        if client is not None and run.unfinished:
+        if client is not None and (run.needs_workers or run.overviews):
             run.hand_out(client)
         run.finish()
     return run.totals.summary(str(place))
@@ -187,11 +187,6 @@ class _Run:
     def needs_workers(self) -> bool:
         """Whether there is a tile to solve, or basins to label."""
         return bool(self.due.any()) or (self.header.spec.basins and group_attributes(self.header, ATTRACTORS) is None)
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether there is anything for workers to do."""
-        return self.needs_workers or bool(self.overviews)
 
     def hand_out(self, client: "Client") -> None:
         """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""

@@ -1,9 +1,8 @@
-"""The order of tiles: a few everywhere first, then the costliest by what these have cost.
+"""The order of tiles: a coarse lattice first, then the costliest, as predicted from these.
 
-Costs of tiles differ a hundredfold. When the last costly one is begun late, a large cluster waits for it alone; row by
-row that depends on which corner of the plane the chaos lies in. Neighbours cost much the same, so the receipts of a
-coarse lattice predict the rest, for nothing; solving some cells of each tile beforehand predicts no better and costs
-time (scripts/bench_scale.py compares them).
+Costs of tiles differ a hundredfold. If a costly one is begun last, a large cluster waits for it alone; row by row that
+depends on where in the plane the chaos lies. Neighbours cost about the same, so the receipts of the lattice predict the
+rest for nothing; a probe of some cells of each tile predicts no better and costs time (scripts/bench_order.py).
 """
 
 from collections.abc import Iterator

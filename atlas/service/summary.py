@@ -66,11 +66,6 @@ class Summary:
         return self.cells_solved / self.seconds if self.seconds else 0.0
 
     @property
-    def periods_per_second(self) -> float:
-        """Forcing periods simulated a second, by all workers together."""
-        return self.periods / self.seconds if self.seconds else 0.0
-
-    @property
     def efficiency(self) -> float:
         """Share of the workers' time spent solving: the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
@@ -84,7 +79,7 @@ class Summary:
         lines = [
             done,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
-            f"{self.cells_per_second:.3g} cells/s, {self.periods_per_second:.3g} forcing periods/s, "
+            f"{self.cells_per_second:.3g} cells/s, {self.periods / self.seconds:.3g} forcing periods/s, "
             f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "
             f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
             f"{duration(self.processor_seconds)} of processor time, "

@@ -279,10 +279,7 @@ def check_solver(version: int) -> None:
 
 @contextmanager
 def file_errors(store: str) -> Iterator[None]:
-    """Errors of the file system by what they mean for the run: no room for anybody, or not for this worker.
-
-    Others pass as they are: the tile may be tried again.
-    """
+    """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
     try:
         yield
     except OSError as error:
@@ -295,7 +292,7 @@ def file_errors(store: str) -> Iterator[None]:
 
 
 def finished_tile(header: Header, job: Job) -> Arrays:
-    """``stored_tile`` of a tile that is to be solved again; an attempt that died may have left its new contents."""
+    """``stored_tile`` of a tile to be solved again; an attempt that died may have left its new contents."""
     try:
         return stored_tile(header, job.index)
     except ChunkError:
@@ -320,7 +317,7 @@ def stored_record(header: Header, index: tuple[int, ...]) -> tuple[float, ...]:
 def receipt_of(
     header: Header, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
 ) -> Receipt:
-    """The receipt of a tile with these arrays, whose cells ``solved`` count, without times."""
+    """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
     leading = header.leading(arrays)
     codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
