@@ -13,7 +13,7 @@ period, impacts_upper, impacts_lower
 other numbers (flags, costs)
                mean over the solved cells; of a flag, the share. ``cells`` is the number of solved cells
 
-Means, counts and shares of a level are those of the cells themselves, whatever number of levels lies between.
+Means, counts and shares are exact at every level: they are those of the cells of the atlas.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -187,7 +187,7 @@ def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
     same = (triples[:, :, None] == triples[:, None, :]).all(0)
     votes = (same * counts[None]).sum(1) * (counts > 0)
     most = votes == votes.max(0)
-    # Of those with as many, the smallest: first by period, then by impacts.
+    # Among equals the smallest: first by period, then by impacts.
     for values in triples:
         least = np.where(most, values, np.iinfo(np.int32).max).min(0)
         most &= values == least

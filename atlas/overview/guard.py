@@ -44,7 +44,7 @@ class GuardedStore(WrapperStore[Any]):
         self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinate_names}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """An object, None where there is none and none has to be."""
+        """An object, None if there is none and none has to be."""
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))

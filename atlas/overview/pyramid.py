@@ -116,7 +116,7 @@ class Pyramid:
         return path is not None and path.path == name and path.store in (self.root.store, self._plain)
 
     def array(self, level: int, name: str) -> Any:
-        """A variable of a level as a Zarr array; ChunkError where its metadata are damaged."""
+        """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
             with _named(self.header, f"{path}/{ROOT}"):
@@ -124,7 +124,7 @@ class Pyramid:
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
-        """A block of a variable of a level; ChunkError where a chunk of it is missing or damaged."""
+        """A block of a variable of a level; ChunkError if a chunk of it is missing or damaged."""
         array = self.array(level, name)
         with _named(self.header, array.path):
             found = np.asarray(array[block])
@@ -161,7 +161,7 @@ class Pyramid:
     def make(self, level: int, index: Index, held: Callable[[], None] = lambda: None) -> None:
         """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending.
 
-        ``held`` is called before the first and the last write, and raises where another run has the store.
+        ``held`` is called before the first and the last write, and raises if another run has the store.
         """
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
@@ -177,7 +177,7 @@ class Pyramid:
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays, held)
 
     def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]], held: Callable[[], None]) -> bool:
-        """Write the chunk of level 1 over a tile that is written, of its arrays; False where it needs other tiles."""
+        """Write the chunk of level 1 over a tile that is written, of its arrays; False if it needs other tiles."""
         if not (self.made and self.levels.over_alone(tile)):
             return False
         names = [variable.name for variable in self.variables]

@@ -99,7 +99,7 @@ def find_curves(
     """Find the curves of a finished plane and keep them in its store; at once where it has them for these settings.
 
     The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
-    Raises InputError where the store is not a finished plane; see also ``run``.
+    Raises InputError if the store is not a finished plane; see also ``run``.
     """
     options = options.updated(**fields)
     leave_if_bootstrapping()

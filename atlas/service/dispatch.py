@@ -170,7 +170,7 @@ class Workforce(Generic[J, R]):
         self.running.submit(attempts)
 
     def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
-        """The outcome of a job; None where it is to be tried again, or is in doubt."""
+        """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
         if isinstance(result, Done):
             self.fitness.finish(result.worker)
@@ -210,7 +210,7 @@ def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, 
 
 
 def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
-    """Enough workers to choose from for that number of jobs; None where there are none."""
+    """Enough workers to choose from for that number of jobs; None if there are none."""
     enough = CHOICES + 4 * jobs
     return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 

@@ -30,7 +30,7 @@ ENDED = "ended"
 
 @dataclass(frozen=True)
 class Record:
-    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty where nothing can.
+    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty if nothing can.
 
     ValueError for a field that no holder writes.
     """
@@ -72,13 +72,13 @@ class Record:
 
     @property
     def trouble(self) -> str:
-        """Why the run makes no progress, as its holder reports it; empty where it reports nothing."""
+        """Why the run makes no progress, as its holder reports it; empty if it reports nothing."""
         value = self.progress.get("trouble")
         return one_line(value) if isinstance(value, str) else ""
 
     @property
     def is_alive(self) -> bool | None:
-        """Whether the holder runs; None where this machine cannot know."""
+        """Whether the holder runs; None if this machine cannot know."""
         return is_running(self.pid, self.process)
 
     def __str__(self) -> str:
@@ -109,10 +109,7 @@ class Claim:
         return self._record.token
 
     def report(self, progress: Mapping[str, Any]) -> None:
-        """What the next beats report to the status; the first report is written at once.
-
-        So it comes before the first tile, and nobody counts tiles that the next report, which is older, does not have.
-        """
+        """Set what the next beats report to the status; the first report is written at once, before the first tile."""
         first, self._progress = not self._progress, progress
         if first:
             with suppress(OSError):
@@ -213,7 +210,7 @@ class Sighting:
     """A claim as it was last seen.
 
     record    None for a damaged claim
-    alive     whether its holder runs, None where this machine cannot know
+    alive     whether its holder runs, None if this machine cannot know
     silence   seconds by the observer's own clock since the counter was first seen at its present value
     timing    after how many of them the silence is reported
     """
@@ -313,7 +310,7 @@ def note_end(notes: Notes, text: str) -> None:
 
 
 def noted_end(notes: Notes) -> str:
-    """How the last submitted run ended, empty where it ended well."""
+    """How the last submitted run ended, empty if it ended well."""
     return (notes.read(ENDED) or b"").decode(errors="replace")
 
 

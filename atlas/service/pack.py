@@ -110,7 +110,7 @@ def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progr
 
 
 def _refuse_links(store: Path) -> None:
-    """InputError where something in a store is neither a folder nor a file of its own."""
+    """InputError if something in a store is neither a folder nor a file of its own."""
     for folder, folders, files in os.walk(store):
         for name in (*folders, *files):
             path = Path(folder) / name
@@ -120,7 +120,7 @@ def _refuse_links(store: Path) -> None:
 
 
 def _refuse_lost(header: Header, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
-    """ChunkError where a chunk is not among the keys that has to be."""
+    """ChunkError if a chunk is not among the keys that has to be."""
     needed = [variable for variable in header.variables if not variable.sparse]
     lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
     if lost:

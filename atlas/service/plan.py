@@ -74,12 +74,12 @@ class Plan:
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole on these workers, a processor each, or None where nothing was probed."""
+        """Expected seconds of the whole on these workers, a processor each, or None if nothing was probed."""
         return self._seconds(self.probe.seconds_per_cell) if self.probe else None
 
     @property
     def seconds_range(self) -> tuple[float, float] | None:
-        """Where these seconds lie, or None where nothing was probed."""
+        """Where these seconds lie, or None if nothing was probed."""
         return (self._seconds(self.probe.low), self._seconds(self.probe.high)) if self.probe else None
 
     def _seconds(self, per_cell: float) -> float:

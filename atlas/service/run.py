@@ -54,7 +54,7 @@ def run(
     scheduler, or on a local one, the default. In a notebook a bar shows the progress, unless there is an
     ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
-    the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where a
+    the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
 
@@ -257,13 +257,13 @@ def _indices(mask: np.ndarray) -> Iterator[Index]:
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
-    """InputError where a number of workers is given for a cluster that is the caller's."""
+    """InputError if a number of workers is given for a cluster that is the caller's."""
     if client is not None and options.workers is not None:
         raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the one given, or one of the scheduler asked for; None where a local cluster is."""
+    """The client to work on: the one given, or one of the scheduler asked for; None if a local cluster is."""
     if client is not None or options.scheduler is None:
         return client
     options.report(Progress(f"connecting to {options.scheduler}", passing=True))

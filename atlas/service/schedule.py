@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import numpy as np
 
 STRIDE = 4
-"""Every how many tiles, along each dimension, one is solved first; then every half as many."""
+"""Distance in tiles, along each dimension, of the first lattice; the second has half of it."""
 NEIGHBOURS = 4
-"""From how many tiles of known cost another's is guessed."""
+"""Number of tiles of known cost from which the cost of another is predicted."""
 
 
 class Order:

@@ -35,7 +35,7 @@ class Submission:
     options          of the run; where it runs is settled by now
     name             of this submission, on the scheduler
     solver_version   the submitter's: no other may coordinate
-    run_id           of the store, empty where the submitter sees none
+    run_id           of the store, empty if the submitter sees none
     refused          workers that must not coordinate, and why
     """
 
@@ -143,7 +143,7 @@ def coordinate(task: Submission) -> Refusal | None:
 
 
 def check_coordinator(task: Submission) -> None:
-    """Raise RefusedError where this worker must not coordinate."""
+    """Raise RefusedError if this worker must not coordinate."""
     if not task.run_id:
         check_solver(task.solver_version)
         return
@@ -173,7 +173,7 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
 
 
 def _run_id(store: str) -> str:
-    """The run id of the store at a path, empty where this host sees none: it need not."""
+    """The run id of the store at a path, empty if this host sees none: it need not."""
     try:
         return read_header(store).run_id
     except (InputError, OSError):

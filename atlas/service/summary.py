@@ -36,9 +36,8 @@ class Summary:
     processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
-    failures, refused              tiles that raised; workers that got no more of them, and why
-    retried, changed               cells of finished tiles were solved again, and nothing else; those of them that
-                                   came out of another regime
+    failures, refused              tiles that raised; workers that got no more tiles, and why
+    retried, changed               whether cells of finished tiles were solved again; how many changed regime
     """
 
     store: str

@@ -166,7 +166,7 @@ class ObjectPlace(Place):
         yield from self._persist(once)
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
-        """Put under a condition; False where one of these errors says that it does not hold."""
+        """Put under a condition; False if one of these errors says that it does not hold."""
         import obstore
         from obstore.exceptions import BaseError
 

@@ -40,7 +40,7 @@ def machine_keys(header: Header) -> list[str]:
 
 
 def recorded_machine(place: Place, key: str) -> Machine | None:
-    """The machine of a record, None where it is damaged."""
+    """The machine of a record, None if it is damaged."""
     try:
         found = machine_of(json.loads(place.get(key) or b"")["attributes"])
     except (ValueError, KeyError, TypeError, RecursionError):

@@ -79,7 +79,7 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
 
 
 def _refuse_foreign(place: Place, spec: Spec) -> None:
-    """InputError where something lies at a URL that no creation cut short has left there."""
+    """InputError if something lies at a URL that no creation cut short has left there."""
     ours = {MACHINES, TILES, *coordinate_names(spec)} | {variable.name for variable in spec.variables}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):

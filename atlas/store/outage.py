@@ -16,9 +16,9 @@ from typing import TypeVar
 from atlas.errors import NetworkError
 
 BRIEF = 15.0
-"""Seconds that a store is waited for while somebody waits for the answer: the URL may be wrong."""
+"""Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
 LONG = 180.0
-"""Seconds that a run waits for its store, which it has already reached."""
+"""Seconds that a run waits for its store, which it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)")
 """What obstore says of failures that may pass: no connection, a cut one, an overloaded or broken server."""
@@ -70,7 +70,7 @@ class _Outage:
         self.begin, self.next = math.inf, _FIRST_PAUSE
 
     def pause_after(self, error: Exception) -> float:
-        """Seconds until the next attempt; raises where there is to be none."""
+        """Seconds until the next attempt; raises if there is to be none."""
         from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
         line = first_line(error)

@@ -21,20 +21,20 @@ from atlas.store.location import ObjectPlace, Place, place_of
 CLAIM = "claim"
 """The note by which one run at a time has the store."""
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
-"""How often, and at which distance in seconds, a note is read that its maker has opened and not yet written."""
+"""How often to read a note that its maker has opened and not yet written, and the seconds between two reads."""
 
 
 class Notes(Protocol):
     """Small named notes of one store that several processes share, with a conditional write."""
 
     def read(self, name: str) -> bytes | None:
-        """A note's bytes, None where there is none."""
+        """A note's bytes, None if there is none."""
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
         """Write a note if it is absent (``expected`` None) or holds the expected bytes; False, unwritten, if not."""
 
     def remove(self, name: str, expected: bytes) -> bool:
-        """Remove a note that holds the expected bytes; False where it does not."""
+        """Remove a note that holds the expected bytes; False if it does not."""
 
     def drop(self, name: str) -> None:
         """Remove a note, whatever it holds: only for its maker, and where nobody else would put another one."""
@@ -58,7 +58,7 @@ def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
 
 
 def claim_token(notes: Notes) -> str:
-    """The token of the run that has claimed a store, by one read; empty where there is none or it is damaged."""
+    """The token of the run that has claimed a store, by one read; empty if there is none or it is damaged."""
     try:
         return str(json.loads(notes.read(CLAIM) or b"{}").get("token", ""))
     except (ValueError, AttributeError, RecursionError):
@@ -133,7 +133,7 @@ class Folder:
 
     @contextmanager
     def _locked(self, name: str, write: bool) -> Iterator[IO[bytes] | None]:
-        """The note's file, locked, and certainly the one of that name; None where there is none."""
+        """The note's file, locked, and certainly the one of that name; None if there is none."""
         while True:
             try:
                 file = open(self.path / name, "r+b" if write else "rb", buffering=0)  # noqa: SIM115

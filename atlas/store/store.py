@@ -44,8 +44,8 @@ ZOOM = "zoom"
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
-    ``outline`` is its spec without the values of axes and points, but with them in format version 1. ``arrays`` are
-    the metadata of its root's arrays, by name, as the root has them; ``record`` are those of the array of the tiles'
+    ``outline`` is its spec, without the values of axes and points except in format version 1. ``arrays`` are the
+    metadata of its root's arrays by name, in the root's copy; ``record``, the metadata of the array of the tiles'
     records, None in a store of an earlier version.
     """
 
@@ -71,7 +71,7 @@ class Header:
         """The spec that the store was made from; what has been added to specs since is at its default.
 
         The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
-        InputError where this version cannot read it, and where the store's cells differ from the spec's.
+        InputError if this version cannot read it, and where the store's cells differ from the spec's.
         """
         try:
             whole = self.format_version == 1
@@ -86,7 +86,7 @@ class Header:
 
     @cached_property
     def values(self) -> Values:
-        """The values of the axes, or of the columns of the points, by name. ChunkError where they are damaged."""
+        """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
         if self.format_version == 1:
             return self.spec.points or {axis.name: axis.values for axis in self.spec.axes}
         return read_values(self.place, self.outline, self.digest)
@@ -98,12 +98,12 @@ class Header:
 
     @property
     def resolved(self) -> Mapping[str, Any]:
-        """The resolved spec as the store has it. ChunkError where its values are damaged."""
+        """The resolved spec as the store has it. ChunkError if its values are damaged."""
         return self.outline if self.format_version == 1 else with_values(self.outline, self.values)
 
     @property
     def tile(self) -> tuple[int, ...]:
-        """Cells of a tile along each dimension. ValueError where the metadata have no such numbers."""
+        """Cells of a tile along each dimension. ValueError if the metadata have no such numbers."""
         regime = self.arrays[REGIME.name]
         sizes = regime["chunk_grid"]["configuration"]["chunk_shape"]
         cells = zip(regime["dimension_names"], sizes, regime["shape"], strict=True)
@@ -128,7 +128,7 @@ class Header:
         return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
 
     def leading(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
-        """Arrays of cells with one result each: where there are those of all attractors, that of the first."""
+        """Arrays with one result for each cell: of all attractors, the first."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @cached_property
@@ -182,9 +182,9 @@ def create(
 
 
 def read_header(store: str | os.PathLike[str] | Place) -> Header:
-    """The header of a store; InputError where there is none, or it is not ours, or of an unknown format.
+    """The header of a store; InputError if there is none, or it is not ours, or of an unknown format.
 
-    Where the disk or the server refused, its OSError is that InputError's cause. NetworkError where the server does
+    Where the disk or the server refused, its OSError is that InputError's cause. NetworkError if the server does
     not answer.
     """
     place = place_of(store)
@@ -239,7 +239,7 @@ def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str
 
 
 def find(store: str | os.PathLike[str] | Place) -> Header | None:
-    """The header of a store, None where there is none yet; InputError where there is something else."""
+    """The header of a store, None if there is none yet; InputError if there is something else."""
     place = place_of(store)
     with refused(place, "written"):
         free = is_free(place)
@@ -269,7 +269,7 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     """All Zarr arrays of the store's root by name, results and coordinates, for reading.
 
     Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
-    ChunkError where they are damaged.
+    ChunkError if they are damaged.
     """
     group = open_group(header.place, "r", consolidated)
     results = (*header.spec.variables, *header.unknown, *ALLOWANCES)

@@ -89,7 +89,7 @@ def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
 
 
 def finish_replacement(header: Header, index: tuple[int, ...], held: Callable[[], None] = lambda: None) -> bool:
-    """Write a tile from what ``write_tile`` put beside it and did not live to write; False where there is nothing."""
+    """Write a tile from what ``write_tile`` put beside it and did not live to write; False if there is nothing."""
     key = _replacement_key(index)
     packed = header.place.get(key)
     arrays = _unpacked(packed) if packed is not None else None
@@ -185,7 +185,7 @@ def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def _unpacked(data: bytes) -> dict[str, np.ndarray] | None:
-    """The inverse; None where the bytes are damaged, which the checksums of the archive's members show."""
+    """The inverse; None if the bytes are damaged, which the checksums of the archive's members show."""
     try:
         with np.load(io.BytesIO(data)) as arrays:
             return dict(arrays)

@@ -19,7 +19,7 @@ from workers.results import REGIME
 _SEEN = "seen"
 ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
 FILE_BLOCK = 4096
-"""Bytes that an object takes at least, where nobody tells its size."""
+"""Bytes that an object takes at least, if its size is unknown."""
 
 
 def sheet_place(header: Header, plane: str, sheet: str) -> Place:
@@ -65,7 +65,7 @@ def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
 
 
 def seen_sheets(header: Header) -> dict[tuple[str, str], float]:
-    """When each sheet was looked at last, in seconds since 1970, as far as it was noted."""
+    """When each sheet was last looked at, in seconds since 1970, if that was noted."""
     found: dict[tuple[str, str], float] = {}
     for plane in {plane for plane, _ in sheets(header)}:
         noted = _plane_group(header, plane).get("attributes", {}).get(_SEEN, {})
@@ -74,7 +74,7 @@ def seen_sheets(header: Header) -> dict[tuple[str, str], float]:
 
 
 def note_seen(header: Header, seen: Mapping[tuple[str, str], float]) -> None:
-    """Note when sheets were looked at last. For the claim's holder only."""
+    """Note when sheets were last looked at. For the claim's holder only."""
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
         group = _plane_group(header, plane)
@@ -97,7 +97,7 @@ def drop_sheet(header: Header, plane: str, sheet: str) -> None:
 
 
 def _plane_group(header: Header, plane: str) -> dict[str, Any]:
-    """The metadata of a plane, empty where there are none that can be read."""
+    """The metadata of a plane, empty if there are none that can be read."""
     try:
         found = json.loads(header.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
         return found if isinstance(found.get("attributes"), dict) else {}

@@ -54,8 +54,9 @@ def run_job(job: Job) -> Receipt:
         if job.replaced:
             finish_replacement(header, job.index, held(header, job))
         if job.retry is None and is_done(header, job.index):  # its worker died after it was written, before its report
-            arrays, solved = stored_tile(header, job.index), np.ones(header.tiling.at(job.index).shape, dtype=bool)
-            return receipt_of(header, job.index, arrays, solved, stored_record(header, job.index))
+            solved = np.full(header.tiling.at(job.index).shape, not job.replaced)
+            receipt = receipt_of(header, job.index, stored_tile(header, job.index), solved)
+            return replace(receipt, taken=int((~solved).sum()), record=stored_record(header, job.index))
         first = notes.put(name, b"1", expected=None)
     try:
         return solve_and_write(job) if first else _solve_apart(header, job)

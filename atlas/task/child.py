@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
-    """Run code in a child process, pass on each line that it writes; its exit status. It ends where ``told`` raises."""
+    """The exit status of code run in a child process; ``told`` gets each line that it writes, and ends it by raising."""
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         env=_environment(),

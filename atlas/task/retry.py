@@ -65,7 +65,7 @@ class Retry:
 
 
 def checked_retry(spec: Spec, names: str, max_periods: int | None = None, survival: int | None = None) -> Retry:
-    """The retry that a user asked for, as ``failed,undetermined``; InputError where it could not change a cell."""
+    """The retry that a user asked for, as ``failed,undetermined``; InputError if it could not change a cell."""
     chosen = [name.strip() for name in names.split(",") if name.strip()]
     check_names("regime to retry", chosen, RETRIABLE)
     if not chosen:

@@ -28,7 +28,7 @@ class Shared(NamedTuple):
 def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
     """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved.
 
-    Cells that failed there are to be solved again. RunError where the origin no longer exists.
+    Cells that failed there are to be solved again. RunError if the origin no longer exists.
     """
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
@@ -98,7 +98,7 @@ def _origin_of(header: Header) -> Header:
 
 
 def absent_results(origin: Header) -> list[str]:
-    """Results that cells of an atlas have today and those of an older store do not: none of its cells can be copied."""
+    """Results that an older store lacks and new cells have, so that none of its cells can be copied."""
     present = {variable.name for variable in origin.variables}
     return [variable.name for variable in origin.spec.variables if variable.name not in present and not variable.sparse]
 

@@ -251,7 +251,7 @@ def forget(store: str, run_id: str, patience: float) -> None:
 def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
     """The header of the store that a run asks this worker to work on: read once, and again where it has changed.
 
-    Raises RefusedError where this worker has another solver, or sees no store or another one at the path; OSError
+    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
     where the store's disk or server refused.
     """
     check_solver(solver_version)
