@@ -87,15 +87,20 @@ def complete(
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        _check(spec, place, find(place), options, origin, run_id)  # only read, so that bad input leaves no trace
+        header = find(place)  # only read, so that bad input leaves no trace
+        _check(spec, place, header, options, origin, run_id)
         client = joined(client, options, stack)
         workers = worker_count(client, options)
+        if header is None:
+            _tile(spec, place, workers)
         claim = stack.enter_context(claimed_place(place, options))
         place = waiting(place, options.patience)
         header = find(place)  # once more: before the claim another run may have made it
         _check(spec, place, header, options, origin, run_id)
         if header is None:
-            _make(spec, place, workers, origin, run_id, options, claim)
+            options.report(Progress("making the store"))
+            claim.confirm(place)
+            create(place, spec, _tile(spec, place, workers), origin, run_id)
             header = read_header(place)
         run = _Run(header, workers, claim, options)
         if client is None and run.due.any():
@@ -130,16 +135,12 @@ def _check(
         raise InputError(f"{place}: a continued sweep cannot be retried: each cell of it depends on those before it")
 
 
-def _make(
-    spec: Spec, place: Place, workers: int, origin: Origin | None, run_id: str, options: RunOptions, claim: Claim
-) -> None:
-    """Make the store of a spec, without a result."""
+def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
+    """The shape of the tiles of a new store; InputError if the store cannot be made, or its disk cannot hold it."""
     plan = make_plan(spec, workers)
     if place.local is not None:
         refuse_shortage(plan, place.local)
-    options.report(Progress("making the store"))
-    claim.confirm(place)
-    create(place, spec, plan.tiling.tile, origin, run_id)
+    return plan.tiling.tile
 
 
 class _Run:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
-    """The exit status of code run in a child process; ``told`` gets each line that it writes, and ends it by raising."""
+    """The exit status of code run in a child process. ``told`` gets each line that it writes, and may raise to end it."""
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         env=_environment(),
