@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
-    """The exit status of code run in a child process. ``told`` gets each line that it writes, and may raise to end it."""
+    """The exit status of code run in a child process; each line that it writes goes to ``told``, which may raise."""
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         env=_environment(),
