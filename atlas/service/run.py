@@ -147,7 +147,7 @@ class _Run:
     """A run whose store is claimed: what is due there, what has come of it, and the end."""
 
     def __init__(self, header: Header, workers: int, claim: Claim, options: RunOptions) -> None:
-        self.header, self.claim, self.options = header, claim, options
+        self.header, self.claim, self.options, self.doing = header, claim, options, "solving"
         plan = make_plan(header.spec, workers, header.tile)
         done, self.replaced = listed_tiles(header)
         self.stored = Records(header, done - self.replaced)
@@ -206,8 +206,9 @@ class _Run:
                         totals.add(outcome)
                     self.report("solving")
                 if header.spec.basins:
-                    self.report("labelling the attractors")
+                    self.doing = "labelling the attractors"
                     self._make(force, [replace(job, level=LABELS)])
+                self.doing = "writing overviews"
                 for level in self.overviews.levels:
                     chunks = self.overviews.missing(level)
                     self._make(force, [replace(job, level=level, index=index) for index in chunks])
@@ -230,8 +231,7 @@ class _Run:
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
         totals.trouble = workers.trouble
         self.claim.report(totals.report(workers.threads) | {"holds": self.records.counts})
-        doing = "solving" if workers.threads else "no worker left: waiting for one"
-        self.report(workers.trouble or doing)
+        self.report(workers.trouble or (self.doing if workers.threads else "no worker left: waiting for one"))
 
     def finish(self) -> None:
         """The end: overviews that no worker has made, and all records in one chunk."""
