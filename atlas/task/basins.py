@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.store.groups import ATTRACTORS, group_attributes, write_table
-from atlas.store.record import Rows
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import read_tile, write_tile
@@ -21,16 +20,12 @@ POINTS = 256
 """Section states of each attractor in the table."""
 
 
-def complete_basins(
-    header: Header,
-    held: Callable[[], None] = lambda: None,
-    written: Callable[[tuple[int, ...], Rows], None] = lambda _index, _row: None,
-) -> None:
+def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
     Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label. Nothing is
     done while tiles are missing, or if all is done. ``held`` is called before each write, and raises if another run has
-    the store; ``written`` gets each tile that is written, and its record.
+    the store.
     """
     from workers.attractors.basins import Table, added, fixed_values
 
@@ -55,7 +50,7 @@ def complete_basins(
             if beyond[part].any():
                 arrays = read_tile(header, index)
                 arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
-                written(index, write_tile(header, index, arrays, held))
+                write_tile(header, index, arrays, held)
     regimes = (read_tile(header, index, [REGIME.name])[REGIME.name] for index in tiles)
     solved = sum(int((regime != INVALID).sum()) for regime in regimes)
     columns = _columns(header, table, labels, solved)

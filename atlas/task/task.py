@@ -18,7 +18,7 @@ from atlas.overview.pyramid import opened
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import Place, place_of
 from atlas.store.outage import BRIEF, LONG
-from atlas.store.records import read_record
+from atlas.store.records import read_record, single_records
 from atlas.store.schema import extra_sizes
 from atlas.store.sidecar import claim_token, notes_of
 from atlas.store.store import ROOT, Header, is_done, read_header
@@ -105,7 +105,7 @@ class Receipt:
 
 @dataclass(frozen=True)
 class Made:
-    """What a job reports that is no tile: the tiles that it wrote with their records, and what it could not make."""
+    """What a job reports that is no tile: new records of tiles, and what it could not make."""
 
     index: tuple[int, ...]
     records: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
@@ -128,9 +128,10 @@ def make_chunk(job: Job) -> Made:
 def label_basins(job: Job) -> Made:
     """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
     with file_errors(job.store):
-        header, records = header_of(job), list[tuple[tuple[int, ...], tuple[float, ...]]]()
-        complete_basins(header, held(header, job), lambda index, row: records.append((index, tuple(row.tolist()))))
-    return Made(job.index, tuple(records))
+        header = header_of(job)
+        complete_basins(header, held(header, job))
+        # All of them: an attempt that died may have written a tile again.
+        return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
 
 
 def solve_and_write(job: Job, solver: Solver | None = None) -> Receipt:
