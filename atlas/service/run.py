@@ -81,8 +81,8 @@ def complete(
 ) -> Summary:
     """Make or complete a store; see ``run``.
 
-    ``origin`` is the store whose cells it reuses. RunError also if the store is not of run ``run_id``, where given; a
-    new one gets this run id.
+    ``origin`` is the store whose cells it reuses. ``run_id``, if given, is that of the run that the store belongs to,
+    else RunError; a new store gets it.
     """
     leave_if_bootstrapping()
     check_client(client, options)
@@ -118,7 +118,7 @@ def complete(
 def _check(
     spec: Spec, place: Place, header: Header | None, options: RunOptions, origin: Origin | None, run_id: str
 ) -> None:
-    """InputError or RunError unless the store at a place may be made, or be completed where it has a header."""
+    """InputError or RunError unless a run may make the store at a place, or complete the one with this header."""
     check_run(place, spec, header)
     retry = options.retry is not None
     if header is None:
@@ -144,7 +144,7 @@ def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
 
 
 class _Run:
-    """A run whose store is claimed: what is due there, what has come of it, and the end."""
+    """A run whose store is claimed: the tiles due, handing them out, and the end."""
 
     def __init__(self, header: Header, workers: int, claim: Claim, options: RunOptions) -> None:
         self.header, self.claim, self.options, self.doing = header, claim, options, "solving"
@@ -163,11 +163,11 @@ class _Run:
             self.totals = Totals(plan, plan.tiling.count, plan.tiling.cells, int(self.stored.done.sum()), cells)
 
     def held(self) -> None:
-        """Raise where another run has the store: to be called before each write."""
+        """Raise RunError if another run has the store; called before each write."""
         self.claim.confirm(self.header.place)
 
     def begin(self) -> None:
-        """Give the store what it lacks, and drop what overviews say of tiles that are solved again."""
+        """Give the store the arrays that it lacks, and drop the overviews of tiles that are solved again."""
         totals, retry, stage = self.totals, self.options.retry, "starting"
         if retry is not None:
             stage = f"solving {plural(totals.cells, 'cell')} in {plural(totals.tiles, 'tile')} again"
@@ -217,7 +217,7 @@ class _Run:
             raise
 
     def _make(self, force: Workforce[Job, Receipt | Made], jobs: list[Job]) -> None:
-        """Have what is not a tile made; a chunk of the overviews that fails is left to ``finish``, which says why."""
+        """Have workers do jobs that are no tiles. An overview chunk that fails is left to ``finish``, which says why."""
         for outcome in force.outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
@@ -281,11 +281,11 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 @contextmanager
 def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
-    """The claim of a store. What dead runs left half made is removed when it begins, their notes when it ends.
+    """Hold the claim of a store. Leftovers of dead runs are removed when it begins, their notes when it ends.
 
-    Its beats have the place's own patience: one that fails is followed by another, and none may delay for long the end
-    of a run whose store is away. Only removing the notes waits as long as the options say; and a run waits that long
-    for a beat to succeed, since what it writes meanwhile is written only after a look at the claim.
+    A beat waits only for the place's own patience: another follows, and none should delay the end of a run whose store
+    is away. To remove the notes, and for a beat to succeed, a run waits as long as the options say; meanwhile nothing
+    is written without a look at the claim.
     """
     notes = notes_of(waiting(place, options.patience))
 

@@ -37,16 +37,16 @@ class Notes(Protocol):
         """Remove a note that holds the expected bytes; False if it does not."""
 
     def drop(self, name: str) -> None:
-        """Remove a note, whatever it holds: only for its maker, and where nobody else would put another one."""
+        """Remove a note, whatever it holds: only for its maker, if nobody else would put another one."""
 
     def clear(self, keep: str) -> None:
         """Remove all notes but one: only for who holds that one."""
 
 
 def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
-    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside.
+    """The notes of a store: next to it, since a claim comes before the store and Zarr owns its inside.
 
-    Of a store that is named by a link they are next to what the link leads to: a store has one claim.
+    If the store's path is a link, they are next to its target, so that a store has one claim.
     """
     place = place_of(store)
     if isinstance(place, ObjectPlace):
@@ -67,9 +67,9 @@ def claim_token(notes: Notes) -> str:
 
 @dataclass(frozen=True)
 class Folder:
-    """Notes as files of a folder. A file's own lock, held for an instant, makes a conditional write whole.
+    """Notes as files of a folder. A lock on the file, held for an instant, makes a conditional write atomic.
 
-    Notes are overwritten in place: that needs no room, so a full disk does not cost a run its claim.
+    Notes are overwritten in place, which needs no room: a run on a full disk keeps its claim.
     """
 
     path: Path

@@ -47,8 +47,8 @@ class Retry:
     def selects(self, stored: dict[str, np.ndarray]) -> np.ndarray:
         """Mask of the cells of a stored tile that are to be solved again.
 
-        A cell comes out the same with what it had: an undetermined one needs a larger budget, a chaotic or aperiodic
-        one a longer survival. So an interrupted retry resumes where it stopped.
+        Only more of a setting changes a result: an undetermined cell needs a larger budget, a chaotic or aperiodic one
+        a longer survival. So an interrupted retry resumes where it stopped.
         """
         regime = stored[REGIME.name]
         chosen = np.isin(regime, self.regimes)
@@ -97,7 +97,7 @@ def solve_again(
     """The arrays of stored cells, with the selected ones solved again.
 
     ``cells`` holds the parameters of every cell of the tile, each in the tile's shape. Cells are solved from their
-    beginning, so that they have the bits of an atlas whose spec gives them as much.
+    beginning, so that they have the bits of an atlas whose spec has these settings.
     """
     from workers.tile import solve_tile
 
