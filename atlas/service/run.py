@@ -217,7 +217,7 @@ class _Run:
             raise
 
     def _make(self, force: Workforce[Job, Receipt | Made], jobs: list[Job]) -> None:
-        """Have workers do jobs that are no tiles. An overview chunk that fails is left to ``finish``, which says why."""
+        """Have workers do other jobs than tiles. A failed overview chunk is left to ``finish``, which says why."""
         for outcome in force.outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
