@@ -141,6 +141,10 @@ def test_a_coordinator_that_starts_again_hands_a_refusal_on_to_another_worker(
     asked = refuse(lambda: get_worker().address == asked[0], monkeypatch)
     refusal = restarted(two, task_of(header.path), header.run_id)
     assert refusal == Refusal(asked[0], "has another solver")
+    for _ in range(200):  # the scheduler may hear of the next one after this client has its answer
+        if len({*asked}) == 2:
+            break
+        time.sleep(0.05)
     until_idle(two)
     assert len({*asked}) == 2
     assert read_status(header).fraction == 1
