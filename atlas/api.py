@@ -81,7 +81,7 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     (48, 4)
     """
     made = make_plan(spec, workers)
-    return probed(spec, made, lambda progress: None) if probe else made
+    return probed(made, lambda progress: None) if probe else made
 
 
 def status(store: str | os.PathLike[str]) -> Status:

@@ -64,7 +64,7 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
         "b": {"start": 0.05, "stop": 0.5, "num": cells},
     }
     spec = Spec("two-mass", axes=axes, store={"tile": [tile, tile]})
-    header = find(path, spec) or create(path, spec, (tile, tile))
+    header = find(path) or create(path, spec, (tile, tile))
     done = done_tiles(header)
     missing = [each for each in header.tiling.tiles() if each.index not in done]
     begin = time.perf_counter()
@@ -75,8 +75,6 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
         write_tile(header, each.index, synthetic(spec, each))
     put_together(header)
     middle = time.perf_counter()
-    for each in missing:
-        overviews.add(each.index)
     print("writing overviews", file=sys.stderr)
     overviews.finish()
     return {"tiles": middle - begin, "overviews": time.perf_counter() - middle}

@@ -56,8 +56,8 @@ WORKERS = (125, 250, 500, 1000)
 PER_PROCESS = 500
 """Pretended workers in one process: more, and its interpreter is what is measured."""
 REPLACED = """\
-replaced: what a worker does for a run and for a tile (it sleeps, solves nothing, writes nothing); workers are many to a
-process; scheduler, coordinator, workers and the server of objects share the processors of this machine"""
+replaced: what a worker does for a run and for a tile (it sleeps, solves nothing, writes marks of overviews alone);
+many workers share a process; scheduler, coordinator, workers and the server of objects share this machine"""
 
 
 def spec_of(side: int) -> atlas.Spec:

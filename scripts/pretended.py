@@ -1,7 +1,8 @@
 """Pretended workers: real Dask workers, each with a connection of its own, whose tiles are sleep.
 
 Of what a worker does, the setup for a run and the tile itself are replaced: it checks nothing, sleeps a drawn time and
-returns a receipt of the right form; a chunk of the overviews is made at once. Nothing is solved and nothing is written.
+returns a receipt of the right form; of a chunk of the overviews it puts the mark that it is there. Nothing is solved
+and nothing else is written.
 All else is Dask's and the project's own.
 
 Usage: python -m scripts.pretended ADDRESS WORKERS SECONDS FOLDER [SEED]
@@ -17,11 +18,13 @@ from typing import Any
 import dask
 from distributed import Worker, get_worker
 
+from atlas.overview.pyramid import level_key
 from atlas.service import batches
+from atlas.store.location import place_of
 from atlas.store.record import CELLS, WIDTH
 from atlas.task import task
-from atlas.task.task import Job, MadeChunk, Receipt
-from workers.results import PENDING, PERIODIC
+from atlas.task.task import Job, Made, Receipt
+from workers.results import PENDING, PERIODIC, REGIME
 
 TOGETHER = 50
 """Workers that connect at once."""
@@ -36,12 +39,13 @@ def pretend(seconds: float, draw: random.Random) -> None:
     row[CELLS.start + PERIODIC - PENDING] = CELLS_OF_TILE
 
     async def sleep(_act: object, job: Job) -> batches.Done[Any]:
-        if job.index[0] < 0:
-            return batches.Done(get_worker().address, MadeChunk(job.index))
+        if job.level:
+            await asyncio.to_thread(place_of(job.store).put, level_key(job.level, REGIME, job.index), b"")
+            return batches.Done(get_worker().address, Made(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))
         solved, counts = time.perf_counter() - begin, {"periodic": CELLS_OF_TILE}
-        receipt = Receipt(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row), overview=True)
+        receipt = Receipt(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
         return batches.Done(get_worker().address, receipt)
 
     batches.work = sleep  # type: ignore[assignment]

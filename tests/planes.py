@@ -1,6 +1,11 @@
 """A small plane for tests of planning, storing and running."""
 
+import os
+
 import atlas
+from atlas.store import store
+from atlas.store.location import Place, place_of
+from atlas.store.making import check_run
 
 
 def plane_of(tile: tuple[int, int] = (2, 3), **changes: object) -> atlas.Spec:
@@ -12,3 +17,11 @@ def plane_of(tile: tuple[int, int] = (2, 3), **changes: object) -> atlas.Spec:
         solve={"max_periods": 500, "tolerance": 0.1, "section_samples": 2},
         store={"tile": tile},
     )
+
+
+def find(path: str | os.PathLike[str] | Place, spec: atlas.Spec) -> store.Header | None:
+    """The header of a store that a run of this spec may complete, None where it may make one; see ``check_run``."""
+    place = place_of(path)
+    header = store.find(place)
+    check_run(place, spec, header)
+    return header

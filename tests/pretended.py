@@ -7,12 +7,14 @@ import asyncio
 import heapq
 import itertools
 from collections import Counter
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from atlas.service.batches import Done
+from atlas.service.batches import Done, Labour
+from atlas.service.dispatch import Workers, workforce
 from atlas.service.fitness import Failure
+from atlas.service.timing import TIMING, Timing
 
 
 @dataclass(frozen=True)
@@ -126,3 +128,11 @@ class Cluster:
     def _result(self, future: PretendedFuture) -> object:
         reason = self.fails(future.worker, future.job)
         return Failure(future.worker, reason) if reason else Done(future.worker, future.job)
+
+
+def outcomes(
+    client: Any, labour: Labour[Any, Any], jobs: Iterable[Any], tick: Callable[[Workers], None], timing: Timing = TIMING
+) -> Iterator[Any]:
+    """The outcomes of jobs, the only ones of their run."""
+    with workforce(client, labour, timing) as force:
+        yield from force.outcomes(jobs, tick)

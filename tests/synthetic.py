@@ -165,9 +165,9 @@ def assert_overviews_are_of(header: store.Header) -> None:
 
 
 def store_levels(header: store.Header) -> int:
-    from atlas.overview.pyramid import levels_of
+    from atlas.overview.pyramid import Pyramid
 
-    return levels_of(header).count
+    return Pyramid(header).levels.count
 
 
 def mode(block: np.ndarray) -> int:

@@ -13,16 +13,22 @@ from distributed import Client
 
 import atlas
 from atlas import render
+from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.query.basins import basin_entropy, table, uncertainty_exponent
+from atlas.store.records import Records, RunRecords
 from atlas.store.store import read_header
+from atlas.store.tiles import read_tile, write_tile
+from atlas.task import basins
+from atlas.task.attempt import do_job
 from atlas.task.basins import complete_basins
+from atlas.task.task import LABELS, Job, Made
 from tests.test_oracle import FIG3
 from workers import Settings, solve_tile
 from workers.attractors.basins import solve_basins
 from workers.attractors.starts import Starts
-from workers.results import NO_IMPACT, PERIODIC
+from workers.results import BEYOND_TABLE, NO_IMPACT, PERIODIC
 
 PLANE = {"x1": np.linspace(-0.09, 0.09, 7)[None, :], "v1": np.linspace(-1.0, 1.0, 9)[:, None]}
 SECOND = {"x2": 0.03, "v2": -0.2}
@@ -134,6 +140,33 @@ def test_nothing_is_labelled_after_the_claim_of_the_store_is_lost(solved: Path, 
     with pytest.raises(RunError, match="another run has this store"):
         complete_basins(read_header(store), lost)
     assert {path: path.read_bytes() for path in store.rglob("*") if path.is_file()} == before
+
+
+def test_what_an_attempt_to_label_wrote_before_it_died_is_recorded_by_the_next(
+    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Path(shutil.copytree(solved, tmp_path / "basins.zarr"))
+    header = read_header(store)
+    beyond = read_tile(header, (0, 0))
+    beyond["label"][...] = BEYOND_TABLE
+    write_tile(header, (0, 0), beyond)
+    shutil.rmtree(store / "attractors")
+    run = RunRecords(header, Records(header), np.zeros(header.tiling.grid, dtype=bool))
+    job = Job((), str(store), header.run_id, header.solver_version, level=LABELS)
+
+    def dies(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(basins, "write_table", dies)
+        with pytest.raises(KeyboardInterrupt):
+            do_job(job)
+    made = do_job(job)
+    assert isinstance(made, Made)
+    for index, record in made.records:
+        run.add(index, record)
+    run.compact(lambda: None)
+    assert verify(store, sample=0).fine
 
 
 def test_the_table_has_shares_mirror_images_and_section_points(solved: Path) -> None:

@@ -303,7 +303,7 @@ def test_a_picture_that_cannot_be_made_is_refused(folder: Path) -> None:
 
 INTERRUPTED = """
 import os, signal, sys
-from atlas.service import progress
+from atlas.cli import progress
 from atlas.cli.main import main
 
 class Interrupting(progress.LogReporter):

@@ -21,12 +21,12 @@ from atlas.curves.cells import CellOrbits
 from atlas.curves.following import events_between, follow_event, lies_on
 from atlas.curves.plane import plane_of
 from atlas.curves.settings import CurveSettings
+from atlas.curves.stored import part_names
 from atlas.curves.table import read_curves, write_curves
 from atlas.errors import InputError
 from atlas.service.curves import CurvesSummary, find_curves
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
-from atlas.store.curves import part_names
 from atlas.store.store import create, read_header
 from atlas.store.tiles import write_tile
 from tests import synthetic

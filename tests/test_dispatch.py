@@ -11,11 +11,12 @@ import pytest
 from distributed import Client
 
 from atlas.service import batches, dispatch, setup
-from atlas.service.dispatch import Labour, Workers, outcomes
+from atlas.service.batches import Labour
+from atlas.service.dispatch import Workers
 from atlas.service.fitness import FAILURES
 from atlas.service.summary import TileFailure
 from atlas.service.timing import Timing
-from tests.pretended import Cluster, Numbered
+from tests.pretended import Cluster, Numbered, outcomes
 
 WORKERS = [f"tcp://10.0.{k // 250}.{k % 250}:1" for k in range(1000)]
 BAD = WORKERS[0]
@@ -131,8 +132,8 @@ def test_a_result_that_is_lost_with_its_worker_holds_up_no_other(
 
 
 @contextmanager
-def no_setup(client: object, name: str, act: Any, *_: object) -> Iterator[Any]:
-    yield act
+def no_setup(client: object, labour: Labour[Any, Any], seconds: float) -> Iterator[Any]:
+    yield labour.act
 
 
 @pytest.fixture(autouse=True)

@@ -15,6 +15,7 @@ import atlas
 from atlas.explore import kept
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
+from atlas.explore.patch import solve_patch
 from atlas.explore.sheets import SheetKey
 from atlas.explore.subject import Plane, Subject, subject_of
 from atlas.explore.tiles import Tiles
@@ -23,7 +24,6 @@ from atlas.service.lease import claimed
 from atlas.store.sidecar import notes_of
 from atlas.store.store import read_header
 from atlas.store.zoom import sheet_place, sheets
-from atlas.task.patch import solve_patch
 from workers.results import INVALID, PENDING, REGIME
 
 

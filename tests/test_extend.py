@@ -14,8 +14,9 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.extend import extend, keep_values, refined
+from atlas.service.extend import extend
 from atlas.spec.axis import Axis
+from atlas.spec.grown import keep_values, refined
 from atlas.store.machine import machine_of
 from atlas.store.machines import machines, record_machine
 from atlas.store.store import create, done_tiles, read_header

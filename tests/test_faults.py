@@ -104,7 +104,7 @@ def test_a_tile_that_kills_every_process_is_marked_failed_with_the_reason(
 ) -> None:
     run, ended = faulty
     assert (read_tile(read_header(run.store), (0, 1))["regime"] == FAILED).all()
-    reason = "the process that solved its tile died, each of 3 times (signal 9, SIGKILL)"
+    reason = "the process that solved them died each of 2 times (signal 9, SIGKILL)"
     assert f"4 failed cells: {reason}" in ended.stdout
 
 
@@ -244,7 +244,7 @@ def test_a_tile_whose_first_attempt_did_not_live_runs_in_a_process_of_its_own(
     made: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notes_of(made.store).put("started-1-1", b"1", expected=None)
-    monkeypatch.setattr(attempt, "solve_and_write", None)  # not in this process
+    monkeypatch.setattr(jobs, "_solve_part", None)  # not in this process
     receipt = run_job(made)
     assert receipt.cells == sum(receipt.counts.values()) == 6
     assert done_tiles(read_header(Path(made.store))) == {(1, 1)}

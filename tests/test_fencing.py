@@ -18,9 +18,9 @@ import atlas
 from atlas.errors import RunError
 from atlas.overview.upkeep import Overviews
 from atlas.service import run as running
-from atlas.service.extend import refined
 from atlas.service.lease import Claim, Record
 from atlas.service.progress import Progress
+from atlas.spec.grown import refined
 from atlas.store.location import LocalPlace
 from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction
@@ -135,7 +135,7 @@ def test_a_tile_that_kills_its_process_is_not_marked_after_the_claim_is_lost(
     job = new_store(tmp_path, finished)
     take_over(Path(job.store))
     notes_of(job.store).put("started-1-1", b"1", expected=None)
-    monkeypatch.setattr(attempt, "run_isolated", lambda job: "it died")
+    monkeypatch.setattr(attempt, "solve_isolated", lambda job, slices: "it died")
     before = contents(Path(job.store))
     with pytest.raises(RefusedError, match=LOST):
         run_job(job)
@@ -204,14 +204,14 @@ def test_the_looks_at_the_claim_cost_two_reads_a_tile(
 def test_every_job_of_a_run_has_the_token_of_its_claim(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, tokens = running.tile_outcomes, set()
+    whole, tokens = running.tile_labour, set()
 
-    def looking(cluster: Client, job: Job, *given: Any) -> Any:
+    def looking(job: Job, cells: int) -> Any:
         record = Record.unpack(notes_of(job.store).read(CLAIM) or b"")
         tokens.add((job.claim, record and record.token))
-        return whole(cluster, job, *given)
+        return whole(job, cells)
 
-    monkeypatch.setattr(running, "tile_outcomes", looking)
+    monkeypatch.setattr(running, "tile_labour", looking)
     atlas.run(plane, tmp_path / "out.zarr", client=client)
     ((job, claim),) = tokens
     assert job == claim != ""

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from atlas import Spec
 from atlas.cli.main import main
 from atlas.errors import LONGEST_LINE, InputError
-from atlas.service.extend import refined
+from atlas.spec.grown import refined
 from atlas.store.location import place_of
 from atlas.store.store import create
 from tests.fuzzing import fuzz

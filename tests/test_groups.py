@@ -12,6 +12,7 @@ import pytest
 
 import atlas
 from atlas.check.verify import verify
+from atlas.curves.stored import put_part
 from atlas.curves.table import read_curves, write_curves
 from atlas.errors import ChunkError, InputError
 from atlas.labels.table import Count, Labels, stored_count, write_labels
@@ -19,10 +20,9 @@ from atlas.query.open import open_table
 from atlas.service.lease import CLAIM
 from atlas.service.progress import Progress
 from atlas.store import store
-from atlas.store.curves import put_part
+from atlas.store.groups import ATTRACTORS, LABELS, write_table
 from atlas.store.schema import StoredArray
 from atlas.store.sidecar import notes_of
-from atlas.store.tables import ATTRACTORS, LABELS, write_table
 from atlas.store.tiles import read_tile, write_tile
 from atlas.store.zoom import make_plane, note_seen, seen_sheets, sheet_place, sheets
 from tests.test_curves_table import BOTH

@@ -24,7 +24,7 @@ tile = [1]
 """
 STRUCK = """
 import os, signal, sys
-from atlas.service import progress
+from atlas.cli import progress
 from atlas.cli.main import main
 
 class Striking(progress.LogReporter):

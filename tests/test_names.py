@@ -13,6 +13,7 @@ import pytest
 import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.curves.export import columns
+from atlas.curves.stored import GROUP as CURVES
 from atlas.curves.table import Curves, as_arrays
 from atlas.errors import InputError
 from atlas.labels.table import _MEANINGS, BRANCH
@@ -22,11 +23,10 @@ from atlas.render import figure, gap
 from atlas.spec.points import POINT
 from atlas.spec.system import checked_system
 from atlas.store import store
-from atlas.store.curves import GROUP as CURVES
+from atlas.store.groups import ATTRACTORS, LABELS
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
-from atlas.store.tables import ATTRACTORS, LABELS
 from tests.test_systems import table
 from workers import Settings, System
 from workers.model.entries import DefinitionError

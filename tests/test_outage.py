@@ -17,13 +17,12 @@ from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.store import outage
 from atlas.store.location import ObjectPlace
-from atlas.store.notes import notes_at_url
-from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import create, done_tiles, find, open_arrays, read_header
+from atlas.store.sidecar import CLAIM, notes_at_url, notes_of
+from atlas.store.store import create, done_tiles, open_arrays, read_header
 from atlas.task.attempt import run_job
 from atlas.task.task import Job, RefusedError
 from tests.loopback import ObjectStore, Trouble, object_store
-from tests.planes import plane_of
+from tests.planes import find, plane_of
 from workers.results import REGIME
 
 pytestmark = pytest.mark.slow

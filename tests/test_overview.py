@@ -18,7 +18,7 @@ import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
 from atlas.overview.coarsen import CODES, coarsen, from_cells
-from atlas.overview.pyramid import Pyramid, drop, levels_of
+from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
@@ -29,7 +29,7 @@ from atlas.store.location import LocalPlace
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, MadeChunk, RefusedError, commit, make_chunk
+from atlas.task.task import Job, RefusedError, commit, make_chunk
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -47,7 +47,7 @@ from tests.synthetic import (
     results,
     spec_of,
 )
-from workers.results import APERIODIC, CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, UNDETERMINED
+from workers.results import APERIODIC, CHAOTIC, FAILED, NO_IMPACT, PENDING, PERIODIC, REGIME, UNDETERMINED
 
 
 @pytest.fixture(scope="module")
@@ -185,8 +185,8 @@ def test_undetermined_cells_are_shown_from_a_sixteenth_of_the_area_on(count: int
 
 
 def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Header) -> None:
-    assert levels_of(shared).count == 3
-    assert levels_of(shared).shape_of(3) == (5, 6)
+    assert Pyramid(shared).levels.count == 3
+    assert Pyramid(shared).levels.shape_of(3) == (5, 6)
 
 
 # In the store
@@ -210,7 +210,7 @@ def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.Header) ->
 
 
 def test_making_overviews_again_makes_nothing(filled: store.Header) -> None:
-    assert keep(filled) == sum(len(list(levels_of(filled).chunks(level))) for level in (1, 2, 3))
+    assert keep(filled) == sum(len(list(Pyramid(filled).levels.chunks(level))) for level in (1, 2, 3))
     assert keep(filled) == 0
 
 
@@ -260,7 +260,7 @@ def test_overviews_that_do_not_say_their_sizes_have_those_fixed_then(default_siz
 def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Header) -> None:
     overviews = Overviews(whole)
     assert overviews.finish() == 0
-    assert levels_of(whole).count == 3
+    assert Pyramid(whole).levels.count == 3
 
 
 @pytest.mark.slow
@@ -325,14 +325,12 @@ def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, clien
     assert_view_is_true(store.read_header(tmp_path / "a.zarr"))
 
 
-def test_finished_parts_have_overviews_before_the_run_ends(header: store.Header) -> None:
+def test_finished_parts_of_an_unfinished_atlas_get_overviews(header: store.Header) -> None:
     keep(header)
-    first = [tile for tile in indices(header) if levels_of(header).over(tile) == (0, 0)]
-    overviews = overviews_of(header)
+    first = [tile for tile in indices(header) if Pyramid(header).levels.over(tile) == (0, 0)]
     for tile in first:
         write_tile(header, tile, results(header, tile))
-        overviews.add(tile)
-    overviews.finish()
+    keep(header)
     coarse = xr.open_zarr(header.path, group="overviews/1").regime.values
     assert np.array_equal(np.argwhere(coarse != PENDING), np.argwhere(np.ones((8, 8))))
     assert_view_is_true(header)
@@ -354,7 +352,6 @@ def test_a_tile_solved_again_refreshes_all_that_lies_over_it_and_nothing_else(wh
     before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
     overviews = Overviews(whole, [(4, 5)])
     write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
-    overviews.add((4, 5))
     assert overviews.finish() == 3
     changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
     over = {1: "2/2", 2: "1/1", 3: "0/0"}
@@ -391,39 +388,39 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.Header, monkeyp
 # By workers
 
 
-def job_of(header: store.Header, index: tuple[int, ...]) -> Job:
-    return Job(index, str(header.path), header.run_id, header.solver_version)
+def job_of(header: store.Header, index: tuple[int, ...], level: int = 0) -> Job:
+    return Job(index, str(header.path), header.run_id, header.solver_version, level=level)
 
 
 def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.Header, whole: store.Header) -> None:
     due = overviews_of(filled)
-    order = []
-    while due:
-        level, index = next(due)
-        assert do_job(job_of(filled, (-level, *index))) == MadeChunk((-level, *index))
-        due.made((level, index))
-        order.append(level)
-    assert due.finish() == len(order) == 14
-    assert sorted(order) == order
+    made = [
+        (level, index)
+        for level in due.levels
+        for index in due.missing(level)
+        if not do_job(job_of(filled, index, level)).fault
+    ]
+    assert len(made) == 14
+    assert not due
     for level in (1, 2, 3):
         group = f"overviews/{level}"
         assert arrays_of(filled.path, group) == arrays_of(whole.path, group)
 
 
-def test_a_chunk_is_given_once_and_when_all_below_it_is_done(header: store.Header) -> None:
+def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_is_done(header: store.Header) -> None:
     fill(header, skip=((0, 0), (4, 5)))
     overviews = overviews_of(header)
-    given = [*overviews]
-    assert given == [(1, index) for index in levels_of(header).chunks(1) if index not in ((0, 0), (2, 2))]
-    overviews.add((0, 0))
-    assert [*overviews] == [(1, (0, 0))]
-    overviews.add((0, 0))
-    assert [*overviews] == []
+    assert overviews.missing(1) == [
+        index for index in Pyramid(header).levels.chunks(1) if index not in ((0, 0), (2, 2))
+    ]
+    write_tile(header, (0, 0), results(header, (0, 0)))
+    assert (0, 0) in overviews.missing(1)
     for index in ((0, 0), (0, 1), (1, 0)):
-        overviews.made((1, index))
-    assert [*overviews] == []
-    overviews.made((1, (1, 1)))
-    assert [*overviews] == [(2, (0, 0))]
+        do_job(job_of(header, index, 1))
+    assert not {(0, 0), (0, 1), (1, 0)} & {*overviews.missing(1)}
+    assert overviews.missing(2) == []
+    do_job(job_of(header, (1, 1), 1))
+    assert overviews.missing(2) == [(0, 0)]
 
 
 def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.Header:
@@ -433,14 +430,19 @@ def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.Header:
     return header
 
 
+def made_of_level_1(header: store.Header) -> set[tuple[int, ...]]:
+    return Pyramid(header).stored(1, REGIME)
+
+
 def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_arrays_to_the_bit(tmp_path: Path) -> None:
     header, other = large(tmp_path / "a.zarr"), large(tmp_path / "b.zarr")
-    assert levels_of(header).chunk == (8, 8)
+    assert Pyramid(header).levels.chunk == (8, 8)
     for index in indices(header):
         made = results(header, index)
         write_tile(other, index, made)
-        assert commit(header, job_of(header, index), made)[1]
-    assert [level for level, _ in overviews_of(header)] == [2, 2, 2, 2]
+        commit(header, job_of(header, index), made)
+        assert Pyramid(header).levels.over(index) in made_of_level_1(header)
+    assert [len(overviews_of(header).missing(level)) for level in (1, 2, 3)] == [0, 4, 0]
     assert keep(other) == 9 + 4 + 1
     assert keep(header) == 4 + 1
     for level in (1, 2, 3):
@@ -455,27 +457,28 @@ def test_overviews_of_chunks_of_whole_tiles_stay_as_they_are(tmp_path: Path) -> 
     top = zarr.open_group(header.path / "overviews", mode="r+", use_consolidated=False)
     assert top.attrs["version"] == 2
     top.attrs["version"] = 1
-    assert levels_of(header).chunk == (16, 16)
-    assert not commit(header, job_of(header, (0, 0)), results(header, (0, 0)))[1]
+    assert Pyramid(header).levels.chunk == (16, 16)
+    commit(header, job_of(header, (0, 0)), results(header, (0, 0)))
+    assert not made_of_level_1(header)
 
 
 @pytest.mark.parametrize("tile", [(8, 8), (7, 9), (17, 16), (16, 8)])
 def test_a_tile_whose_chunk_lies_over_others_too_is_left_to_a_job(tmp_path: Path, tile: tuple[int, int]) -> None:
     header = large(tmp_path / "a.zarr", tile)
-    assert not commit(header, job_of(header, (0, 0)), results(header, (0, 0)))[1]
+    commit(header, job_of(header, (0, 0)), results(header, (0, 0)))
+    assert not made_of_level_1(header)
     fill(header)
     keep(header)
     assert_view_is_true(header)
 
 
 def test_a_run_has_its_workers_make_the_overviews(begun: Path, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[tuple[int, ...]] = []
-    monkeypatch.setattr(attempt, "make_chunk", lambda job: (made.append(job.index), make_chunk(job))[1])
-    monkeypatch.setattr(Overviews, "again", lambda *_: pytest.fail("a chunk was not made"))
+    made: list[tuple[int, tuple[int, ...]]] = []
+    monkeypatch.setattr(attempt, "make_chunk", lambda job: (made.append((job.level, job.index)), make_chunk(job))[1])
     atlas.run(plane_of(), begun, client=client)
-    levels = levels_of(store.read_header(begun))
+    levels = Pyramid(store.read_header(begun)).levels
     assert sorted(made) == sorted(
-        (-level, *index) for level in range(1, levels.count + 1) for index in levels.chunks(level)
+        (level, index) for level in range(1, levels.count + 1) for index in levels.chunks(level)
     )
     assert_view_is_true(store.read_header(begun))
 
@@ -496,9 +499,9 @@ def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: 
     atlas.run(plane_of(), begun, client=client)
     header = store.read_header(begun)
     (begun / "largest" / "c" / "0" / "0").unlink()
-    drop(header, [(0, 0), (2, 2)])
+    Pyramid(header).drop([(0, 0), (2, 2)])
     drop_tile(header, (2, 2))
-    job = job_of(header, (-1, 0, 0))
+    job = job_of(header, (0, 0), 1)
     assert "largest/c/0/0 is missing" in getattr(do_job(job), "fault", "")
     with pytest.raises(ChunkError, match="largest/c/0/0 is missing"):
         atlas.run(plane_of(), begun, client=client)
@@ -508,7 +511,7 @@ def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: 
 def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.Header) -> None:
     overviews_of(filled)
     with pytest.raises(RefusedError, match="has lost its claim"):
-        do_job(replace(job_of(filled, (-1, 0, 0)), claim="another"))
+        do_job(replace(job_of(filled, (0, 0), 1), claim="another"))
     assert not list(filled.place.list_keys("overviews/1/largest/c/"))
 
 
@@ -542,7 +545,6 @@ def survive(header: store.Header, monkeypatch: pytest.MonkeyPatch, writes: int, 
         try:
             overviews = Overviews(header, [tile])  # as a run does, which goes by what the store has
             write_tile(header, tile, results(header, tile, seed=1))
-            overviews.add(tile)
             overviews.finish()
         except Killed:
             return False
@@ -590,7 +592,7 @@ def test_a_run_killed_between_two_levels_is_completed_by_the_next(whole: store.H
         for name in ("regime", "regime_shown"):
             array = root[f"overviews/{level}/{name}"].with_config({"write_empty_chunks": False})
             array[...] = PENDING
-    assert keep(whole) == len(list(levels_of(whole).chunks(1))) + 1
+    assert keep(whole) == len(list(Pyramid(whole).levels.chunks(1))) + 1
     assert_view_is_true(whole)
 
 

@@ -11,7 +11,7 @@ import pytest
 from atlas.store.sidecar import notes_of
 from atlas.store.store import create, read_header
 from atlas.store.tiles import read_tile, write_tile
-from atlas.task import attempt
+from atlas.task import task
 from atlas.task.attempt import run_job
 from atlas.task.retry import Retry
 from atlas.task.task import Job, Receipt
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 PART = (slice(4, 5), slice(0, 4))
 """The part of 4 x 4 cells at the edge of the tile of 5 x 7 that has the cell."""
-REASON = "the process that solved its part of the tile died (signal 9, SIGKILL)"
+REASON = "the process that solved them died each of 2 times (signal 9, SIGKILL)"
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def deadly(job: Job, monkeypatch: pytest.MonkeyPatch) -> Receipt:
             monkeypatch.setenv(name, value)
         if name == "PYTHONPATH":
             monkeypatch.syspath_prepend(value.split(":")[0])
-    monkeypatch.setattr(attempt, "PART", 4)
+    monkeypatch.setattr(task, "PART", 4)
     notes_of(job.store).put("started-0-0", b"1", expected=None)
     return run_job(job)
 

@@ -23,11 +23,11 @@ from atlas.service.status import read_status
 from atlas.store import location as placing
 from atlas.store import store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
-from atlas.store.notes import notes_at_url
 from atlas.store.remote import RemoteStore
+from atlas.store.sidecar import notes_at_url
 from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
-from tests.planes import plane_of
+from tests.planes import find, plane_of
 
 
 @pytest.fixture(scope="module")
@@ -210,9 +210,9 @@ def test_the_root_is_written_last_so_that_a_creation_cut_short_leaves_no_store(
     assert "zarr.json" not in order
     with pytest.raises(InputError, match="no such store"):
         store.read_header(place)
-    assert store.find(place, plane_of()) is None  # what is left is in nobody's way
+    assert find(place, plane_of()) is None  # what is left is in nobody's way
     store.create(place, plane_of(), (2, 3))
-    assert store.find(place, plane_of()) == store.read_header(place)
+    assert find(place, plane_of()) == store.read_header(place)
 
 
 def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,10 +235,10 @@ def test_what_is_not_ours_at_a_url_is_left_alone(bucket: str) -> None:
     place = place_of(f"{bucket}/foreign")
     place.put("thesis.tex", b"mine")
     with pytest.raises(InputError, match=r"holds thesis.tex and is not an atlas"):
-        store.find(place, plane_of())
+        find(place, plane_of())
     zarr.create_group(zarr.storage.ObjectStore(place_of(f"{bucket}/group").client))  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="not an atlas"):
-        store.find(f"{bucket}/group", plane_of())
+        find(f"{bucket}/group", plane_of())
 
 
 def test_the_ledger_is_one_listing(bucket: str, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,7 +290,7 @@ def test_a_status_of_a_finished_atlas_takes_ten_requests_at_most(
 )
 def test_a_url_that_leads_nowhere_is_reported_in_one_line(bucket: str, url: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as told:
-        store.find(url, plane_of())
+        find(url, plane_of())
     assert "\n" not in str(told.value)
 
 
@@ -305,14 +305,14 @@ def test_a_store_that_may_only_be_read_is_refused_before_a_tile_is_solved(
 ) -> None:
     place = place_of(f"{bucket}/readonly/plane.zarr")
     header = store.create(place, plane_of(), (2, 3))
-    assert store.find(place, plane_of()) == header
+    assert find(place, plane_of()) == header
 
     def refused(*_: object) -> bool:
         raise PermissionError(13, "Access Denied")
 
     monkeypatch.setattr(ObjectPlace, "put_new", refused)
     with pytest.raises(InputError, match="cannot be written: Access Denied"):
-        store.find(place, plane_of())
+        find(place, plane_of())
     assert store.read_header(place) == header
 
 
@@ -337,7 +337,7 @@ def test_a_published_store_is_read_from_a_plain_web_server(web: str, tmp_path: P
     atlas.run(plane_of(), tmp_path / "plane.zarr", client=client)
     assert arrays_of(f"{web}/plane.zarr") == arrays_of(tmp_path / "plane.zarr")
     with pytest.raises(InputError, match="cannot be written"):
-        store.find(f"{web}/other.zarr", plane_of())
+        find(f"{web}/other.zarr", plane_of())
 
 
 @pytest.mark.parametrize("given", ["x.zarr", "./x.zarr", "file:///tmp/a%20b/x.zarr"])

@@ -251,7 +251,7 @@ def test_a_table_is_drawn_as_a_sweep_over_its_rows(solved: Path, tmp_path: Path)
 
 def test_a_table_has_no_overviews(tmp_path: Path) -> None:
     spec = atlas.Spec("two-mass", points={"omega": np.linspace(1, 4, 500)})
-    from atlas.overview.pyramid import levels_of
+    from atlas.overview.pyramid import Pyramid
     from atlas.store.store import create
 
-    assert levels_of(create(tmp_path / "out.zarr", spec, (64,))).count == 0
+    assert Pyramid(create(tmp_path / "out.zarr", spec, (64,))).levels.count == 0

@@ -12,7 +12,7 @@ import zarr
 from distributed import Client
 
 import atlas
-from atlas.overview.pyramid import drop
+from atlas.overview.pyramid import Pyramid
 from atlas.query.queries import fractions
 from atlas.query.reads import counted
 from atlas.service.status import Status, read_status
@@ -37,7 +37,7 @@ def half_done(path: Path) -> Header:
     """104 x 88 cells of which every other tile is done, so that no overview is."""
     header = complete(path, (8, 8), spec_of(104, 88), side=32)
     missing = [index for index in indices(header) if sum(index) % 2]
-    drop(header, missing)
+    Pyramid(header).drop(missing)
     for index in missing:
         drop_tile(header, index)
     return header
@@ -138,7 +138,7 @@ def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np
     spec = atlas.Spec("two-mass", axes={"omega": values, "b": np.geomspace(0.1, 5.0, 40)})
     header = complete(tmp_path / "a.zarr", (8, 8), spec, side=32)
     drop_tile(header, (3, 4))
-    drop(header, [(3, 4)])
+    Pyramid(header).drop([(3, 4)])
     record(header)
     ds = atlas.open(header.path)
     with counted() as reads:

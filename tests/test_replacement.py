@@ -81,7 +81,7 @@ def test_a_retry_killed_while_it_writes_a_tile_is_finished_by_the_next_run(
             run_job(job)
     assert done_tiles(header) == everything - {index}  # and so never a mixture
     summary = atlas.run(plane_of_few(), store, client=client)
-    assert (summary.tiles_solved, done_tiles(header)) == (0, everything)
+    assert (summary.cells_solved, done_tiles(header)) == (0, everything)
     assert_solved_again(header, index, before)
     assert listed_tiles(header)[1] == set()
     assert verify(store, sample=0).fine

@@ -22,7 +22,6 @@ from atlas.store.store import create, done_tiles, read_header
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
 from atlas.task.attempt import run_job
-from atlas.task.isolated import run_isolated
 from atlas.task.retry import Retry, checked_retry
 from atlas.task.task import Job
 from workers.results import APERIODIC, CHAOTIC, FAILED, REGIME, UNDETERMINED
@@ -161,7 +160,7 @@ def test_a_tile_that_kills_its_process_in_a_retry_fails_only_in_the_cells_chosen
     before = read_tile(header, index)
     chosen = before["regime"] == UNDETERMINED
     notes_of(store).put("started-" + "-".join(map(str, index)), b"1", expected=None)
-    monkeypatch.setattr(attempt, "run_isolated", lambda job: "it died")
+    monkeypatch.setattr(attempt, "solve_isolated", lambda job, slices: "it died")
     add_allowances(header, [BUDGET])
     receipt = run_job(Job(index, str(store), header.run_id, header.solver_version, Retry((UNDETERMINED,), MORE)))
     assert receipt.reasons == {"it died": int(chosen.sum())}
@@ -351,8 +350,8 @@ def test_a_tile_of_chaotic_cells_is_solved_again_by_a_process_of_its_own_too(wat
     retry = checked_retry(spec, "chaotic", survival=LONG)
     add_allowances(header, retry.raises)
     index = next(i for i in sorted(done_tiles(header)) if (read_tile(header, i)["regime"] == CHAOTIC).any())
-    receipt = run_isolated(Job(index, str(watched), header.run_id, header.solver_version, retry))
-    assert not isinstance(receipt, str)
+    notes_of(watched).put("started-" + "-".join(map(str, index)), b"1", expected=None)
+    receipt = run_job(Job(index, str(watched), header.run_id, header.solver_version, retry))
     assert receipt.cells == (read_tile(header, index)["survival"] == LONG).sum() > 0
 
 

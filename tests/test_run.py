@@ -16,9 +16,10 @@ from distributed import Client, LocalCluster
 import atlas
 import workers
 from atlas.cli.main import main
+from atlas.cli.progress import LogReporter, reporter
 from atlas.errors import InputError, RunError
-from atlas.service.probe import CELLS, estimated
-from atlas.service.progress import LogReporter, Progress, reporter
+from atlas.service.probe import CELLS, with_time
+from atlas.service.progress import Progress
 from atlas.store.store import done_tiles, read_header
 from atlas.task.task import peak_memory
 from tests.planes import plane_of
@@ -137,10 +138,9 @@ def test_a_run_is_probed_only_where_a_probe_would_not_solve_all_of_it(
 ) -> None:
     spec = atlas.Spec("two-mass", {"omega": {"start": 2.0, "stop": 4.0, "num": cells}}, {"b": 5.0})
     told: list[Progress] = []
-    options = atlas.RunOptions(on_progress=told.append, estimate=estimated)
-    atlas.run(spec, tmp_path / "out.zarr", client=client, options=options)
-    assert told[-1].plan is not None
-    assert (told[-1].plan.probe is not None) == probed
+    atlas.run(spec, tmp_path / "out.zarr", client=client, on_progress=with_time(told.append))
+    plan = next(progress.plan for progress in told if progress.plan)
+    assert (plan.probe is not None) == probed
 
 
 def test_a_terminal_shows_speed_and_regimes(tmp_path: Path, plane: atlas.Spec, client: Client) -> None:

@@ -18,9 +18,9 @@ from atlas.errors import InputError
 from atlas.service.extend import extend
 from atlas.spec.resolved import resolved_digest, with_values
 from atlas.store.record import COVERED, RECORD, TILES
-from atlas.store.store import find, read_header
+from atlas.store.store import read_header
 from atlas.store.tiles import put_record, read_tile, record_of
-from tests.planes import plane_of
+from tests.planes import find, plane_of
 from workers import Settings
 
 

@@ -16,14 +16,15 @@ from distributed import Client, get_worker
 
 import atlas
 from atlas.errors import NetworkError
-from atlas.service.dispatch import Labour, Workers, outcomes
+from atlas.service.batches import Labour
+from atlas.service.dispatch import Workers
 from atlas.service.timing import Timing
 from atlas.store.store import create, done_tiles, read_header
 from atlas.task import task as jobs
 from atlas.task.attempt import run_job
 from atlas.task.task import Job, RefusedError
 from tests.planes import plane_of
-from tests.pretended import Numbered
+from tests.pretended import Numbered, outcomes
 from workers import tile as solving
 
 CALLS: dict[str, Counter[str]] = {}

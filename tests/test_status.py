@@ -10,7 +10,7 @@ import atlas
 from atlas.service.lease import Observer, Record
 from atlas.service.process import this_process
 from atlas.service.progress import Progress
-from atlas.service.status import read_status, reported
+from atlas.service.status import Holding, read_status
 from atlas.service.timing import Timing
 from atlas.store import records
 from atlas.store.sidecar import CLAIM, Folder, notes_of
@@ -125,7 +125,7 @@ def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Cl
 
     def look(progress: Progress) -> None:
         if progress.stage == "solving" and 0 < progress.tiles_done < 9:
-            found = reported(Observer(notes_of(path)).look())
+            found = Holding.reported(Observer(notes_of(path)).look())
             seen.append(found and (found.tiles, sum(found.regimes.values())))
 
     timing = Timing(tick=0.0, beat=0.001)

@@ -12,7 +12,7 @@ from atlas.errors import ChunkError, InputError, RunError
 from atlas.store import store
 from atlas.task.attempt import run_job
 from atlas.task.task import Job
-from tests.planes import plane_of
+from tests.planes import find, plane_of
 from tests.synthetic import set_attribute
 from workers.results import REGIMES, result_variables
 
@@ -167,13 +167,13 @@ def test_a_failed_creation_leaves_nothing(tmp_path: Path, plane: atlas.Spec, mon
 
 def test_nothing_yet_is_no_store(tmp_path: Path, plane: atlas.Spec) -> None:
     (tmp_path / "empty").mkdir()
-    assert store.find(tmp_path / "new.zarr", plane) is None
-    assert store.find(tmp_path / "empty", plane) is None
+    assert find(tmp_path / "new.zarr", plane) is None
+    assert find(tmp_path / "empty", plane) is None
     assert [path.name for path in tmp_path.iterdir()] == ["empty"]
 
 
 def test_the_same_spec_may_go_on(header: store.Header) -> None:
-    assert store.find(header.path, plane_of(tile=(5, 5))) == header
+    assert find(header.path, plane_of(tile=(5, 5))) == header
 
 
 @pytest.mark.parametrize(
@@ -198,14 +198,14 @@ def test_the_same_spec_may_go_on(header: store.Header) -> None:
 )
 def test_another_spec_is_refused_by_every_difference(header: store.Header, other: atlas.Spec, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        store.find(header.path, other)
+        find(header.path, other)
 
 
 def test_another_solver_version_is_refused(header: store.Header, plane: atlas.Spec) -> None:
     older = header.solver_version - 1
     set_attribute(header.path, "solver_version", older)
     with pytest.raises(InputError, match=f"made by solver version {older}, this is version {header.solver_version}"):
-        store.find(header.path, plane)
+        find(header.path, plane)
 
 
 def test_an_unknown_format_version_is_refused(header: store.Header) -> None:
@@ -222,7 +222,7 @@ def test_what_is_not_ours_is_refused(tmp_path: Path, plane: atlas.Spec) -> None:
     zarr.create_array(tmp_path / "array.zarr", shape=(2,), dtype="f8")
     for name in ("folder", "file", "foreign.zarr", "array.zarr"):
         with pytest.raises(InputError, match=f"{name}: not an atlas"):
-            store.find(tmp_path / name, plane)
+            find(tmp_path / name, plane)
 
 
 def test_opening_what_does_not_exist_is_refused(tmp_path: Path) -> None:

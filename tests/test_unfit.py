@@ -155,7 +155,7 @@ def test_a_run_whose_workers_are_paused_says_so_to_its_user_and_to_the_status(
 
         def look(progress: Progress) -> None:
             said.append(progress.stage)
-            header = find(tmp_path / "out.zarr", plane) if "paused" in progress.stage else None
+            header = find(tmp_path / "out.zarr") if "paused" in progress.stage else None
             if header is None:
                 return
             status = read_status(header)

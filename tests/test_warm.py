@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from atlas.service.progress import LogReporter, prepare_kernels
+from atlas.cli.progress import LogReporter
+from atlas.service.progress import prepare_kernels
 from atlas.task import compile as warm
 from atlas.task.child import watched
 from tests.faults import ROOT

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 from atlas.check.metadata import copy_faults, restore
+from atlas.curves.stored import GROUP as CURVES
+from atlas.curves.stored import damaged_parts
 from atlas.errors import MADE_BY, ChunkError
 from atlas.overview.pyramid import drop_all
-from atlas.store.curves import GROUP as CURVES
-from atlas.store.curves import damaged_parts
-from atlas.store.groups import drop_group, read_group
-from atlas.store.machines import damaged_machines, forget_machine
+from atlas.store.groups import ATTRACTORS, LABELS, drop_group, read_group
+from atlas.store.machine import UNKNOWN
+from atlas.store.machines import machine_keys, record_machine, recorded_machine
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import Header
-from atlas.store.tables import ATTRACTORS, LABELS
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ def check_groups(header: Header) -> GroupReport:
     copies = copy_faults(header)
     for key in copies:
         found.setdefault(key.partition("/")[0], []).append(f"{key} is damaged, or its copy is")
-    parts, machines = damaged_parts(header), damaged_machines(header)
+    parts = damaged_parts(header)
+    machines = [key for key in machine_keys(header) if recorded_machine(header.place, key) is None]
     faults = [f"{fault}{_remedy(header, group)}" for group, several in found.items() for fault in several]
     faults += [f"{key} is damaged" for key in (*parts, *machines)]
     groups = tuple(group for group in found if group in (CURVES, ATTRACTORS, LABELS, OVERVIEWS))
@@ -58,7 +59,8 @@ def mend_groups(header: Header, report: GroupReport) -> list[str]:
         header.place.remove(key)
         done.append(f"{key} dropped: {MADE_BY[CURVES]} {header.place} finds it again")
     for key in report.machines:
-        forget_machine(header, key)
+        record_machine(header, UNKNOWN)  # that there was one still counts
+        header.place.remove(key)
         done.append(f"{key} replaced by the record of an unknown machine")
     copies = copy_faults(header) if report.copies else {}
     restore(header, {key: copies[key] for key in report.copies if key in copies})

@@ -10,11 +10,11 @@ from atlas.errors import ChunkError, message_of
 from atlas.overview.pyramid import Pyramid
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
+from atlas.store.groups import ATTRACTORS, LABELS
 from atlas.store.machine import MACHINES
 from atlas.store.record import DIGESTS, RECORD, TILES
 from atlas.store.schema import ALLOWANCES, OVERVIEWS, extra_sizes
 from atlas.store.store import ROOT, ZOOM, Header, open_arrays, open_digests, open_group
-from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.store.tiles import covered_variables, object_shape
 
 
@@ -178,3 +178,12 @@ def coordinate_faults(header: Header) -> list[str]:
         if not np.array_equal(values, coordinate.values):
             faults.append(f"coordinate {name} is not the spec's, or missing")
     return faults
+
+
+def restore_coordinates(header: Header) -> None:
+    """Write the coordinates and their copies again, from the spec."""
+    group: Any = open_group(header.place, "r+")
+    for name, coordinate in header.coordinates.items():
+        group[name][...] = coordinate.values
+    for key, data in header.copies.items():
+        header.place.put(key, data)

@@ -16,23 +16,25 @@ import numpy as np
 
 from atlas.check.foreign import foreign_keys
 from atlas.check.groups import check_groups, mend_groups
-from atlas.check.metadata import coordinate_faults, lost_metadata, metadata_faults, restore
+from atlas.check.metadata import coordinate_faults, lost_metadata, metadata_faults, restore, restore_coordinates
 from atlas.check.overviews import check_overviews, drop_unsound
+from atlas.check.records import digest_faults, record_faults, tile_faults
 from atlas.check.report import Fault, Report
 from atlas.check.reproduce import Sample, beyond_error, place_in, solve_again, unequal
 from atlas.check.rules import broken_rules
+from atlas.check.zoom import drop_zoom, plane_faults
 from atlas.errors import ChunkError, InputError
-from atlas.overview.pyramid import drop
+from atlas.overview.pyramid import Pyramid
 from atlas.overview.upkeep import Overviews
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
-from atlas.store.added import add_records, restore_coordinates
+from atlas.store.added import add_records
 from atlas.store.archive import ZipPlace, refuse_packed
 from atlas.store.machine import this_machine
 from atlas.store.machines import machines
 from atlas.store.record import ADDED, COVERED, WIDTH, Rows
-from atlas.store.records import Records, record_faults, tile_faults, write_compaction
+from atlas.store.records import Records, write_compaction
 from atlas.store.schema import ALLOWANCES
 from atlas.store.sidecar import notes_of
 from atlas.store.store import (
@@ -45,9 +47,9 @@ from atlas.store.store import (
     open_digests,
     read_header,
 )
-from atlas.store.tiles import digest_faults, drop_tile, is_blank, read_tile, record_of
+from atlas.store.tiles import drop_tile, is_blank, read_tile, record_of
 from atlas.store.tiling import Tiling
-from atlas.store.zoom import drop_zoom, plane_faults, sheet_place, sheets
+from atlas.store.zoom import sheet_place, sheets
 from atlas.text import plural
 from workers import SOLVER_VERSION
 from workers.results import FAILED
@@ -153,7 +155,7 @@ def _verified(
     if worn:
         restore_coordinates(header)
     drop_unsound(header, overviews)
-    drop(header, bad)  # first: an overview must not outlive what it is of
+    Pyramid(header).drop(bad)  # first: an overview must not outlive what it is of
     for index in bad:
         drop_tile(header, index)
     for key in foreign:

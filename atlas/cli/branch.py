@@ -25,12 +25,13 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_table, to_json
+from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.query.export import write_rows, written_whole
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
 from atlas.render import FORMATS, LOOK, render
-from atlas.service.progress import Progress, prepare_kernels, reporter
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.spec import checked_parameters, checked_settings
 from atlas.spec.system import checked_system
 from atlas.task.compile import ORBITS, kernels_for

@@ -23,13 +23,14 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_attractors, print_table, text, to_json
+from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.query.cell import SolvedCell, solved_cell
 from atlas.query.open import open_atlas
 from atlas.query.window import select as select_plane
 from atlas.render import LOOK, check_path
 from atlas.render import portrait as draw_portrait
-from atlas.service.progress import Progress, prepare_kernels, reporter
+from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
 from atlas.spec.spec import checked_parameters, checked_settings

@@ -20,10 +20,10 @@ from atlas.cli.options import (
     workers_option,
 )
 from atlas.cli.output import to_json
+from atlas.cli.progress import reporter
 from atlas.curves.export import check_path, export
 from atlas.curves.settings import CurveSettings
 from atlas.service.options import RunOptions
-from atlas.service.progress import reporter
 
 _DEFAULTS = {each.name: each.default for each in fields(CurveSettings)}
 

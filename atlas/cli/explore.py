@@ -19,7 +19,8 @@ from atlas.cli.options import (
     timing_of,
     workers_option,
 )
-from atlas.service.progress import prepare_kernels, reporter
+from atlas.cli.progress import reporter
+from atlas.service.progress import prepare_kernels
 
 PACKAGED = "omega-b"
 """What is explored where nothing is named."""

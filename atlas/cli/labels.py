@@ -6,8 +6,8 @@ import click
 
 from atlas.cli.options import examples, interruptible, json_option, store_argument, timing_of
 from atlas.cli.output import to_json
+from atlas.cli.progress import reporter
 from atlas.service.options import RunOptions
-from atlas.service.progress import reporter
 
 
 @click.command(epilog=examples("atlas label coexistence.zarr"))

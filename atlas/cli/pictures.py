@@ -21,6 +21,7 @@ from atlas.cli.options import (
     workers_option,
 )
 from atlas.cli.paper import figures as draw_figures
+from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
 from atlas.query.window import select as selected
@@ -28,7 +29,6 @@ from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.service.options import RunOptions
-from atlas.service.progress import reporter
 
 
 @click.command(

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import click
 
+from atlas.cli import progress
 from atlas.cli.options import (
     INTERRUPTED,
     check_workers,
@@ -23,13 +24,12 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import to_json
 from atlas.errors import InputError
-from atlas.service import progress
 from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
 from atlas.service.options import RunOptions
-from atlas.service.plan import disk_shortage, make_plan
-from atlas.service.probe import estimated, probed
+from atlas.service.plan import make_plan, refuse_shortage
+from atlas.service.probe import probed, with_time
 from atlas.service.run import run as run_spec
 from atlas.service.submit import submit as submit_spec
 from atlas.service.summary import Summary
@@ -62,11 +62,14 @@ def plan(spec: str, out: str, workers: int | None, probe: bool, points: str | No
     made = make_plan(read, workers)
     place = place_of(out)
     refuse_packed(place)
-    if place.local is not None and (shortage := disk_shortage(made, place.local)):
-        say(f"atlas run will refuse this: {shortage}")
+    if place.local is not None:
+        try:
+            refuse_shortage(made, place.local)
+        except InputError as error:
+            say(f"atlas run will refuse this: {error}")
     if probe:
         with progress.reporter(sys.stderr) as show:
-            made = probed(read, made, show)
+            made = probed(made, show)
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
@@ -107,7 +110,7 @@ def run(
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
     check_workers(scheduler, workers)
     read = Spec.from_toml(spec, points)
-    options = RunOptions(workers, scheduler, _tls(**tls), estimate=estimated, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, _tls(**tls), timing=timing_of(ctx))
     line = _line("run", spec, "-o", out, points=points, scheduler=scheduler, workers=workers, **tls)
     with _shown(ctx, options, f"resume with\n  {line}") as shown:
         summary = run_spec(read, out, options=shown)
@@ -183,7 +186,7 @@ def basins(ctx: click.Context, spec: str, out: str, scheduler: str | None, worke
         raise InputError(
             f"{spec}: the axes of basins must be components of the initial state ({states}), found {names}"
         )
-    options = RunOptions(workers, scheduler, estimate=estimated, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, timing=timing_of(ctx))
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
@@ -256,7 +259,7 @@ def extend(
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    options = RunOptions(workers, scheduler, estimate=estimated, timing=timing_of(ctx))
+    options = RunOptions(workers, scheduler, timing=timing_of(ctx))
     with _shown(ctx, options, "the same command resumes") as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)
@@ -267,7 +270,7 @@ def _shown(ctx: click.Context, options: RunOptions, advice: str) -> Iterator[Run
     """The options of a run whose progress is shown; an interruption ends it with the advice how to resume."""
     try:
         with interruptible(), progress.reporter(sys.stderr) as show:
-            yield replace(options, on_progress=show)
+            yield replace(options, on_progress=show if options.retry else with_time(show))
     except KeyboardInterrupt:
         say(f"interrupted: finished tiles are kept; {advice}")
         ctx.exit(INTERRUPTED)

@@ -8,8 +8,8 @@ import click
 from atlas.check.verify import verify as verify_store
 from atlas.cli.options import examples, interruptible, json_option, store_argument, timing_of
 from atlas.cli.output import to_json
+from atlas.cli.progress import reporter
 from atlas.service.pack import pack as pack_store
-from atlas.service.progress import reporter
 from atlas.service.status import Census, read_status, watch
 from atlas.store.store import read_header
 

@@ -11,8 +11,8 @@ from atlas.curves.following import Followed
 from atlas.curves.plane import plane_of
 from atlas.curves.record import curve_from_json
 from atlas.curves.settings import CurveSettings
+from atlas.curves.stored import get_part, put_part
 from atlas.curves.tasks import Task, do
-from atlas.store.curves import get_part, put_part
 from atlas.store.location import place_of
 from atlas.store.outage import LONG
 from atlas.store.store import Header, read_header

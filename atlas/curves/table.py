@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.curves.stored import GROUP, read_arrays, write_arrays
 from atlas.errors import ChunkError, message_of
-from atlas.store.curves import GROUP, read_arrays, write_arrays
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from atlas.cell.attractors import in_words
 from atlas.explore.known import Cell
+from atlas.explore.patch import Patch
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.query.queries import at
-from atlas.task.patch import Patch
 from workers.results import ATTRACTOR
 
 Told = Callable[["Attractors"], None]

@@ -10,13 +10,13 @@ import numpy as np
 from atlas.explore.attractors import Asked, Attractors, Question
 from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.known import Cell, Known
+from atlas.explore.patch import Patch
+from atlas.explore.patches import Events, Patches
 from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TILE, Sight, TileKey
-from atlas.service.patches import Events, Patches
 from atlas.service.timing import TIMING, Timing
 from atlas.store.schema import extra_sizes
-from atlas.task.patch import Patch
 from workers.results import empty_results
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.explore.lattice import Lattice
+from atlas.explore.patch import Patch, packed
 from atlas.explore.view import TileKey
 from atlas.query.attractors import own
 from atlas.query.open import open_atlas
@@ -19,7 +20,6 @@ from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.location import place_of
 from atlas.store.store import Header, read_header
-from atlas.task.patch import Patch, packed
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
 from workers.model.system import System, identity

@@ -17,8 +17,8 @@ from PIL import Image
 
 from atlas.explore.attractors import Attractors
 from atlas.explore.known import Cell
+from atlas.explore.patches import State
 from atlas.explore.subject import Plane, Subject
-from atlas.service.patches import State
 from atlas.spec.system import impacts_of
 from atlas.text import plural
 from workers import Settings

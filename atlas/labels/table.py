@@ -15,10 +15,9 @@ from atlas.errors import ChunkError
 from atlas.labels.attractors import Array, Rows, attractors_of
 from atlas.labels.components import branches
 from atlas.labels.following import followed
-from atlas.store.groups import read_group
+from atlas.store.groups import LABELS, read_group, write_table
 from atlas.store.schema import StoredArray
 from atlas.store.store import Header
-from atlas.store.tables import LABELS, write_table
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, UNKNOWN_LABEL
 

@@ -1,4 +1,4 @@
-"""Coarsening by two: what a cell of an overview says of the cells below it. Arrays in, arrays out.
+"""Coarsening by two: the values of an overview cell from the cells below it. Arrays in, arrays out.
 
 regime         the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
 regime_shown   the class a picture shows: failed if any cell below is, else pending if any is, else undetermined where
@@ -13,7 +13,7 @@ period, impacts_upper, impacts_lower
 other numbers (flags, costs)
                mean over the solved cells; of a flag, the share. ``cells`` is the number of solved cells
 
-Means, counts and shares of a level are those of the cells themselves, whatever number of levels lies between.
+Means, counts and shares are exact at every level: they are those of the cells of the atlas.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,8 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.overview.levels import Levels
-from atlas.spec.spec import Spec
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -82,13 +80,6 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
         if variable.name == LARGEST.name:
             found.append(POSITIVE)
     return (*found, PERIOD_COUNT, CELLS, SHARE, REGIME_SHOWN, REGIME)
-
-
-def overview_bytes(spec: Spec, tile: tuple[int, ...]) -> int:
-    """Bytes of all levels of an atlas, uncompressed."""
-    results = spec.variables
-    sizes = [np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(results)]
-    return Levels(spec.shape, tile, kept=spec.kept).cell_count() * sum(sizes)
 
 
 def count_of(name: str) -> str:
@@ -196,7 +187,7 @@ def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
     same = (triples[:, :, None] == triples[:, None, :]).all(0)
     votes = (same * counts[None]).sum(1) * (counts > 0)
     most = votes == votes.max(0)
-    # Of those with as many, the smallest: first by period, then by impacts.
+    # Among equals the smallest: first by period, then by impacts.
     for values in triples:
         least = np.where(most, values, np.iinfo(np.int32).max).min(0)
         most &= values == least

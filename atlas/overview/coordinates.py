@@ -10,24 +10,15 @@ from atlas.store.store import Header
 from workers.results import REGIMES
 
 
-def level_edges(header: Header, level: int) -> list[NDArray[np.float64]]:
-    """The edges of the cells of a level along each dimension."""
-    found = []
-    for dim, axis in enumerate(reversed(header.spec.axes)):
-        edges = edges_of(np.array(axis.values), axis.scale == "log")
-        step = 1 if dim < header.spec.kept else 2**level
-        found.append(np.append(edges[:-1:step], edges[-1]))
-    return found
-
-
 def level_coordinates(header: Header, level: int, classes: int = CODES.size) -> dict[str, StoredArray]:
-    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of so many classes."""
+    """The coordinates of a level by name: axes with their bounds, fixed parameters, the names of the classes."""
     spec, base, made = header.spec, header.coordinates, {}
-    for axis, edges in zip(reversed(spec.axes), level_edges(header, level), strict=True):
+    for axis in reversed(spec.axes):
         if axis.name in spec.dims[: spec.kept]:
             made[axis.name] = base[axis.name]
             continue
-        bounds = bounds_name(axis.name)
+        edges = edges_of(np.array(axis.values), axis.scale == "log")
+        edges, bounds = np.append(edges[: -1 : 2**level], edges[-1]), bounds_name(axis.name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
         made[axis.name] = StoredArray(centres(edges, axis.scale == "log"), (axis.name,), attributes)
         made[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (axis.name, "bound"), {})

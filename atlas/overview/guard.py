@@ -1,8 +1,7 @@
-"""A Zarr store for reading in which no chunk that is missing or damaged goes unnoticed: it raises, by its name.
+"""A Zarr store for reading that raises, with its name, for each chunk that is missing or damaged.
 
-Zarr alone takes a missing chunk for one of nothing but fill values, and does not say which chunk a checksum belongs
-to. Here a chunk of a finished tile has to be there, and one of an overview that is marked as current; and each has its
-checksum looked at as it comes in.
+Zarr alone takes a missing chunk for fill values, and does not say which chunk a wrong checksum belongs to. Here the
+chunks of finished tiles and of current overviews have to be there, and each checksum is compared as its chunk comes in.
 """
 
 import asyncio
@@ -20,10 +19,10 @@ from zarr.storage import WrapperStore
 
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
+from atlas.store.groups import ATTRACTORS, LABELS
 from atlas.store.remote import zarr_store
 from atlas.store.schema import ALLOWANCES, OVERVIEWS
 from atlas.store.store import ROOT, Header
-from atlas.store.tables import ATTRACTORS, LABELS
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
@@ -45,7 +44,7 @@ class GuardedStore(WrapperStore[Any]):
         self._checked = {each.name for each in (*header.variables, *ALLOWANCES)} | {*header.coordinate_names}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """An object, None where there is none and none has to be."""
+        """An object, None if there is none and none has to be."""
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
@@ -66,12 +65,14 @@ class GuardedStore(WrapperStore[Any]):
         self.chunks_read += not isinstance(byte_range, SuffixByteRequest)  # the index of a shard
         parts = self._parts.get(array, 0) if byte_range is None else 0
         whole = _is_whole_shard(found.to_bytes(), parts) if parts else _is_whole(found.to_bytes())
-        if self._has_checksum(array) and not whole:
+        above, _, name = array.rpartition("/")
+        names = self._complete if above.partition("/")[0] == OVERVIEWS else self._checked
+        if (above in _TABLES or name in names) and not whole:
             raise self._error(key, "is damaged (its checksum is wrong)")
         return found
 
     def _checked_metadata(self, key: str, found: Any) -> Any:
-        """Metadata, unless they are nested so deeply that Zarr's own reading would end in the middle of its work."""
+        """Metadata, unless they are nested so deeply that Zarr's own reader would fail halfway."""
         if found is not None and key.endswith(ROOT):
             try:
                 json.loads(found.to_bytes())
@@ -93,12 +94,6 @@ class GuardedStore(WrapperStore[Any]):
         end = "" if above else self._end
         keys = [f"{above}/{mark}/c{place}{end}".lstrip("/") for mark in marks if mark != name]
         return any([await self._store.exists(key) for key in keys])
-
-    def _has_checksum(self, array: str) -> bool:
-        above, _, name = array.rpartition("/")
-        if above in _TABLES:
-            return True
-        return name in (self._complete if above.partition("/")[0] == OVERVIEWS else self._checked)
 
     def _error(self, key: str, fault: str) -> ChunkError:
         _loops.add(asyncio.get_running_loop())
@@ -131,9 +126,9 @@ def _is_whole_shard(data: bytes, parts: int) -> bool:
 
 
 def abandon_reads() -> None:
-    """End the reads that were under way when one failed: for a process that is about to leave.
+    """End the reads that were under way when one failed, before a process exits.
 
-    Zarr closes its event loop at exit, whatever waits there, and Python complains of each of them on stderr.
+    At exit Zarr closes its event loop with all that waits in it, and Python complains about each on stderr.
     """
 
     async def cancel() -> None:

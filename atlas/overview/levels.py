@@ -1,13 +1,11 @@
 """The geometry of overviews: how many levels an atlas has, their shapes, and which chunk lies over which tile.
 
-A cell of level L stands for a block of 2^L cells along each dimension (fewer at the far ends), but for leading ones
-that are kept as they are: the planes of a stack, the rows of a table. Every level has chunks of the same shape, a whole
-number of tiles or half of a large one, so that a chunk of level 1 lies over whole tiles and a chunk of any later level
-over two chunks of the one before, along each dimension.
+A cell of level L stands for a block of 2^L cells along each dimension, fewer at the far ends. Leading dimensions are
+kept as they are: the planes of a stack, the rows of a table. All levels have chunks of one shape, so that a chunk of
+level 1 lies over whole tiles and a chunk of a later level over two chunks of the level before, along each dimension.
 """
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -26,10 +24,10 @@ class Levels:
     """The levels over a grid of cells.
 
     shape   cells of the grid along each dimension, slowest first
-    tile    cells of a tile, likewise
-    side    cells along each side of a chunk, about: a whole number of tiles
-    halved  whether a chunk has half the side of a tile that is larger, so that one of level 1 lies over one such tile
-    least   the length of a side from which on it is not coarsened again
+    tile    cells of a tile along each dimension
+    side    about how many cells a chunk has along each side: a whole number of tiles
+    halved  whether a chunk has half the side of a larger tile, so that one of level 1 lies over one such tile
+    least   sides of this length or less are not coarsened again
     kept    leading dimensions that no level coarsens
     """
 
@@ -91,18 +89,18 @@ class Levels:
 
     def over_alone(self, tile: Index) -> bool:
         """Whether a tile is all that the chunk of level 1 over it lies over."""
-        below = self.finer(1, self.block(1, self.over(tile)))
-        return bool(self.count) and below == self.cells_of(tuple(slice(i, i + 1) for i in tile))
+        return bool(self.count) and list(self.children(1, self.over(tile))) == [tile]
 
     def above(self, index: Index) -> Index:
         """The chunk of the next level that lies over a chunk of a level."""
         return tuple(i >> times for i, times in zip(index, self.halvings(1), strict=True))
 
     def children(self, level: int, index: Index) -> Iterator[Index]:
-        """The chunks of the level before that a chunk of a level from the second on is made of."""
+        """What a chunk of a level is made of: of level 1, tiles; of a later one, chunks of the level before."""
+        if level == 1:
+            return itertools.product(*(range(s.start, s.stop) for s in self.tiles_below(1, self.block(1, index))))
         ends = zip(index, self.grid(level - 1), self.halvings(1), strict=True)
-        spans = (range(i << times, min(i + 1 << times, n)) for i, n, times in ends)
-        return itertools.product(*spans)
+        return itertools.product(*(range(i << times, min(i + 1 << times, n)) for i, n, times in ends))
 
     def finer(self, level: int, part: Slices) -> Slices:
         """The cells of the level before that make up a part of a level."""
@@ -127,7 +125,3 @@ class Levels:
         return tuple(
             slice(s.start * t, min(s.stop * t, n)) for s, t, n in zip(tiles, self.tile, self.shape, strict=True)
         )
-
-    def cell_count(self) -> int:
-        """Cells of all levels together."""
-        return sum(math.prod(self.shape_of(level)) for level in range(1, self.count + 1))

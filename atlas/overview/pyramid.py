@@ -37,7 +37,7 @@ from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import LEAST, SIDE, Index, Levels
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.build import codecs, consolidate
+from atlas.store.build import codecs, consolidate, create_whole
 from atlas.store.making import metadata_apart
 from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, Header, chunk_key, open_group
@@ -51,8 +51,7 @@ _LOOKS, _PAUSE = 10, 0.2
 """A tile that a run before this one is still writing is unfinished for a moment: looks, and seconds between them."""
 
 _WHOLE, _HALVED = 1, 2
-"""Versions of the form of the levels: with chunks of whole tiles, and with those of half a large tile. Those of another
-version are not read, and made anew by the next run."""
+"""Versions of levels: chunks of whole tiles, and of half a large tile. The next run makes any other version anew."""
 _MOST_OPEN = 4
 """Runs whose overviews a process keeps open."""
 _UNSTATED = {"side": 256, "least": 128, "classes": 8}
@@ -61,24 +60,22 @@ _UNSTATED = {"side": 256, "least": 128, "classes": 8}
 _opened: dict[tuple[str, str], "Pyramid"] = {}
 
 
-def levels_of(header: Header) -> Levels:
-    """The geometry of a store's overviews: as they say of themselves, or as they would be made."""
-    return Pyramid(header).levels
-
-
 class Pyramid:
-    """A store's cells and overviews: read, made and dropped, with the number of chunks read since. Level 0: the cells.
+    """A store's cells, which are level 0, and overviews: read, made and dropped.
 
-    header   of the store
-    root     its group, for reading; no chunk that is missing or damaged passes
+    root     its group, for reading; a chunk that is missing or damaged raises
     made     whether there are overviews at all
     levels   their geometry; ``side`` and ``least`` are those of overviews that are yet to be made
-    classes  how many regimes they know: what was added to the table since is read as a share of 0
+    classes  the number of regimes they know; a regime that was added since has share 0
     """
 
     def __init__(self, header: Header, side: int = SIDE, least: int = LEAST) -> None:
+        import zarr
+
+        from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
+
         self.header = header
-        self.root = _guarded_root(header)
+        self.root: Any = zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False, zarr_format=3)
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
@@ -119,7 +116,7 @@ class Pyramid:
         return path is not None and path.path == name and path.store in (self.root.store, self._plain)
 
     def array(self, level: int, name: str) -> Any:
-        """A variable of a level as a Zarr array; ChunkError where its metadata are damaged."""
+        """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
             with _named(self.header, f"{path}/{ROOT}"):
@@ -127,7 +124,7 @@ class Pyramid:
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
-        """A block of a variable of a level; ChunkError where a chunk of it is missing or damaged."""
+        """A block of a variable of a level; ChunkError if a chunk of it is missing or damaged."""
         array = self.array(level, name)
         with _named(self.header, array.path):
             found = np.asarray(array[block])
@@ -144,10 +141,7 @@ class Pyramid:
         return {index for index in found if index is not None}
 
     def create(self) -> None:
-        """Make the groups of all levels, without a value; the last step says that they are there.
-
-        Those that there are stay, unless a regime was added to the table since.
-        """
+        """Make the groups of all levels, without a value, unless they are there and know all regimes."""
         if self.made and self.classes == CODES.size:
             return
         self.made, self.classes = False, int(CODES.size)
@@ -167,7 +161,7 @@ class Pyramid:
     def make(self, level: int, index: Index, held: Callable[[], None] = lambda: None) -> None:
         """Compute a chunk of a level from the level before and write it, ``regime`` last; no tile below is pending.
 
-        ``held`` is called before the first and the last write, and raises where another run has the store.
+        ``held`` is called before the first and the last write, and raises if another run has the store.
         """
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
@@ -183,7 +177,7 @@ class Pyramid:
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays, held)
 
     def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]], held: Callable[[], None]) -> bool:
-        """Write the chunk of level 1 over a tile that is written, of its arrays; False where it needs other tiles."""
+        """Write the chunk of level 1 over a tile that is written, of its arrays; False if it needs other tiles."""
         if not (self.made and self.levels.over_alone(tile)):
             return False
         names = [variable.name for variable in self.variables]
@@ -232,15 +226,8 @@ class Pyramid:
             "digest": self.header.digest,
         }
         group = top.create_group(str(level), attributes=described)
-        for name, (values, dims, attributes) in level_coordinates(self.header, level).items():
-            group.create_array(
-                name,
-                data=values,
-                chunks=values.shape,
-                dimension_names=dims,
-                compressors=codecs(),
-                attributes=attributes,
-            )
+        for name, coordinate in level_coordinates(self.header, level).items():
+            create_whole(group, name, coordinate)
         results = {variable.name for variable in self.header.variables}
         fixed = " ".join(name for name in spec.parameters if name in self.header.coordinate_names)
         for variable in self.variables:
@@ -271,10 +258,7 @@ class Pyramid:
 
 
 def opened(header: Header, run: str) -> Pyramid:
-    """The overviews of a store for one run, opened once: before its first job they are there, and stay of that form.
-
-    Without the name of a run they are opened anew.
-    """
+    """The overviews of a store, opened once for a run, in which they keep their form; opened anew without a run."""
     key = (str(header.place), run)
     found = _opened.get(key) if run else None
     if found is None:
@@ -285,28 +269,14 @@ def opened(header: Header, run: str) -> Pyramid:
     return found
 
 
-def drop(header: Header, tiles: Iterable[Index]) -> None:
-    """Drop the overviews of these tiles: to be done before any of them is written."""
-    Pyramid(header).drop(tiles)
-
-
 def drop_all(header: Header) -> None:
-    """Drop the overviews as a whole, metadata and all: without its own metadata the group counts as not there."""
+    """Drop the overviews as a whole: without its own metadata the group counts as absent."""
     header.place.remove(f"{GROUP}/{ROOT}")
-
-
-def _guarded_root(header: Header) -> Any:
-    """The root group for reading, on a store that lets no bad chunk pass."""
-    import zarr
-
-    from atlas.overview.guard import GuardedStore
-
-    return zarr.open_group(GuardedStore(header), mode="r", use_consolidated=False, zarr_format=3)
 
 
 @contextmanager
 def _named(header: Header, path: str) -> Iterator[None]:
-    """What reading bytes that nobody wrote raises becomes a ChunkError that names the path."""
+    """Turn what reading damaged bytes raises into a ChunkError that names the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):
@@ -316,10 +286,7 @@ def _named(header: Header, path: str) -> Iterator[None]:
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:
-    """What the overviews of a store say of the shapes of their levels; None where there are none of a known form.
-
-    Metadata that are damaged say nothing.
-    """
+    """The shapes of levels that a store's overviews state; None if there are no sound overviews of a known form."""
     try:
         attributes = dict(root[GROUP].attrs) if GROUP in root else {}
         shapes = {name: int(attributes.get(name, size)) for name, size in _UNSTATED.items()}

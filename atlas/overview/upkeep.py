@@ -1,7 +1,9 @@
-"""The overviews of a store kept up while a run writes its tiles: which of their chunks can be made now."""
+"""The overviews of a store during a run: stale chunks go before the first tile, missing ones are made at the end.
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+The store itself says which chunks are missing and can be made, so that a kill leaves nothing to be remembered.
+"""
+
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -11,17 +13,13 @@ from atlas.overview.pyramid import Pyramid
 from atlas.store.store import Header, done_tiles
 from workers.results import REGIME
 
-Chunk = tuple[int, Index]
-"""A chunk of a level: the level, and its index there."""
 
+class Overviews:
+    """The overviews of a store that a run writes.
 
-class Overviews(Iterator[Chunk]):
-    """The chunks of a store's overviews that can be made now, each given once; more come with ``add`` and ``made``.
-
-    At the beginning, what lies over unfinished tiles and over ``pending`` ones, finished but to be written again, is
-    dropped; what an earlier run finished and did not come to can be made at once. ``held`` is called before each write,
-    and raises where another run has the store. ``side`` and ``least`` are those of ``Levels``; a store that has
-    overviews keeps theirs.
+    At the beginning it makes the groups of all levels, and drops what lies over unfinished tiles and over ``pending``
+    ones, which are finished and are to be written again. ``held`` is called before each write, and raises if another
+    run has the store. ``side`` and ``least`` are those of ``Levels``; a store that has overviews keeps its own.
     """
 
     def __init__(
@@ -35,94 +33,47 @@ class Overviews(Iterator[Chunk]):
     ) -> None:
         self._header, self._held = header, held
         self._pyramid = Pyramid(header, side, least)
-        self._levels = self._pyramid.levels
-        self._missing: dict[Index, int] = {}
-        self._ready: deque[Chunk] = deque()
-        self._given: set[Chunk] = set()
-        self.count = 0
-        if not self._levels.count:
+        self.levels = range(1, self._pyramid.levels.count + 1)
+        if not self.levels:
             return
         held()
         self._pyramid.create()
-        waiting = np.ones([-(-n // t) for n, t in zip(self._levels.shape, self._levels.tile, strict=True)], dtype=bool)
-        for tile in done_tiles(header):
-            waiting[tile] = False
-        for tile in pending:
-            waiting[tile] = True
-        unfinished = [tuple(tile) for tile in np.argwhere(waiting).tolist()]
+        stale = np.ones(header.tiling.grid, dtype=bool)
+        for tile in done_tiles(header) - set(pending):
+            stale[tile] = False
         held()
-        self._pyramid.drop(unfinished)
-        for tile in unfinished:
-            over = self._levels.over(tile)
-            self._missing[over] = self._missing.get(over, 0) + 1
-        self._current = {n: self._pyramid.stored(n, REGIME) for n in range(1, self._levels.count + 1)}
-        for level in self._current:
-            for index in self._levels.chunks(level):
-                self._offer(level, index)
+        self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
 
     def __bool__(self) -> bool:
-        """Whether a chunk can be made now that was not given yet."""
-        return bool(self._ready)
+        """Whether a chunk can be made."""
+        return any(map(self.missing, self.levels))
 
-    def __next__(self) -> Chunk:
-        """The next chunk that can be made; StopIteration where there is none now."""
-        if not self._ready:
-            raise StopIteration
-        return self._ready.popleft()
-
-    def add(self, tile: Index, made: bool = False) -> None:
-        """A tile is written; ``made`` with the chunk of level 1 that lies over it alone."""
-        if not self._levels.count:
-            return
-        over = self._levels.over(tile)
-        self._missing[over] = max(self._missing.get(over, 0) - 1, 0)
-        if made:
-            self._given.add((1, over))
-            self.made((1, over))
-        else:
-            self._offer(1, over)
-
-    def made(self, chunk: Chunk) -> None:
-        """A chunk is made."""
-        level, index = chunk
-        self._current[level].add(index)
-        self.count += 1
-        if level < self._levels.count:
-            self._offer(level + 1, self._levels.above(index))
+    def missing(self, level: int) -> list[Index]:
+        """The chunks of a level that are not there and can be made, since all that lies below them is."""
+        levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
+        below = done_tiles(self._header) if level == 1 else self._pyramid.stored(level - 1, REGIME)
+        wanted = (index for index in levels.chunks(level) if index not in there)
+        return [index for index in wanted if below.issuperset(levels.children(level, index))]
 
     def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
-        """Make all that can be made, here and now; the number of chunks made since the beginning, here or elsewhere.
+        """Make all that can be made, level by level, and return the number of chunks made.
 
-        ``report`` is called before each with the chunks made and known. Raises RunError where a write failed.
+        ``report`` is called before each chunk, with the number made of its level and of all there. RunError if a write
+        fails.
         """
-        first = self.count
-        for level, index in self:
-            report(self.count - first, self.count - first + len(self._ready) + 1)
-            try:
-                self._pyramid.make(level, index, self._held)
-            except (RunError, ChunkError):
-                raise
-            except (OSError, ValueError) as error:
-                raise RunError(
-                    f"{self._header.place}: the tiles done are kept, but the overviews could not be written "
-                    f"({error}); run again to make them"
-                ) from error
-            self.made((level, index))
-        return self.count
-
-    def again(self, chunk: Chunk) -> None:
-        """A chunk that was given is not made, and can be made all the same."""
-        self._ready.append(chunk)
-
-    def _offer(self, level: int, index: Index) -> None:
-        """Have a chunk made that is missing, if all that it is made of is there."""
-        if index in self._current[level] or (level, index) in self._given:
-            return
-        if level == 1:
-            whole = not self._missing.get(index)
-        else:
-            below = self._current[level - 1]
-            whole = all(child in below for child in self._levels.children(level, index))
-        if whole:
-            self._given.add((level, index))
-            self._ready.append((level, index))
+        made = 0
+        for level in self.levels:
+            missing = self.missing(level)
+            for done, index in enumerate(missing):
+                report(done, len(missing))
+                try:
+                    self._pyramid.make(level, index, self._held)
+                except (RunError, ChunkError):
+                    raise
+                except (OSError, ValueError) as error:
+                    raise RunError(
+                        f"{self._header.place}: the tiles done are kept, but the overviews could not be written "
+                        f"({error}); run again to make them"
+                    ) from error
+            made += len(missing)
+        return made

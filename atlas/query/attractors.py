@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 from atlas.cell.attractors import in_words
 from atlas.errors import InputError
 from atlas.query.open import open_table
+from atlas.store.groups import LABELS
 from atlas.store.store import read_header
-from atlas.store.tables import LABELS
 from workers.results import ATTRACTOR, LABEL, PENDING, REGIME
 
 if TYPE_CHECKING:

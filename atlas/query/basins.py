@@ -24,9 +24,8 @@ from atlas.cell.attractors import in_words
 from atlas.errors import InputError
 from atlas.query.open import open_table
 from atlas.query.window import Window, axis_names, within
-from atlas.store.groups import group_attributes
+from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.store import read_header
-from atlas.store.tables import ATTRACTORS
 from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
 

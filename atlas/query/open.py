@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, message_of
-from atlas.store.groups import group_attributes, read_group
+from atlas.store.groups import LABELS, group_attributes, read_group
 from atlas.store.store import Header, read_header
-from atlas.store.tables import LABELS
 from workers.results import LABEL
 
 if TYPE_CHECKING:

@@ -2,16 +2,17 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.overview.coarsen import CODES, SHARE
 from atlas.query.source import PENDING_SHARE, Part, inside
+from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
 from atlas.store.record import AREAS, BY_REASON, Rows
-from atlas.store.records import tile_areas
+from atlas.store.store import Header
 from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 
@@ -55,7 +56,7 @@ class Totals:
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
         """The rows of records, those of tiles that are not done made up, and the mask of the tiles that have one."""
         rows, pending = self.part.records.rows.copy(), ~self.part.done
-        rows[pending, AREAS.start + PENDING_SHARE] = tile_areas(self.part.header)[pending]
+        rows[pending, AREAS.start + PENDING_SHARE] = _tile_areas(self.part.header)[pending]
         return rows, self.part.records.known | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
@@ -130,3 +131,10 @@ def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
         for side in (slice(out.start, within.start), slice(within.stop, out.stop)):
             if side.start < side.stop:
                 yield (*inner[:dim], side, *outer[dim + 1 :])
+
+
+def _tile_areas(header: Header) -> NDArray[np.float64]:
+    """The area of every tile in the units of rows, as an array over the tiles."""
+    widths = zip(widths_along(header.spec), header.tile, strict=True)
+    along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
+    return np.asarray(reduce(np.multiply.outer, along))

@@ -1,6 +1,6 @@
-"""Jobs sent to Dask many at a time, and their results taken many at a time: a request of its own for each costs 5 ms.
+"""Jobs sent to Dask, and their results fetched, many at a time: a request for each takes 5 ms.
 
-The results go through the scheduler. A client that fetched them itself would hold a connection to every worker, and
+The results go through the scheduler: a client that fetched them itself would hold a connection to every worker, and
 take half as long again.
 """
 
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 PAUSE, LONGEST_PAUSE = 5e-3, 50e-3
 """Seconds between two looks at the jobs under way: at few of them, and at many, whose ends make a batch meanwhile."""
 BATCH, HOLD = 16, 0.25
-"""Ends that are waited for, or one in 20 of the jobs under way where that is less, so that no thread runs out of jobs;
-and for how many seconds."""
+"""Ends to wait for, or one in 20 of the jobs under way if that is less, and seconds: no thread may run out of jobs."""
+LEAST_MEMORY = 500_000_000
+"""Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
 MANY = 400
 """Jobs under way that are looked at with the longest pause."""
 
@@ -39,6 +40,23 @@ class Numbered(Protocol):
 
 J = TypeVar("J", bound=Numbered)
 R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Labour(Generic[J, R]):
+    """What workers do, as functions of modules, for one run at a time by this name.
+
+    act       does a job
+    prepare   does, once on each worker, what is to be done before the first job
+    forget    drops what that keeps, at the end
+    memory    bytes that a worker needs for it
+    """
+
+    name: str
+    act: Callable[[J], R]
+    prepare: Callable[[], object]
+    forget: Callable[[], object]
+    memory: int = LEAST_MEMORY
 
 
 @dataclass(frozen=True)
@@ -82,7 +100,7 @@ def work(act: Callable[[J], R], job: J) -> Result[R]:
 
 
 class Batches(Generic[J, R]):
-    """Attempts under way, at jobs that ``act`` does. A result that Dask does not find is waited for ``seconds``."""
+    """Attempts under way at jobs that ``act`` does. A result that Dask does not find is waited for ``seconds``."""
 
     def __init__(self, client: "Client", act: Callable[[J], R], seconds: float) -> None:
         self._client, self._act, self._seconds = client, act, seconds
@@ -94,7 +112,7 @@ class Batches(Generic[J, R]):
         return len(self._running)
 
     def submit(self, attempts: Iterable[Attempt[J]]) -> None:
-        """Submit attempts, together those that may go to the same workers, which costs hardly more than one."""
+        """Submit attempts; those for the same workers together, which costs hardly more than one."""
         together: dict[tuple[str, ...] | None, list[Attempt[J]]] = {}
         for attempt in attempts:
             together.setdefault(attempt.workers, []).append(attempt)

@@ -45,7 +45,7 @@ def _security(tls: Tls | None) -> "Security":
 
 @contextmanager
 def connected(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -> Iterator["Client"]:
-    """A client of the scheduler at an address; InputError where none answers within ``timing.connect`` seconds."""
+    """A client of the scheduler at an address; InputError if none answers within ``timing.connect`` seconds."""
     from distributed import Client
 
     with _quiet():
@@ -74,8 +74,7 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 def local_cluster(count: int) -> Iterator["Client"]:
     """Worker processes of one thread each, reachable from this machine only.
 
-    Dask does not sample what their threads do: nobody looks at that, and Python 3.11 can crash where the frames of a
-    thread are read while it runs.
+    Dask's profiler is off: nobody looks at it, and Python 3.11 can crash when the frames of a running thread are read.
     """
     import dask
     from distributed import Client, LocalCluster
@@ -104,7 +103,7 @@ def local_cluster(count: int) -> Iterator["Client"]:
 
 @contextmanager
 def loss_reported(client: "Client") -> Iterator[None]:
-    """Raise RunError in place of whatever Dask raises where the cluster goes away in the middle of a call."""
+    """Raise RunError in place of whatever Dask raises if the cluster goes away in the middle of a call."""
     from distributed import CancelledError
     from distributed.comm.core import CommClosedError
 
@@ -119,7 +118,7 @@ def loss_reported(client: "Client") -> Iterator[None]:
 
 
 def worker_threads(client: "Client") -> dict[str, int]:
-    """Threads of each worker by its address; RunError where the cluster is gone."""
+    """Threads of each worker by its address; RunError if the cluster is gone."""
     if client.status != "running":
         raise RunError(LOST)
     with loss_reported(client):
@@ -136,7 +135,7 @@ def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
 def count_threads(client: "Client", waiting: Callable[[], None], timing: Timing = TIMING) -> int:
     """Threads of a cluster, once its first worker is there; ``waiting`` is called if it is not yet.
 
-    InputError where none has come within ``timing.worker`` seconds.
+    InputError if none has come within ``timing.worker`` seconds.
     """
     if client.asynchronous:
         raise InputError("client: found an asynchronous one, must be synchronous")

@@ -13,10 +13,12 @@ from atlas.curves.job import CurveJob, CurveReceipt, do_and_keep, prepare, read_
 from atlas.curves.plane import plane_of
 from atlas.curves.search import Search
 from atlas.curves.settings import CurveSettings
+from atlas.curves.stored import drop_parts, get_part, part_names, put_part
 from atlas.curves.table import Curves, read_curves, write_curves
 from atlas.errors import ChunkError, RunError
+from atlas.service.batches import Labour
 from atlas.service.cluster import leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import Labour, Workers, outcomes
+from atlas.service.dispatch import Workers, workforce
 from atlas.service.lease import Claim
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
@@ -24,7 +26,6 @@ from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.run import check_client, claimed_place, joined, worker_count
 from atlas.service.summary import TileFailure
 from atlas.store.archive import ZipPlace, refuse_packed
-from atlas.store.curves import drop_parts, get_part, part_names, put_part
 from atlas.store.location import place_of, waiting
 from atlas.store.store import Header, read_header
 from atlas.task.compile import ORBITS, kernels_for
@@ -98,7 +99,7 @@ def find_curves(
     """Find the curves of a finished plane and keep them in its store; at once where it has them for these settings.
 
     The search runs on ``client`` or as the options say, like ``run``. The same call resumes a search that was stopped.
-    Raises InputError where the store is not a finished plane; see also ``run``.
+    Raises InputError if the store is not a finished plane; see also ``run``.
     """
     options = options.updated(**fields)
     leave_if_bootstrapping()
@@ -187,10 +188,12 @@ class _Coordinator:
             self.options.report(Progress(f"starting {plural(self.workers, 'worker')}"))
             self.client = self.stack.enter_context(local_cluster(self.workers))
             self.begin = time.monotonic()
-        for outcome in outcomes(self.client, self._labour, jobs, self._tick, self.options.timing):
-            if isinstance(outcome, TileFailure):
-                raise RunError(f"a task failed: {outcome.message}; what is found is kept, and the same command resumes")
-            self._count(outcome)
+        with workforce(self.client, self._labour, self.options.timing) as force:
+            for outcome in force.outcomes(jobs, self._tick):
+                if isinstance(outcome, TileFailure):
+                    kept = "what is found is kept, and the same command resumes"
+                    raise RunError(f"a task failed: {outcome.message}; {kept}")
+                self._count(outcome)
 
     def _count(self, receipt: CurveReceipt) -> None:
         self.tasks += 1

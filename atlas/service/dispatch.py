@@ -5,19 +5,19 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Generic
 
 from atlas.errors import RunError
-from atlas.service.batches import Attempt, Batches, Done, J, R, Result
+from atlas.service.batches import LEAST_MEMORY, Attempt, Batches, Done, J, Labour, R, Result
 from atlas.service.cluster import LOST, worker_memory, worker_threads
 from atlas.service.fitness import Failure, Fitness, Refusal, host_of
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
 from atlas.task.attempt import do_job
-from atlas.task.task import Job, MadeChunk, Receipt, forget, prepare
+from atlas.task.task import Job, Made, Receipt, forget, prepare
 from atlas.text import byte_size, duration, plural
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ IN_FLIGHT = 2
 """Tiles under way for each thread: one running, one waiting, so that no thread idles and no queue grows."""
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
-LEAST_MEMORY = 500_000_000
-"""Bytes that a worker needs: with a lower limit Dask pauses it, for the kernels alone take most of them."""
 SMALL, BYTES_PER_CELL = 4096, 750
 """Cells of a tile that this is enough for, and bytes that each further one takes: 200 MB in one of 512 x 512."""
 NAMED = 3
@@ -39,76 +37,38 @@ CHOICES = 64
 
 @dataclass(frozen=True)
 class Workers:
-    """The workers of a run at some moment.
-
-    threads    of all
-    left_out   those that get no job, and why
-    trouble    why no job has ended for a while, empty where nothing is known to be wrong
-    """
+    """The threads of a run's workers, the workers that get no job and why, and why no job has ended for a while."""
 
     threads: int
     left_out: Mapping[str, str]
     trouble: str = ""
 
 
-@dataclass(frozen=True)
-class Labour(Generic[J, R]):
-    """What workers do, as functions of modules, for one run at a time by this name.
-
-    act       does a job
-    prepare   does, once on each worker, what is to be done before the first job
-    forget    drops what that keeps, at the end
-    memory    bytes that a worker needs for it
-    """
-
-    name: str
-    act: Callable[[J], R]
-    prepare: Callable[[], object]
-    forget: Callable[[], object]
-    memory: int = LEAST_MEMORY
-
-
-def tile_outcomes(
-    client: "Client",
-    job: Job,
-    indices: Iterable[tuple[int, ...]],
-    tick: Callable[[Workers], None],
-    timing: Timing = TIMING,
-    cells: int = 0,
-) -> Iterator[Receipt | MadeChunk | TileFailure]:
-    """The outcomes of tiles and chunks of overviews, each a job that differs by its index only; see ``outcomes``.
-
-    ``indices`` may have more after they were at an end: what an outcome makes possible. ``cells`` are those of a tile.
-    """
+def tile_labour(job: Job, cells: int) -> Labour[Job, Receipt | Made]:
+    """What workers do in a run whose jobs differ from this one by tile and level; a tile has that number of cells."""
     ready, done = partial(prepare, job), partial(forget, job.store, job.run_id, job.patience)
-    labour = Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
-    return outcomes(client, labour, map(lambda index: replace(job, index=index), indices), tick, timing)
+    return Labour(job.store, do_job, ready, done, LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL))
 
 
-def outcomes(
-    client: "Client",
-    labour: Labour[J, R],
-    jobs: Iterable[J],
-    tick: Callable[[Workers], None],
-    timing: Timing = TIMING,
-) -> Iterator[R | TileFailure]:
-    """Submit jobs in a window and give each one's outcome as it ends; what is under way is dropped on the way out.
-
-    A job that fails is tried again, elsewhere if there is another worker, on another machine if there is one. A worker
-    at which FAILURES jobs in a row failed gets no more while others do theirs, nor does one with too little memory.
-
-    ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it. Raises
-    RunError where the cluster is lost, no worker may have a job any more, or the store has no room.
-    """
+@contextmanager
+def workforce(client: "Client", labour: Labour[J, R], timing: Timing = TIMING) -> "Iterator[Workforce[J, R]]":
+    """The workers of a cluster, set up for what they are to do until the end of the block."""
     from atlas.service.setup import set_up  # with it Dask, which takes a while to load
 
-    with set_up(client, labour.name, labour.act, labour.prepare, labour.forget, timing.connect) as act:
-        yield from _Window(client, act, jobs, timing, labour.memory).run(tick)
+    with set_up(client, labour, timing.connect) as act:
+        yield Workforce(client, act, timing, labour.memory)
 
 
-class _Window(Generic[J, R]):
-    def __init__(self, client: "Client", act: Callable[[J], R], jobs: Iterable[J], timing: Timing, memory: int) -> None:
-        self.client, self.waiting, self.timing, self.memory = client, iter(jobs), timing, memory
+class Workforce(Generic[J, R]):
+    """The workers of a cluster, and what is known of them.
+
+    A job that fails is tried again, on another worker or machine if there is one. A worker at which FAILURES jobs in a
+    row failed gets no more while others do theirs, nor does one with too little memory.
+    """
+
+    def __init__(self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int) -> None:
+        self.client, self.timing, self.memory = client, timing, memory
+        self.waiting: Iterator[J] = iter(())
         self.running: Batches[J, R] = Batches(client, act, timing.connect)
         self.again: deque[Attempt[J]] = deque()
         self.doubtful: list[Attempt[J]] = []
@@ -117,8 +77,14 @@ class _Window(Generic[J, R]):
         self.most_workers = 0
         self.last_good = self.last_end = time.monotonic()
 
-    def run(self, tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
-        ticked = -math.inf
+    def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
+        """Submit jobs in a window and give each one's outcome as it ends; what is under way at an error is dropped.
+
+        ``tick`` is called about every ``timing.tick`` seconds and after the last outcome, and may raise to end it.
+        Raises RunError if the cluster is lost, no worker may have a job any more, or the store has no room.
+        """
+        self.waiting, ticked = iter(jobs), -math.inf
+        self.last_good = self.last_end = time.monotonic()
         try:
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:
@@ -159,7 +125,7 @@ class _Window(Generic[J, R]):
         return Workers(sum(self.threads.values()), self.fitness.left_out, self.trouble())
 
     def trouble(self) -> str:
-        """Why no job has ended for a while, empty where nothing is known to be wrong."""
+        """Why no job has ended for a while, empty if nothing is known to be wrong."""
         silent = time.monotonic() - self.last_end
         if silent < self.timing.stalled or not self.running:
             return ""
@@ -204,7 +170,7 @@ class _Window(Generic[J, R]):
         self.running.submit(attempts)
 
     def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
-        """The outcome of a job; None where it is to be tried again, or is in doubt."""
+        """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
         if isinstance(result, Done):
             self.fitness.finish(result.worker)
@@ -244,7 +210,7 @@ def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, 
 
 
 def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
-    """Enough workers to choose from for that number of jobs; None where there are none."""
+    """Enough workers to choose from for that number of jobs; None if there are none."""
     enough = CHOICES + 4 * jobs
     return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 

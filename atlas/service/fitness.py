@@ -1,8 +1,8 @@
-"""Which workers are fit for the jobs of a run, as far as the ends of their attempts show.
+"""Which workers are fit for the jobs of a run, judged by how their attempts end.
 
-A worker may refuse: it knows that it cannot do them. Or it fails, and then worker or job may be at fault. A job speaks
-against a worker while it has failed there and at no other worker that has done a job; FAILURES of them in a row, and
-the worker gets no more. What failed at such a worker does not count against the job.
+A worker refuses if it knows that it cannot do the jobs. If it fails, worker or job may be at fault. A job speaks
+against a worker while it has failed there and at no other worker that has done a job. After FAILURES such jobs in a
+row the worker gets no more, and its failures do not count against the jobs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,7 +18,7 @@ HOPELESS = 16
 
 @dataclass(frozen=True)
 class Refusal:
-    """A worker that refuses this run's tiles, and why. ``passing``: the store may answer it later."""
+    """A worker that refuses this run's tiles, and why; ``passing`` if the store may answer it later."""
 
     worker: str
     reason: str
@@ -27,7 +27,7 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Failure:
-    """What a job raised, and on which worker, empty where nobody knows. ``full``: the store has no room."""
+    """What a job raised, and on which worker, empty if unknown; ``full`` if the store has no room."""
 
     worker: str
     reason: str
@@ -75,7 +75,7 @@ class Fitness:
         return {worker: _in_words(jobs) for worker, jobs in unfit.items()} | self.refused
 
     def is_at_fault(self, failures: Iterable[Failure], attempts: int) -> bool | None:
-        """Whether a job has failed that often at fit workers; None where not all of these have done a job yet."""
+        """Whether a job has failed that often at fit workers; None if some of these have not done a job yet."""
         left_out = self.left_out
         workers = [each.worker for each in failures if each.worker not in left_out]
         if len(workers) < attempts:
@@ -83,9 +83,9 @@ class Fitness:
         return True if {*workers} <= self._proven | {""} else None
 
     def restored(self) -> bool:
-        """Give workers that failed another chance, and count what failed there against the jobs.
+        """Give workers that failed another chance, and count their failures against the jobs.
 
-        False where there is no such worker, or too much has failed without a single job done.
+        False if there is no such worker, or too much has failed without a single job done.
         """
         if not self.left_out.keys() - self.refused.keys() or (not self._proven and len(self._failed) >= HOPELESS):
             return False

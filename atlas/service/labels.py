@@ -50,7 +50,7 @@ def label_attractors(
 ) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
-    Returns at once where the store has them. Raises InputError where the store is not a finished atlas of all
+    Returns at once where the store has them. Raises InputError if the store is not a finished atlas of all
     attractors.
     """
     options = options.updated(**fields)

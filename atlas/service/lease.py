@@ -1,12 +1,10 @@
 """Who is at work on a store: one coordinator at a time, proved by a counter that moves, never by a clock.
 
-A claim is one small note outside the store. Its holder increments a counter in it at every beat. Another run that
-finds a claim watches that counter: if it moves, the claim is respected; if it stands still for as long as a dead
-holder's would by the watcher's own clock, or the holder's process is gone, the claim is replaced. All of it rests on
-one operation, "put this note if what is there is still what I read", so that a holder that only slept learns of its
-replacement at its next beat.
-
-Status and cancel only report a claim that is silent, and leave it in place. All times are those of a Timing.
+A claim is one small note outside the store. At every beat its holder increments a counter in it. Another run that
+finds a claim watches the counter. If it moves, the claim stands; if it stands still for ``Timing.dead`` seconds by the
+watcher's own clock, or the holder's process is gone, the claim is replaced. All of it rests on one operation, "put this
+note if what is there is still what I read", so that a holder that only slept learns of its replacement at its next
+beat. Status and cancel report a silent claim, and leave it in place.
 """
 
 import json
@@ -32,7 +30,7 @@ ENDED = "ended"
 
 @dataclass(frozen=True)
 class Record:
-    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty where nothing can.
+    """What a claim says. ``process`` names its holder beyond doubt on this machine, or is empty if nothing can.
 
     ValueError for a field that no holder writes.
     """
@@ -74,13 +72,13 @@ class Record:
 
     @property
     def trouble(self) -> str:
-        """Why the run makes no progress, as its holder reports it; empty where it reports nothing."""
+        """Why the run makes no progress, as its holder reports it; empty if it reports nothing."""
         value = self.progress.get("trouble")
         return one_line(value) if isinstance(value, str) else ""
 
     @property
     def is_alive(self) -> bool | None:
-        """Whether the holder runs; None where this machine cannot know."""
+        """Whether the holder runs; None if this machine cannot know."""
         return is_running(self.pid, self.process)
 
     def __str__(self) -> str:
@@ -90,10 +88,10 @@ class Record:
 class Claim:
     """A claim that is held: its counter moves in a thread of its own, until ``release``.
 
-    ``lost`` says why it is no longer this run's, and is empty while it is. A counter that stands still for
-    ``timing.dead`` seconds, because the store does not answer, leaves that open: another run may replace the claim as
-    soon as the store is back. Then this run does nothing until a beat has succeeded, which it does only where nobody
-    has replaced it. ``patience`` is for how many seconds it waits for that, ``timing.dead`` at least.
+    ``lost`` says why it is no longer this run's, and is empty while it is. If the counter stands still for
+    ``timing.dead`` seconds because the store does not answer, another run may replace the claim as soon as the store is
+    back. Then this run does nothing until a beat succeeds, as it does only if nobody has replaced the claim. It waits
+    for that ``patience`` seconds, ``timing.dead`` at least.
     """
 
     def __init__(self, notes: Notes, record: Record, timing: Timing = TIMING, patience: float = 0.0) -> None:
@@ -111,19 +109,16 @@ class Claim:
         return self._record.token
 
     def report(self, progress: Mapping[str, Any]) -> None:
-        """What the next beats report to the status; the first report is written at once.
-
-        So it comes before the first tile, and nobody counts tiles that the next report, which is older, does not have.
-        """
+        """Set what the next beats report to the status; the first report is written at once, before the first tile."""
         first, self._progress = not self._progress, progress
         if first:
             with suppress(OSError):
                 self._beat()
 
     def check(self, waiting: Callable[[], None] = lambda: None) -> None:
-        """Raise RunError where the claim is no longer this run's, or somebody asked it to stop.
+        """Raise RunError if the claim is no longer this run's, or somebody asked it to stop.
 
-        Where it may be another's, wait until that is known; ``waiting`` is called before each pause.
+        If it may be another's, wait until that is known; ``waiting`` is called before each pause.
         """
         while (silent := time.monotonic() - self._moved) > self._timing.dead and not self.lost:
             if silent > self._most_silent:
@@ -187,10 +182,10 @@ def claimed(
     timing: Timing = TIMING,
     patience: float = 0.0,
 ) -> Iterator[Claim]:
-    """Hold the claim of a store; InputError, naming ``name``, where another run that is alive holds it.
+    """Hold the claim of a store; InputError, naming ``name``, if another run that is alive holds it.
 
-    Watching the claim of a holder that is not known to be dead takes up to ``timing.dead`` seconds; ``say`` gets a
-    line about it. ``patience`` is that of a ``Claim``.
+    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``say`` gets a line about it.
+    ``patience`` is that of a ``Claim``.
     """
     mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
@@ -215,9 +210,9 @@ class Sighting:
     """A claim as it was last seen.
 
     record    None for a damaged claim
-    alive     whether its holder runs, None where this machine cannot know
-    silence   seconds by the observer's own clock since the counter was first seen where it stands
-    timing    from when on such a silence is reported
+    alive     whether its holder runs, None if this machine cannot know
+    silence   seconds by the observer's own clock since the counter was first seen at its present value
+    timing    after how many of them the silence is reported
     """
 
     record: Record | None
@@ -227,7 +222,7 @@ class Sighting:
 
     @property
     def trouble(self) -> str:
-        """Why no run may be at work in spite of this claim; empty where nothing says so."""
+        """Why no run may be at work in spite of this claim; empty if nothing says so."""
         if self.record is None:
             return "the claim is damaged; the next run replaces it"
         if self.alive is False:
@@ -243,31 +238,31 @@ class Sighting:
 class Observer:
     """Looks at a store's claim from outside, and measures for how long its counter stands still.
 
-    A holder that is a process of this machine is known to be alive or gone at once. Of any other a single look says
-    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, ``timing.silent`` seconds
-    at most.
+    If the holder is a process of this machine, it is known at once whether it is alive. Of any other a single look says
+    nothing, since no two machines' clocks agree: ``settle`` looks until the counter moves, for at most
+    ``timing.silent`` seconds. ``mark`` is what the holder alone changes of the claim.
     """
 
     def __init__(self, notes: Notes, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
         self._notes, self._timing, self._sleep = notes, timing, sleep
-        self._mark, self._since = object(), 0.0
+        self.mark, self._since = object(), 0.0
 
     def look(self) -> Sighting | None:
-        """The present claim, None where there is none."""
+        """The present claim, None if there is none."""
+        begin = time.monotonic()
         found = self._notes.read(CLAIM)
-        mark = None if found is None else _mark(found)
-        if mark != self._mark:
-            self._mark, self._since = mark, time.monotonic()
+        mark, now = None if found is None else _mark(found), time.monotonic()
+        if mark != self.mark or now - begin > self._timing.dead / 4:  # the store was away, for its holder too
+            self.mark, self._since = mark, now
         if found is None:
             return None
         record = Record.unpack(found)
-        alive = None if record is None else record.is_alive
-        return Sighting(record, alive, time.monotonic() - self._since, self._timing)
+        return Sighting(record, record.is_alive if record else None, now - self._since, self._timing)
 
     def settle(self) -> Sighting | None:
         """The claim, once it is known to move, to stand still, or to be gone."""
-        seen, first = self.look(), self._mark
-        while seen and seen.record and seen.alive is None and not seen.trouble and self._mark == first:
+        seen, first = self.look(), self.mark
+        while seen and seen.record and seen.alive is None and not seen.trouble and self.mark == first:
             self._sleep(self._timing.look)
             seen = self.look()
         return seen
@@ -280,10 +275,10 @@ def cancel(
     say: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
 ) -> Record:
-    """Ask the run that holds a store to stop, and wait until it has; InputError where no run holds it.
+    """Ask the run that holds a store to stop, and wait until it has; InputError if no run holds it.
 
-    Raises RunError where the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the
-    request stands.
+    Raises RunError if the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the request
+    stands.
     """
     while True:
         found = notes.read(CLAIM)
@@ -315,7 +310,7 @@ def note_end(notes: Notes, text: str) -> None:
 
 
 def noted_end(notes: Notes) -> str:
-    """How the last submitted run ended, empty where it ended well."""
+    """How the last submitted run ended, empty if it ended well."""
     return (notes.read(ENDED) or b"").decode(errors="replace")
 
 
@@ -326,22 +321,18 @@ def _is_abandoned(notes: Notes, name: str, found: bytes, say: Callable[[str], No
         say(f"replacing the claim of {record}, which is gone")
         return True
     say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
-    end = time.monotonic() + timing.dead
-    while time.monotonic() < end:
-        time.sleep(min(timing.look, timing.dead / 4))
-        begin = time.monotonic()
-        now = notes.read(CLAIM)
-        if time.monotonic() - begin > timing.dead / 4:  # the store was away, and its holder could not move it either
-            end = time.monotonic() + timing.dead
-        if now is None:
-            return False  # released meanwhile
-        if _mark(now) != _mark(found):
+    observer = Observer(notes, timing)
+    while (seen := observer.look()) is not None:
+        if observer.mark != _mark(found):
             raise InputError(
-                f"{name}: another run is at work on it ({Record.unpack(now) or record}); wait for it to end, or stop "
-                f"it: atlas cancel {name}"
+                f"{name}: another run is at work on it ({seen.record or record}); wait for it to end, or stop it: "
+                f"atlas cancel {name}"
             )
-    say("replacing a claim without a sign of life")
-    return True
+        if seen.silence >= timing.dead:
+            say("replacing a claim without a sign of life")
+            return True
+        time.sleep(min(timing.look, timing.dead / 4))
+    return False  # released meanwhile
 
 
 def _mark(data: bytes) -> object:

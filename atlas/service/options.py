@@ -6,23 +6,13 @@ from typing import TypedDict, Unpack
 
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
-from atlas.service.plan import Plan
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
-from atlas.spec.spec import Spec
 from atlas.store.outage import LONG
 from atlas.task.retry import Retry
 
 MOST_WORKERS = 1024
 """Processes of a local cluster: more than a machine has processors, and few enough to start."""
-
-
-Report = Callable[[Progress], None]
-
-
-def without_time(spec: Spec, plan: Plan, report: Report) -> Plan:
-    """The plan as it is: nothing is solved to know how long a run will take."""
-    return plan
 
 
 @dataclass(frozen=True)
@@ -33,8 +23,6 @@ class RunOptions:
     scheduler     address of a Dask scheduler, such as ``tcp://host:8786``
     tls           files for an encrypted connection to it
     retry         which cells of finished tiles to solve again; nothing else is solved then
-    estimate      adds an expected time to a plan before the first tile is solved, such as
-                  ``service.probe.estimated``; called with the spec, the plan and a function for progress
     on_progress   called with each Progress; None for a bar in a notebook, and nothing elsewhere
     patience      seconds to wait for a server at a URL that stops answering
     timing        how long the run waits for everything else
@@ -48,7 +36,6 @@ class RunOptions:
     scheduler: str | None = None
     tls: Tls | None = None
     retry: Retry | None = None
-    estimate: Callable[[Spec, Plan, Report], Plan] = without_time
     on_progress: Callable[[Progress], None] | None = None
     patience: float = LONG
     timing: Timing = TIMING
@@ -77,7 +64,6 @@ class RunFields(TypedDict, total=False):
     scheduler: str | None
     tls: Tls | None
     retry: Retry | None
-    estimate: Callable[[Spec, Plan, Report], Plan]
     on_progress: Callable[[Progress], None] | None
     patience: float
     timing: Timing

@@ -6,18 +6,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from atlas.curves.stored import GROUP as CURVES
 from atlas.errors import ChunkError, InputError
 from atlas.service.lease import Observer
 from atlas.service.notebook import reporting
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from atlas.store.archive import SUFFIX, write_zip
-from atlas.store.curves import GROUP as CURVES
-from atlas.store.groups import read_group
+from atlas.store.groups import ATTRACTORS, LABELS, read_group
 from atlas.store.location import place_of
 from atlas.store.sidecar import notes_of
 from atlas.store.store import Header, chunk_key, done_tiles, read_header
-from atlas.store.tables import ATTRACTORS, LABELS
 from atlas.text import byte_size, plural
 
 SHOWN = 3
@@ -58,13 +57,12 @@ def pack(
     on_progress: Callable[[Progress], None] | None = None,
     timing: Timing = TIMING,
 ) -> Packed:
-    """Pack a store, a folder or a URL, into one zip file; the store stays as it is.
+    """Pack a store, a folder or a URL, into one zip file; the store stays as it is, and may be incomplete.
 
     The file's name ends in .zip. It appears whole or not at all, and replaces a file of that name only with ``force``.
-    An incomplete atlas is packed as it is.
-    Raises ChunkError where a chunk of a finished tile, or of a table, is missing; InputError for another suffix, where
-    the file exists, where there is no store, where it contains links or special files, and where a run is at work on
-    it, since the file could then contain part of a tile.
+    Raises ChunkError if a chunk of a finished tile or of a table is missing; InputError for another suffix, if the file
+    exists, if there is no store or it contains links or special files, and if a run is at work on it, since the file
+    could then contain part of a tile.
 
     >>> import atlas
     >>> atlas.pack("plane.zarr", "plane.zip").complete
@@ -112,7 +110,7 @@ def _pack(header: Header, keys: list[str], target: Path, notify: Callable[[Progr
 
 
 def _refuse_links(store: Path) -> None:
-    """InputError where something in a store is neither a folder nor a file of its own."""
+    """InputError if something in a store is neither a folder nor a file of its own."""
     for folder, folders, files in os.walk(store):
         for name in (*folders, *files):
             path = Path(folder) / name
@@ -122,7 +120,7 @@ def _refuse_links(store: Path) -> None:
 
 
 def _refuse_lost(header: Header, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
-    """ChunkError where a chunk is not among the keys that has to be."""
+    """ChunkError if a chunk is not among the keys that has to be."""
     needed = [variable for variable in header.variables if not variable.sparse]
     lost = [key for index in sorted(tiles) for each in needed if (key := chunk_key(each, index)) not in keys]
     if lost:

@@ -3,23 +3,25 @@
 import math
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.overview.coarsen import overview_bytes
+from atlas.overview.coarsen import level_variables
+from atlas.overview.levels import Levels
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
 from atlas.text import byte_size, duration, plural
+from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
 """Cells along each side of a tile by default, and of one of a large atlas: an object store likes large objects."""
 MANY_TILES, MOST_TILES = 1024, 50_000
-"""Tiles are larger than the default where at least MANY_TILES remain, and larger still beyond MOST_TILES."""
+"""Tiles are larger than the default if at least MANY_TILES remain, and larger still above MOST_TILES."""
 TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles the last ones keep one worker busy and the others waiting."""
 CLEAR_RANGE = 1.5
@@ -37,10 +39,9 @@ NO_BASINS = (
 
 @dataclass(frozen=True)
 class Probe:
-    """Cells solved for their cost: how many, and what one of the atlas costs on average.
+    """Cells solved for their cost, and the average cost of a cell of the atlas: forcing periods, processor seconds.
 
-    periods_per_cell   forcing periods
-    seconds_per_cell   processor seconds; between ``low`` and ``high`` as far as so few cells show
+    ``low`` and ``high`` are the range of the seconds, which few cells leave uncertain.
     """
 
     cells: int
@@ -54,29 +55,31 @@ class Probe:
 class Plan:
     """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is what a terminal shows.
 
-    tiling    how the cells, along each of ``dims``, are cut into tiles
+    tiling    how the cells of the spec are cut into tiles
     workers   how many are to share the work
     bytes     an upper bound of the store's size: no compression assumed
     probe     measured time, or None
-    note      what else its user may have meant, empty for most
     """
 
-    dims: tuple[str, ...]
-    axes: tuple[str, ...]
+    spec: Spec = field(repr=False)
     tiling: Tiling
     workers: int
     bytes: int
     probe: Probe | None = None
-    note: str = ""
+
+    @property
+    def note(self) -> str:
+        """What else the user may have meant, empty for most specs."""
+        return NO_BASINS if self.spec.of_states and self.spec.attractors is None else ""
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole on these workers, a processor each, or None where nothing was probed."""
+        """Expected seconds of the whole on these workers, a processor each, or None if nothing was probed."""
         return self._seconds(self.probe.seconds_per_cell) if self.probe else None
 
     @property
     def seconds_range(self) -> tuple[float, float] | None:
-        """Where these seconds lie, or None where nothing was probed."""
+        """Where these seconds lie, or None if nothing was probed."""
         return (self._seconds(self.probe.low), self._seconds(self.probe.high)) if self.probe else None
 
     def _seconds(self, per_cell: float) -> float:
@@ -85,8 +88,8 @@ class Plan:
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas plan --json`` prints."""
         return {
-            "axes": self.axes,
-            "dims": self.dims,
+            "axes": self.spec.described,
+            "dims": self.spec.dims,
             "shape": self.tiling.shape,
             "cells": self.tiling.cells,
             "tile": self.tiling.tile,
@@ -111,25 +114,29 @@ class Plan:
             cost += f", {duration(low)} to {duration(high)}" if wide else f", about {duration(self.seconds)}"
             cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
         return (
-            f"axes   {' x '.join(self.axes)}\n"
-            f"cells  {self.tiling.cells} ({shape}; {', '.join(self.dims)}) in "
+            f"axes   {' x '.join(self.spec.described)}\n"
+            f"cells  {self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in "
             f"{plural(self.tiling.count, 'tile')} of {tile}\n"
             f"cost   {cost}"
         ) + (f"\nnote   {self.note}" if self.note else "")
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
-    """The plan of a spec for that many workers; ``tile`` is the shape that a store already has, and wins.
+    """The plan of a spec for a number of workers; ``tile`` is the shape of a store that exists, and wins.
 
-    Raises InputError where a tile is too large for a store.
+    Raises InputError if a tile is too large for a store.
     """
     count = default_workers() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
-    _check_chunks(spec, chosen)
+    name, size = max(_chunks(spec, chosen).items(), key=lambda item: item[1])
+    if size > LARGEST_CHUNK:
+        raise InputError(
+            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, chosen))} take {size} bytes a chunk, "
+            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
+        )
     tiling = Tiling(spec.shape, chosen)
-    note = NO_BASINS if spec.of_states and spec.attractors is None else ""
-    return Plan(spec.dims, spec.described, tiling, count, _bytes_needed(spec, tiling), note=note)
+    return Plan(spec, tiling, count, _bytes_needed(spec, tiling))
 
 
 def default_workers() -> int:
@@ -137,22 +144,21 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def disk_shortage(plan: Plan, target: Path, tiles: int | None = None) -> str:
-    """What to say where the disk that is to hold ``target`` has no room for that many tiles, or for all; else empty."""
+def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
+    """InputError if the disk that is to hold ``target`` has no room for that number of tiles, by default all."""
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
-    bytes_needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
-    if bytes_needed <= free:
-        return ""
-    needed, room = byte_size(bytes_needed), byte_size(free)
-    return f"{target}: needs up to {needed}, {home} has {room} free; take fewer cells or another disk"
+    needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
+    if needed > free:
+        found = f"needs up to {byte_size(needed)}, {home} has {byte_size(free)} free"
+        raise InputError(f"{target}: {found}; take fewer cells or another disk")
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
-    """64 along each dimension, the longer side halved until there are 16 tiles a worker; lines continued are whole.
+    """64 along each dimension, the longer side halved until there are 16 tiles a worker; continued lines are whole.
 
-    128 or 256 where there are many tiles all the same, and twice as much again until there are at most MOST_TILES. No
-    tile has cells of two planes of a stack.
+    128 or 256 if there are many tiles nevertheless, doubled again until there are at most MOST_TILES. No tile has cells
+    of two planes of a stack.
     """
     shape = spec.shape
     fixed = {0: 1} if len(shape) == MOST_AXES else {}
@@ -179,11 +185,14 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 
 def _bytes_needed(spec: Spec, tiling: Tiling) -> int:
-    """Every chunk of every variable in whole file blocks, the coordinates, and the overviews."""
+    """Every chunk of every variable in whole file blocks, the coordinates, and the overviews, all uncompressed."""
     total = 8 * sum(spec.shape) * (1 + len(spec.points))
     for chunk in _chunks(spec, tiling.tile).values():
         total += tiling.count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
-    return total + overview_bytes(spec, tiling.tile)
+    levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
+    cells = sum(math.prod(levels.shape_of(level)) for level in range(1, levels.count + 1))
+    sizes = (np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.variables))
+    return total + cells * sum(sizes)
 
 
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
@@ -195,12 +204,3 @@ def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
         * math.prod(sizes[dim] for dim in variable.extra)
         for variable in spec.variables
     }
-
-
-def _check_chunks(spec: Spec, tile: tuple[int, ...]) -> None:
-    name, size = max(_chunks(spec, tile).items(), key=lambda item: item[1])
-    if size > LARGEST_CHUNK:
-        raise InputError(
-            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, tile))} take {size} bytes a chunk, "
-            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
-        )

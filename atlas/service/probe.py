@@ -46,25 +46,37 @@ class _Measured(NamedTuple):
     most: Array
 
 
-def estimated(spec: Spec, plan: Plan, report: Callable[[Progress], None]) -> Plan:
-    """The plan with the time that its cells will take; without where a probe would solve them all."""
-    return plan if plan.tiling.cells <= CELLS else probed(spec, plan, report)
+def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
+    """The same function for the progress of a run, whose first plan gets the time that its cells will take.
+
+    Nothing is probed for an atlas that is complete, nor where a probe would solve all of it.
+    """
+    planned = False
+
+    def reported(progress: Progress) -> None:
+        nonlocal planned
+        if progress.plan is not None and not planned:
+            planned = True
+            if progress.tiles_done < progress.tiles and progress.plan.tiling.cells > CELLS:
+                progress = replace(progress, plan=probed(progress.plan, report))
+        report(progress)
+
+    return reported
 
 
-def probed(spec: Spec, plan: Plan, report: Callable[[Progress], None]) -> Plan:
+def probed(plan: Plan, report: Callable[[Progress], None]) -> Plan:
     """The plan with the time that a probe of its spec measures."""
-    prepare_kernels(report, *kernels_of(spec))
+    prepare_kernels(report, *kernels_of(plan.spec))
     report(Progress("probing a few cells"))
-    return replace(plan, probe=probe(spec, plan.tiling.tile))
+    return replace(plan, probe=probe(plan.spec, plan.tiling.tile))
 
 
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:
-    """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, fewer where they cost much.
+    """What a cell of the spec costs, solved in tiles of that shape; measured on 256 cells, on fewer if they cost much.
 
     A first solution, which loads the kernels, is not counted. Cells are solved in batches, as in a tile. ``clock``
-    gives seconds, by default those of this thread on its processor: a kernel runs on one thread, and other programs do
-    not count. Cells that are continued are measured in short parts of lines; where all
-    attractors are sought, what a budget above the probed one would add is not known and left out.
+    gives seconds, by default the processor time of this thread: a kernel runs on one thread. Continued cells are
+    measured in short parts of lines; of all attractors, the cost above the probed budget is unknown and left out.
     """
     warm_up(*kernels_for(spec.record))
     starts, length = spread_cells(spec)
@@ -119,10 +131,9 @@ def brief(settings: Settings) -> tuple[Settings, float]:
 
 
 def _evenness(steps: list[_Measured]) -> float:
-    """Which share of the starts does all the work, if they do it in equal parts; 1 before the first step.
+    """Which fraction of the starts does all the work, if they share it equally; 1 before the first step.
 
-    The cells of a tile cost alike, so that a costly one is solved together with as many as costly. Of starts spread
-    over the plane it takes more for that.
+    The cells of a tile cost about the same; among starts spread over the plane, a batch needs more of them for that.
     """
     work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
@@ -161,8 +172,7 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
 def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
     """The least and the most periods that cells solved with this share of their budget cost with all of it.
 
-    The square of a chaotic cell's error falls as one over the periods that its budget allows for. Of a cell that is
-    undetermined nothing is known.
+    The square of a chaotic cell's error falls as one over its periods. Of an undetermined cell nothing is known.
     """
     settings = spec.settings
     used = arrays["periods_used"].astype(np.float64)
@@ -182,10 +192,7 @@ def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], 
 
 
 def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
-    """Periods for which chaos that was watched for its part of ``few`` is still to be watched.
-
-    What survived all of them may have to for a stable orbit that is known, or for its relaxation.
-    """
+    """Periods for which chaos that was watched for its part of ``few`` is still to be watched."""
     from workers.cell.course import part_to_survive, relaxation_periods
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())

@@ -10,7 +10,7 @@ def this_process() -> str:
 
 
 def process_name(pid: int) -> str:
-    """Boot, process namespace, process and the moment it began; empty where that cannot be found out."""
+    """Boot, process namespace, process and the moment it began; empty if that cannot be found out."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return f"{boot} {os.readlink('/proc/self/ns/pid')} {pid} {_began(pid)}"
@@ -24,7 +24,7 @@ def is_name(text: str) -> bool:
 
 
 def is_running(pid: int, name: str) -> bool | None:
-    """Whether the process of that number and name runs; None where this machine cannot know."""
+    """Whether the process of that number and name runs; None if this machine cannot know."""
     here, there = this_process().split(), name.split()
     if not here or here[:2] != there[:2]:
         return None

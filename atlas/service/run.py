@@ -2,39 +2,38 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
 from atlas.errors import InputError, RunError
-from atlas.overview.pyramid import drop
 from atlas.overview.upkeep import Overviews
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
-from atlas.service.dispatch import Workers, tile_outcomes
+from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
-from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
+from atlas.service.plan import default_workers, make_plan, refuse_shortage
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.schedule import Due
-from atlas.service.summary import Summary, Totals
+from atlas.service.schedule import Order
+from atlas.service.summary import Summary, TileFailure, Totals
 from atlas.spec.spec import Spec
 from atlas.store.added import add_allowances, add_records
+from atlas.store.groups import ATTRACTORS, group_attributes
 from atlas.store.location import Place, place_of, waiting
-from atlas.store.making import remove_half_made
+from atlas.store.making import check_run, remove_half_made
 from atlas.store.records import Records, RunRecords
 from atlas.store.schema import Origin
 from atlas.store.sidecar import CLAIM, claim_token, notes_of
-from atlas.store.store import Header, create, done_tiles, find, is_done
-from atlas.store.tiles import finish_replacement, listed_tiles, read_tile
-from atlas.task.basins import complete_basins
+from atlas.store.store import Header, create, find, read_header
+from atlas.store.tiles import listed_tiles, read_tile
+from atlas.store.tiling import Index
 from atlas.task.retry import NEEDED, Retry
 from atlas.task.solving import kernels_of
-from atlas.task.task import Job, MadeChunk, Receipt
+from atlas.task.task import LABELS, Job, Made, Receipt
 from atlas.text import plural
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def run(
     scheduler, or on a local one, the default. In a notebook a bar shows the progress, unless there is an
     ``on_progress``. Where a store at a URL stops answering, the run waits ``patience`` seconds for it.
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
-    the store; RunError where the cluster is lost, the store has no room, or the run is cancelled; NetworkError where a
+    the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
     A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
 
@@ -69,151 +68,203 @@ def run(
     """
     options = options.updated(**fields)
     with reporting(options.on_progress) as report:
-        return complete(Target(spec, place_of(store)), client, replace(options, on_progress=report))
+        return complete(spec, place_of(store), client, replace(options, on_progress=report))
 
 
-@dataclass(frozen=True)
-class Target:
-    """The store that a run makes or completes.
+def complete(
+    spec: Spec,
+    place: Place,
+    client: "Client | None" = None,
+    options: RunOptions = DEFAULTS,
+    origin: Origin | None = None,
+    run_id: str = "",
+) -> Summary:
+    """Make or complete a store; see ``run``.
 
-    origin   the store whose cells it reuses, None for no other
-    run_id   of the run that it must belong to, or that it gets when it is made; empty for any
+    ``origin`` is the store whose cells it reuses. ``run_id``, if given, is that of the run that the store belongs to,
+    else RunError; a new store gets it.
     """
-
-    spec: Spec
-    place: Place
-    origin: Origin | None = None
-    run_id: str = ""
-
-    def find(self) -> Header | None:
-        """The header of the store, None where it is still to be made; InputError or RunError where it is another."""
-        header = find(self.place, self.spec)
-        if header is None:
-            return None
-        if self.run_id and self.run_id != header.run_id:
-            raise RunError(f"{self.place}: not the store of run {self.run_id}")
-        if self.origin and self.origin != header.origin:
-            other = f"is a store already, and not one that extends {self.origin.store}"
-            raise InputError(f"{self.place}: {other}; choose another path")
-        return header
-
-    def create(self, tile: tuple[int, ...]) -> Header:
-        """Make the store."""
-        return create(self.place, self.spec, tile, self.origin, self.run_id)
-
-
-def complete(target: Target, client: "Client | None" = None, options: RunOptions = DEFAULTS) -> Summary:
-    """Make or complete a store; see ``run``. Raises RunError also where the store is of another run than asked for."""
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        header = target.find()  # only read, so that bad input leaves no trace
-        if options.retry is not None:
-            _check_retry(target, header)
+        header = find(place)  # only read, so that bad input leaves no trace
+        _check(spec, place, header, options, origin, run_id)
         client = joined(client, options, stack)
-        plan = make_plan(target.spec, worker_count(client, options), header.tile if header else None)
-        _check_room(target, header, plan)
-        claim = stack.enter_context(claimed_place(target.place, options))
-        target = replace(target, place=waiting(target.place, options.patience))
-        held = partial(claim.confirm, target.place)
-        header, work, totals = _found_or_made(target, plan, client, held, options)
-        # Before the first tile is written: what overviews say of tiles that are solved again is dropped.
-        overviews = Overviews(header, work.again, held)
-        records = RunRecords(header, work.records or Records(header, ()), work.due)
-        if work.due.any() and client is None:
-            options.report(totals.progress(f"starting {plural(plan.workers, 'worker')}"))
-            client = stack.enter_context(local_cluster(plan.workers))
-        if client is not None and (work.due.any() or overviews):
-            _hand_out(client, header, Due(work.due, overviews), options, claim, totals, records)
-        _finish(header, overviews, records, totals, held, options)
-    return totals.summary(str(header.place))
+        workers = worker_count(client, options)
+        if header is None:
+            _tile(spec, place, workers)
+        claim = stack.enter_context(claimed_place(place, options))
+        place = waiting(place, options.patience)
+        header = find(place)  # once more: before the claim another run may have made it
+        _check(spec, place, header, options, origin, run_id)
+        if header is None:
+            options.report(Progress("making the store"))
+            claim.confirm(place)
+            create(place, spec, _tile(spec, place, workers), origin, run_id)
+            header = read_header(place)
+        run = _Run(header, workers, claim, options)
+        if client is None and run.due.any():
+            prepare_kernels(options.report, *kernels_of(header.spec))
+        run.begin()
+        if client is None and run.needs_workers:
+            run.report(f"starting {plural(workers, 'worker')}")
+            client = stack.enter_context(local_cluster(workers))
+        if client is not None and (run.needs_workers or run.overviews):
+            run.hand_out(client)
+        run.finish()
+    return run.totals.summary(str(place))
 
 
-def _check_room(target: Target, header: Header | None, plan: Plan) -> None:
-    """InputError where the disk cannot hold the tiles that are due."""
-    if target.place.local is None:
-        return
-    due = plan.tiling.count - (len(done_tiles(header)) if header else 0)
-    if shortage := disk_shortage(plan, target.place.local, due):
-        raise InputError(shortage)
-
-
-def _found_or_made(
-    target: Target, plan: Plan, client: "Client | None", held: Callable[[], None], options: RunOptions
-) -> "tuple[Header, _Work, Totals]":
-    """The store of a run that holds its claim, the work that is due there, and the totals that it begins with.
-
-    It is looked for once more: before the claim another run may have made it, with tiles of another shape, or have
-    finished some of them.
-    """
-    done, finished = set[tuple[int, ...]](), list[tuple[int, ...]]()
-    header = target.find()
-    if header is not None:
-        done, left = listed_tiles(header)
-        finished = _finish_replacements(header, left, held)
-        if header.tile != plan.tiling.tile:
-            plan = make_plan(target.spec, plan.workers, header.tile)
-    work = _work(header, plan, options, done.union(finished))
-    if work.due.any():
-        if client is None:
-            prepare_kernels(options.report, *kernels_of(target.spec))
-        work = replace(work, plan=options.estimate(target.spec, work.plan, options.report))
-    totals = Totals(work.plan, work.tiles, work.cells, work.tiles_done, work.cells_done, work.retry)
-    options.report(totals.progress(work.beginning))
-    held()
-    header = add_records(header or target.create(plan.tiling.tile))
-    if options.retry is not None:
-        add_allowances(header, options.retry.raises)
-    return header, work, totals
-
-
-def _finish(
-    header: Header,
-    overviews: Overviews,
-    records: RunRecords,
-    totals: Totals,
-    held: Callable[[], None],
-    options: RunOptions,
+def _check(
+    spec: Spec, place: Place, header: Header | None, options: RunOptions, origin: Origin | None, run_id: str
 ) -> None:
-    """The end of a run: labels of basins, overviews that no worker has made, records in one chunk."""
-    if header.spec.basins:
-        options.report(totals.progress("labelling the attractors"))
-        complete_basins(header, held, lambda index, row: records.add(index, row.tolist()))
-    overviews.finish(lambda done, of: options.report(totals.progress(f"writing overviews: {done} of {of} parts")))
-    records.compact(held, lambda n: options.report(totals.progress(f"counting the cells of {plural(n, 'tile')}")))
-
-
-def _finish_replacements(header: Header, left: set[tuple[int, ...]], held: Callable[[], None]) -> list[tuple[int, ...]]:
-    """Write what a run that was killed while it replaced finished tiles has left beside them; these tiles."""
-    if left:
-        held()
-        drop(header, left)
-    for index in sorted(left):
-        finish_replacement(header, index, held)
-    return [index for index in sorted(left) if is_done(header, index)]
-
-
-def _check_retry(target: Target, header: Header | None) -> None:
+    """InputError or RunError unless a run may make the store at a place, or complete the one with this header."""
+    check_run(place, spec, header)
+    retry = options.retry is not None
     if header is None:
-        raise InputError(f"{target.place}: no such store, so there is nothing to retry")
-    if target.spec.attractors is not None:
-        raise InputError(
-            f"{target.place}: an atlas of all attractors cannot be retried: run it again with more periods"
-        )
-    if target.spec.continuation is not None:
-        raise InputError(
-            f"{target.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
-        )
+        if retry:
+            raise InputError(f"{place}: no such store, so there is nothing to retry")
+        return
+    if run_id and run_id != header.run_id:
+        raise RunError(f"{place}: not the store of run {run_id}")
+    if origin and origin != header.origin:
+        raise InputError(f"{place}: is a store already, and not one that extends {origin.store}; choose another path")
+    if retry and spec.attractors is not None:
+        raise InputError(f"{place}: an atlas of all attractors cannot be retried: run it again with more periods")
+    if retry and spec.continuation is not None:
+        raise InputError(f"{place}: a continued sweep cannot be retried: each cell of it depends on those before it")
+
+
+def _tile(spec: Spec, place: Place, workers: int) -> tuple[int, ...]:
+    """The shape of the tiles of a new store; InputError if the store cannot be made, or its disk cannot hold it."""
+    plan = make_plan(spec, workers)
+    if place.local is not None:
+        refuse_shortage(plan, place.local)
+    return plan.tiling.tile
+
+
+class _Run:
+    """A run whose store is claimed: the tiles due, handing them out, and the end."""
+
+    def __init__(self, header: Header, workers: int, claim: Claim, options: RunOptions) -> None:
+        self.header, self.claim, self.options, self.doing = header, claim, options, "solving"
+        plan = make_plan(header.spec, workers, header.tile)
+        done, self.replaced = listed_tiles(header)
+        self.stored = Records(header, done - self.replaced)
+        if options.retry is not None:
+            options.report(Progress("looking for the cells to solve again"))
+            selected = _selected(header, self.stored, options.retry)
+            self.due = selected > 0
+            for index in self.replaced:  # its worker finishes that, and selects again
+                self.due[index] = True
+            self.totals = Totals(plan, int(self.due.sum()), int(selected.sum()), retried=True)
+        else:
+            self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
+            self.totals = Totals(plan, plan.tiling.count, plan.tiling.cells, int(self.stored.done.sum()), cells)
+
+    def held(self) -> None:
+        """Raise RunError if another run has the store; called before each write."""
+        self.claim.confirm(self.header.place)
+
+    def begin(self) -> None:
+        """Give the store the arrays that it lacks, and drop the overviews of tiles that are solved again."""
+        totals, retry, stage = self.totals, self.options.retry, "starting"
+        if retry is not None:
+            stage = f"solving {plural(totals.cells, 'cell')} in {plural(totals.tiles, 'tile')} again"
+        elif totals.tiles_done:
+            stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
+            if self.header.place.local is not None:
+                refuse_shortage(totals.plan, self.header.place.local, int(self.due.sum()))
+        self.report(stage)
+        self.held()
+        self.header = add_records(self.header)
+        if retry is not None:
+            add_allowances(self.header, retry.raises)
+        again = {*_indices(self.due)} if retry is not None else self.replaced
+        self.overviews = Overviews(self.header, again, self.held)
+        self.records = RunRecords(self.header, self.stored, self.due)
+
+    @property
+    def needs_workers(self) -> bool:
+        """Whether there is a tile to solve, or basins to label."""
+        return bool(self.due.any()) or (self.header.spec.basins and group_attributes(self.header, ATTRACTORS) is None)
+
+    def hand_out(self, client: "Client") -> None:
+        """Send the tiles due to the workers and add up their receipts; then the overviews, level by level."""
+        header, options, totals, order = self.header, self.options, self.totals, Order(self.due)
+        place, token = str(header.place), self.claim.token
+        job = Job((), place, header.run_id, header.solver_version, options.retry, options.patience, token)
+        totals.start()
+        try:
+            with workforce(client, tile_labour(job, math.prod(header.tile)), options.timing) as force:
+                tiles = (replace(job, index=index, replaced=index in self.replaced) for index in order)
+                for outcome in force.outcomes(tiles, self._tick):
+                    if isinstance(outcome, Receipt):
+                        order.note(outcome.index, outcome.solve_seconds)
+                        self.records.add(outcome.index, outcome.record)
+                    if not isinstance(outcome, Made):
+                        totals.add(outcome)
+                    self.report("solving")
+                if header.spec.basins:
+                    self.doing = "labelling the attractors"
+                    self._make(force, [replace(job, level=LABELS)])
+                self.doing = "writing overviews"
+                for level in self.overviews.levels:
+                    chunks = self.overviews.missing(level)
+                    self._make(force, [replace(job, level=level, index=index) for index in chunks])
+        except KeyboardInterrupt:
+            self.report("interrupted, dropping the tiles under way")
+            raise
+
+    def _make(self, force: Workforce[Job, Receipt | Made], jobs: list[Job]) -> None:
+        """Have workers do other jobs than tiles. A failed overview chunk is left to ``finish``, which says why."""
+        for outcome in force.outcomes(jobs, self._tick):
+            if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
+                raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
+            if isinstance(outcome, Made):
+                for index, row in outcome.records:
+                    self.records.add(index, row)
+
+    def _tick(self, workers: Workers) -> None:
+        totals = self.totals
+        self.claim.check(lambda: self.report("waiting for the store, which does not answer"))
+        totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
+        totals.trouble = workers.trouble
+        self.claim.report(totals.report(workers.threads) | {"holds": self.records.counts})
+        self.report(workers.trouble or (self.doing if workers.threads else "no worker left: waiting for one"))
+
+    def finish(self) -> None:
+        """The end: overviews that no worker has made, and all records in one chunk."""
+        self.overviews.finish(lambda done, of: self.report(f"writing overviews: {done} of {of} parts"))
+        self.records.compact(self.held, lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
+
+    def report(self, stage: str) -> None:
+        """Report where the run is."""
+        self.options.report(self.totals.progress(stage))
+
+
+def _selected(header: Header, records: Records, retry: Retry) -> np.ndarray:
+    """How many cells of each finished tile a retry solves again, as an array over the tiles."""
+    selected = np.zeros(header.tiling.grid, dtype=np.int64)
+    for index in _indices(records.done & ~records.lack(map(int, retry.regimes))):
+        selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
+    return selected
+
+
+def _indices(mask: np.ndarray) -> Iterator[Index]:
+    """Indices where the mask is set, row by row, one at a time."""
+    for position in np.flatnonzero(mask):
+        yield tuple(map(int, np.unravel_index(position, mask.shape)))
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
-    """InputError where a number of workers is given for a cluster that is the caller's."""
+    """InputError if a number of workers is given for a cluster that is the caller's."""
     if client is not None and options.workers is not None:
         raise InputError(f"workers: found {options.workers}, goes with a local cluster only, not with a client")
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the one given, or one of the scheduler asked for; None where a local cluster is."""
+    """The client to work on: the one given, or one of the scheduler asked for; None if a local cluster is."""
     if client is not None or options.scheduler is None:
         return client
     options.report(Progress(f"connecting to {options.scheduler}", passing=True))
@@ -230,11 +281,11 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 @contextmanager
 def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
-    """The claim of a store. What dead runs left half made is removed when it begins, their notes when it ends.
+    """Hold the claim of a store. Leftovers of dead runs are removed when it begins, their notes when it ends.
 
-    Its beats have the place's own patience: one that fails is followed by another, and none may delay for long the end
-    of a run whose store is away. Only removing the notes waits as long as the options say; and a run waits that long
-    for a beat to succeed, since what it writes meanwhile is written only after a look at the claim.
+    A beat waits only for the place's own patience: another follows, and none should delay the end of a run whose store
+    is away. To remove the notes, and for a beat to succeed, a run waits as long as the options say; meanwhile nothing
+    is written without a look at the claim.
     """
     notes = notes_of(waiting(place, options.patience))
 
@@ -257,99 +308,3 @@ def claimed_place(place: Place, options: RunOptions) -> Iterator[Claim]:
             tidy()
             raise
         tidy()
-
-
-@dataclass(frozen=True)
-class _Work:
-    """The work of a run.
-
-    due                      mask of the tiles due
-    tiles, cells             in all: of the atlas, or in a retry of the tiles to solve again
-    tiles_done, cells_done   how many of these are done
-    retry                    whether the tiles due are finished ones
-    records                  of the tiles done, None where the store is still to be made
-    """
-
-    plan: Plan
-    due: np.ndarray
-    tiles: int
-    cells: int
-    tiles_done: int
-    cells_done: int
-    retry: bool = False
-    records: Records | None = None
-
-    @property
-    def again(self) -> list[tuple[int, ...]]:
-        """The finished tiles that are solved again."""
-        return list(_indices(self.due)) if self.retry else []
-
-    @property
-    def beginning(self) -> str:
-        """What the run begins with, in words."""
-        if self.retry:
-            return f"solving {plural(self.cells, 'cell')} in {plural(self.tiles, 'tile')} again"
-        return f"resuming: {self.tiles_done} of {self.tiles} tiles are done" if self.tiles_done else "making the store"
-
-
-def _work(header: Header | None, plan: Plan, options: RunOptions, done: set[tuple[int, ...]]) -> _Work:
-    if header is None:
-        return _Work(plan, np.ones(plan.tiling.grid, dtype=bool), plan.tiling.count, plan.tiling.cells, 0, 0)
-    records = Records(header, done)
-    if options.retry is not None:
-        options.report(Progress("looking for the cells to solve again"))
-        return _retried(header, plan, records, options.retry)
-    tiles, cells = int(records.done.sum()), int(plan.tiling.sizes()[records.done].sum())
-    return _Work(plan, ~records.done, plan.tiling.count, plan.tiling.cells, tiles, cells, records=records)
-
-
-def _retried(header: Header, plan: Plan, records: Records, retry: Retry) -> _Work:
-    selected = np.zeros(plan.tiling.grid, dtype=np.int64)
-    for index in _indices(records.done & ~records.lack(map(int, retry.regimes))):
-        selected[index] = retry.selects(read_tile(header, index, NEEDED)).sum()
-    due = selected > 0
-    return _Work(plan, due, int(due.sum()), int(selected.sum()), 0, 0, retry=True, records=records)
-
-
-def _hand_out(
-    client: "Client",
-    header: Header,
-    due: Due,
-    options: RunOptions,
-    claim: Claim,
-    totals: Totals,
-    records: RunRecords,
-) -> None:
-    """Send the jobs due to the workers, and add up their receipts."""
-
-    def tick(workers: Workers) -> None:
-        claim.check(lambda: options.report(totals.progress("waiting for the store, which does not answer")))
-        totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
-        totals.trouble = workers.trouble
-        claim.report(totals.report(workers.threads) | {"holds": records.counts})
-        doing = "solving" if workers.threads else "no worker left: waiting for one"
-        options.report(totals.progress(workers.trouble or doing))
-
-    job = Job((), str(header.place), header.run_id, header.solver_version, options.retry, options.patience, claim.token)
-    totals.start()
-    try:
-        for outcome in tile_outcomes(client, job, due, tick, options.timing, math.prod(header.tile)):
-            if isinstance(outcome, MadeChunk) or outcome.index[0] < 0:
-                due.take(outcome.index, made=isinstance(outcome, MadeChunk) and not outcome.fault)
-                continue
-            if isinstance(outcome, Receipt):
-                due.order.note(outcome.index, outcome.solve_seconds)
-                due.overviews.add(outcome.index, outcome.overview)
-                records.add(outcome.index, outcome.record)
-            totals.add(outcome)
-            options.report(totals.progress("solving"))
-    except KeyboardInterrupt:
-        options.report(totals.progress("interrupted, dropping the tiles under way"))
-        raise
-    due.return_failed()
-
-
-def _indices(mask: np.ndarray) -> Iterator[tuple[int, ...]]:
-    """Indices where the mask is set, row by row, one at a time."""
-    for position in np.flatnonzero(mask):
-        yield tuple(map(int, np.unravel_index(position, mask.shape)))

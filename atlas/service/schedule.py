@@ -1,21 +1,18 @@
-"""The order of tiles: a few everywhere first, then the costliest by what these have cost.
+"""The order of tiles: a coarse lattice first, then the costliest, as predicted from these.
 
-Costs of tiles differ a hundredfold. When the last costly one is begun late, a large cluster waits for it alone; row by
-row that depends on which corner of the plane the chaos lies in. Neighbours cost much the same, so the receipts of a
-coarse lattice predict the rest, for nothing; solving some cells of each tile beforehand predicts no better and costs
-time (scripts/bench_scale.py compares them).
+Costs of tiles differ a hundredfold. If a costly one is begun last, a large cluster waits for it alone; row by row that
+depends on where in the plane the chaos lies. Neighbours cost about the same, so the receipts of the lattice predict the
+rest for nothing; a probe of some cells of each tile predicts no better and costs time (scripts/bench_order.py).
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from atlas.overview.upkeep import Chunk, Overviews
-
 STRIDE = 4
-"""Every how many tiles, along each dimension, one is solved first; then every half as many."""
+"""Distance in tiles, along each dimension, of the first lattice; the second has half of it."""
 NEIGHBOURS = 4
-"""From how many tiles of known cost another's is guessed."""
+"""Number of tiles of known cost from which the cost of another is predicted."""
 
 
 class Order:
@@ -56,34 +53,3 @@ class Order:
         distance, near = KDTree(np.argwhere(known)).query(wanted, k=neighbours)
         guess = np.average(self._cost[known][near], axis=1, weights=1 / distance)
         return places[np.argsort(-guess, kind="stable")]
-
-
-class Due(Iterator[tuple[int, ...]]):
-    """The indices of the jobs of a run: chunks of overviews as soon as they can be made, and the tiles due.
-
-    That of a chunk begins with minus its level. More may come after the end: what is taken may make a chunk possible.
-    """
-
-    def __init__(self, tiles: np.ndarray, overviews: Overviews) -> None:
-        self.order, self.overviews = Order(tiles), overviews
-        self._tiles = iter(self.order)
-        self._failed: list[Chunk] = []
-
-    def __next__(self) -> tuple[int, ...]:
-        if self.overviews:
-            level, index = next(self.overviews)
-            return (-level, *index)
-        return next(self._tiles)
-
-    def take(self, index: tuple[int, ...], made: bool) -> None:
-        """A chunk is made, or no worker could make it."""
-        chunk = (-index[0], index[1:])
-        if made:
-            self.overviews.made(chunk)
-        else:
-            self._failed.append(chunk)
-
-    def return_failed(self) -> None:
-        """Leave the chunks that no worker could make to the coordinator, which says why."""
-        for chunk in self._failed:
-            self.overviews.again(chunk)

@@ -1,7 +1,7 @@
-"""What a worker does once for a run, before the first job that it gets: as a plugin of Dask's workers.
+"""What a worker does once for a run, before its first job: a plugin of Dask's workers.
 
-Dask hands it to every worker of the scheduler, and to those that join later. It runs in a thread of its own, since
-Dask's event loop must not stand still while kernels are compiled; jobs that come meanwhile wait for it.
+Dask hands it to every worker, also to one that joins later. It runs in a thread of its own, since Dask's event loop
+must not stand still while kernels are compiled; jobs that come meanwhile wait for it.
 """
 
 import asyncio
@@ -9,23 +9,21 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from distributed import WorkerPlugin, get_worker
 
+from atlas.service.batches import J, Labour, R
 from atlas.task.task import RefusedError
 
 if TYPE_CHECKING:
     from distributed import Client
 
-J = TypeVar("J")
-R = TypeVar("R")
-
 
 class Setup(WorkerPlugin):
-    """The setup of one run. ``prepare`` does it; what it raises is raised for each job that waited.
+    """The setup of one run, by ``prepare``; what that raises is raised for each job that waited.
 
-    A worker that refuses does so for good. Anything else that goes wrong may pass, so that the next job tries again.
+    A worker that refuses does so for good. Any other failure may pass, so that the next job tries again.
     """
 
     def __init__(self, name: str, prepare: Callable[[], object], forget: Callable[[], object]) -> None:
@@ -68,23 +66,17 @@ def after_setup(name: str, act: Callable[[J], R], job: J) -> R:
 
 
 @contextmanager
-def set_up(
-    client: "Client",
-    name: str,
-    act: Callable[[J], R],
-    prepare: Callable[[], object],
-    forget: Callable[[], object],
-    seconds: float,
-) -> Iterator[Callable[[J], R]]:
-    """Have every worker prepare once, and give ``act`` as a function that waits for it.
+def set_up(client: "Client", labour: Labour[J, R], seconds: float) -> Iterator[Callable[[J], R]]:
+    """Have every worker prepare once for a labour, and give its ``act`` as a function that waits for that.
 
-    ``name`` is that of the store: a run that resumes after a kill replaces the setup that was left behind. Dask asks
-    all workers, and is waited for ``seconds``: one that stands still must not hold up the others. A worker that has
-    not heard of it does its jobs all the same, since each job checks what it needs.
+    A run that resumes after a kill has the same name, and replaces the setup that was left behind. Dask asks all
+    workers, and is waited for ``seconds``: one that stands still must not hold up the others. A worker that has not
+    heard of the setup does its jobs all the same, since each job checks what it needs.
     """
-    _asked(client, lambda: client.register_plugin(Setup(name, prepare, forget)), seconds)
+    name = labour.name
+    _asked(client, lambda: client.register_plugin(Setup(name, labour.prepare, labour.forget)), seconds)
     try:
-        yield partial(after_setup, name, act)
+        yield partial(after_setup, name, labour.act)
     finally:
         _asked(client, lambda: client.unregister_worker_plugin(name), seconds)
 

@@ -21,12 +21,11 @@ from workers.results import REASONS, REGIMES
 
 @dataclass(frozen=True)
 class Status:
-    """Tiles and cells done of a store, the regimes of the cells done (those that occur), and the run at work on it.
+    """Tiles and cells done of a store, the regimes of these cells, and the run at work on it.
 
-    ``reasons`` has the cells without a certain result, by the reason in words; none of a store too old to keep them.
-    ``trouble`` says why no run may be at work in spite of a claim: its holder is dead or silent, or it is damaged; or
-    why the run at work makes no progress.
-    ``ended`` is how the last submitted run ended. Both are empty where all is well.
+    ``reasons`` counts the cells without a certain result by the reason in words; a store may be too old to keep any.
+    ``trouble`` says why no run may be at work in spite of a claim (its holder is dead or silent, or it is damaged), or
+    why the run at work makes no progress; ``ended``, how the last submitted run ended. Both are empty if all is well.
     """
 
     header: Header
@@ -40,7 +39,7 @@ class Status:
 
     @property
     def fraction(self) -> float:
-        """Share of the cells that is done."""
+        """Fraction of the cells that are done."""
         return self.cells_done / self.header.tiling.cells
 
     @property
@@ -131,17 +130,31 @@ class Status:
 
 @dataclass(frozen=True)
 class Holding:
-    """What a store holds: tiles done, and cells by regime and by reason, those that occur."""
+    """What a store holds: tiles done, and the counts above 0 of cells by regime and by reason."""
 
     tiles: int
     regimes: dict[str, int]
     reasons: dict[str, int]
 
+    @classmethod
+    def reported(cls, seen: Sighting | None) -> "Holding | None":
+        """What the run at work on a store reports that it holds; None if there is no such run, or no sound report."""
+        if seen is None or seen.record is None or seen.alive is False or seen.trouble:
+            return None
+        try:
+            found = cls(**seen.record.progress["holds"])
+            counts = [found.tiles, *found.regimes.values(), *found.reasons.values()]
+            known = found.regimes.keys() <= {regime.name for regime in REGIMES}
+            known &= found.reasons.keys() <= {reason.text for reason in REASONS}
+        except (TypeError, KeyError, AttributeError):
+            return None
+        return found if known and all(type(count) is int and count >= 0 for count in counts) else None
+
 
 class Census:
     """Counts a store's cells: as the run at work on it reports them, else by its records.
 
-    Where a finished tile has no record, it is counted by its chunks; ``tiles_read`` is how many were.
+    A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of such tiles.
     """
 
     def __init__(self, header: Header, timing: Timing = TIMING) -> None:
@@ -151,14 +164,14 @@ class Census:
         self.observer = Observer(self.notes, timing)
 
     def take(self, settled: bool = False) -> Status:
-        """The status of now; ``settled`` waits until a claim from elsewhere moves, or has long enough not moved.
+        """The status of now; ``settled`` waits until a claim of another machine moves, or has stood still for long.
 
-        Where the run that was at work before the tiles were counted has ended since, they are counted again: its last
-        ones may have come between.
+        If the run that was at work before the count has ended since, the tiles are counted again: its last ones may
+        have come between.
         """
         look = self.observer.settle if settled else self.observer.look
         seen = look()
-        while (held := reported(seen)) is None:
+        while (held := Holding.reported(seen)) is None:
             before = _token(seen)
             held = self._count()
             seen = look()
@@ -170,7 +183,6 @@ class Census:
         return Status(self.header, held.tiles, cells, held.regimes, held.reasons, run, trouble, noted_end(self.notes))
 
     def _count(self) -> Holding:
-        """Count the finished tiles."""
         records = Records(self.header)
         total = records.rows.reshape(-1, WIDTH).sum(axis=0)
         unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known).tolist()]
@@ -182,34 +194,15 @@ class Census:
         return Holding(int(records.done.sum()), *by_name(total, self.header))
 
 
-def reported(seen: Sighting | None) -> Holding | None:
-    """What a store holds by the run that is at work on it; None where there is none, or it does not say."""
-    if seen is None or seen.record is None or seen.alive is False or seen.trouble:
-        return None
-    found: Any = seen.record.progress.get("holds")
-    try:
-        tiles, regimes, reasons = found["tiles"], found["regimes"], found["reasons"]
-        names = ({regime.name for regime in REGIMES}, {reason.text for reason in REASONS})
-        wrong = [
-            name for counts, known in zip((regimes, reasons), names, strict=True) for name in counts.keys() - known
-        ]
-        counts = [tiles, *regimes.values(), *reasons.values()]
-        if wrong or any(type(count) is not int or count < 0 for count in counts):
-            return None
-    except (TypeError, KeyError, AttributeError):
-        return None
-    return Holding(tiles, regimes, reasons)
-
-
 def _token(seen: Sighting | None) -> str:
     return seen.record.token if seen and seen.record else ""
 
 
 def read_status(header: Header, timing: Timing = TIMING) -> Status:
-    """The status of a store: as the run at work on it reports, else by its records, and chunks of tiles without one.
+    """The status of a store, see ``Census``.
 
-    Takes up to ``timing.silent`` seconds where the run at work is not on this machine: that is how long it takes to
-    see whether it is alive.
+    Takes up to ``timing.silent`` seconds if the run at work is on another machine: so long it takes to see whether it
+    is alive.
     """
     return Census(header, timing).take(settled=True)
 

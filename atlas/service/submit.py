@@ -4,6 +4,7 @@ import os
 import time
 import uuid
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from atlas.service.fitness import Refusal
 from atlas.service.lease import note_end
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
-from atlas.service.run import Target, complete
+from atlas.service.run import complete
 from atlas.spec.spec import Spec
 from atlas.store.archive import refuse_packed
 from atlas.store.location import place_of
@@ -24,7 +25,7 @@ from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
-    from distributed import Client, Event, Future, Variable
+    from distributed import Client, Event, Future
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Submission:
     options          of the run; where it runs is settled by now
     name             of this submission, on the scheduler
     solver_version   the submitter's: no other may coordinate
-    run_id           of the store, empty where the submitter sees none
+    run_id           of the store, empty if the submitter sees none
     refused          workers that must not coordinate, and why
     """
 
@@ -52,14 +53,13 @@ class Submission:
 
 
 def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> str:
-    """Have the cluster at ``options.scheduler`` compute an atlas, and leave: the address of the coordinating worker.
+    """Have the cluster at ``options.scheduler`` compute an atlas, and leave; the address of the coordinating worker.
 
-    Returns once tiles are being solved, or the atlas is complete. The coordinator is a task next to the tiles; when its
-    worker dies, Dask starts it on another (as often as the scheduler's ``allowed-failures`` grants, by default three
-    times), where it resumes from what is stored. It takes no thread from the tiles. The workers must see the store's
-    path; one that has another solver version than this program, or sees another store there, refuses to coordinate,
-    and another is asked.
-    Raises what ``atlas.run`` raises before its first tile, and RunError where all workers refuse.
+    Returns once tiles are being solved, or the atlas is complete. The coordinator is a task that takes no thread from
+    the tiles. If its worker dies, Dask starts it on another, up to three times (the scheduler's ``allowed-failures``),
+    where it resumes from the stored tiles. A worker that has another solver version than this program, or finds another
+    store at the path, refuses to coordinate, and another is asked.
+    Raises what ``atlas.run`` raises before its first tile, and RunError if all workers refuse.
     """
     from distributed import Event, Variable
 
@@ -77,10 +77,11 @@ def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> st
         begun, run_id = Event(name, client=client), Variable(name, client=client)
         run_id.set("")
         while True:
-            willing = _willing(client, task)
-            if not willing:
+            try:
+                willing = _willing(client, task)
+            except RunError:
                 run_id.delete()
-                raise _all_refuse(task)
+                raise
             future = _start(client, task, willing)
             refusal = _refusal(future, begun, timing.poll)
             if refusal is None:
@@ -93,12 +94,12 @@ def submit(spec: Spec, store: str | os.PathLike[str], options: RunOptions) -> st
 
 
 def coordinate(task: Submission) -> Refusal | None:
-    """The coordinator, as a worker runs it, or its refusal, as a value that names the worker.
+    """Coordinate a run on this worker, or return a refusal that names it.
 
-    As soon as tiles are under way, a variable of the scheduler by the submission's name holds the store's run id, and
+    As soon as tiles are under way, a variable of the scheduler with the submission's name holds the store's run id, and
     an event is set, on which the submitter leaves. A coordinator that finds a run id follows one whose worker died: it
-    resumes that run only, and where its own worker must not coordinate, it starts the next one itself.
-    However it ends, an error that no submitter waits for is noted for the status.
+    resumes that run only, and if its own worker must not coordinate, it starts the next one itself. An error that no
+    submitter waits for is noted for the status.
     """
     from distributed import Event, Variable, get_worker, worker_client
 
@@ -117,20 +118,24 @@ def coordinate(task: Submission) -> Refusal | None:
             begun.clear()
 
         try:
-            earlier = _value(known, task.options.timing.poll)
-            unwatched = bool(earlier)
-            task = replace(task, run_id=earlier or task.run_id)
+            with suppress(TimeoutError):  # it is gone
+                earlier = str(known.get(timeout=task.options.timing.poll))
+                unwatched = bool(earlier)
+                task = replace(task, run_id=earlier or task.run_id)
             try:
                 check_coordinator(task)
             except RefusedError as error:
                 refusal = Refusal(get_worker().address, str(error))
                 if unwatched:
-                    _hand_on(client, task.without(refusal))
+                    time.sleep(task.options.timing.poll)  # it may be stolen back from a busy worker, over and over
+                    task = task.without(refusal)
+                    _start(client, task, _willing(client, task, task.options.timing.worker))  # one may be coming back
                 return refusal
             _run(task, client, begin)
         except BaseException as error:
-            if unwatched or not isinstance(error, InputError):  # bad input is the submitter's to report
-                _note_error(task, error)
+            # Bad input is the submitter's to report; without a store nobody asks for a status.
+            if (unwatched or not isinstance(error, InputError)) and _run_id(task.store):
+                note_end(notes_of(task.store), _in_words(error))
             forget()
             raise
         forget()
@@ -138,7 +143,7 @@ def coordinate(task: Submission) -> Refusal | None:
 
 
 def check_coordinator(task: Submission) -> None:
-    """Raise RefusedError where this worker must not coordinate."""
+    """Raise RefusedError if this worker must not coordinate."""
     if not task.run_id:
         check_solver(task.solver_version)
         return
@@ -153,28 +158,22 @@ def check_coordinator(task: Submission) -> None:
 def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:
     run_id = task.run_id
     if not run_id:
-        header = find(task.store, task.spec)
+        header = find(task.store)
         run_id = header.run_id if header else uuid.uuid4().hex
 
     def report(progress: Progress) -> None:
         if progress.stage == "solving":
             begin(run_id)
 
-    target = Target(task.spec, place_of(task.store), run_id=run_id)
-    summary = complete(target, client, replace(task.options, on_progress=report))
+    options = replace(task.options, on_progress=report)
+    summary = complete(task.spec, place_of(task.store), client, options, run_id=run_id)
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
         note_end(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
 
 
-def _note_error(task: Submission, error: BaseException) -> None:
-    """Note the error for the status, where there is a store to ask for one."""
-    if _run_id(task.store):
-        note_end(notes_of(task.store), _in_words(error))
-
-
 def _run_id(store: str) -> str:
-    """The run id of the store at a path, empty where this host sees none: it need not."""
+    """The run id of the store at a path, empty if this host sees none: it need not."""
     try:
         return read_header(store).run_id
     except (InputError, OSError):
@@ -197,27 +196,15 @@ def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Re
     return future
 
 
-def _hand_on(client: "Client", task: Submission) -> None:
-    """Start the coordinator on another worker, once there is one: that of the last attempt may be coming back."""
-    end = time.monotonic() + task.options.timing.worker
-    while True:
-        time.sleep(task.options.timing.poll)  # it may be stolen back from a busy worker, over and over
-        willing = _willing(client, task)
-        if willing:
-            break
-        if time.monotonic() > end:
-            raise _all_refuse(task)
-    _start(client, task, willing)
-
-
-def _willing(client: "Client", task: Submission) -> list[str]:
-    """Addresses of the workers that have not refused."""
-    return [worker for worker in worker_threads(client) if worker not in task.refused]
-
-
-def _all_refuse(task: Submission) -> RunError:
-    worker, reason = next(iter(task.refused.items()))
-    return RunError(f"no worker can coordinate this run: {worker}: {reason}")
+def _willing(client: "Client", task: Submission, seconds: float = 0.0) -> list[str]:
+    """Addresses of the workers that have not refused; RunError if there is none for these seconds."""
+    end = time.monotonic() + seconds
+    while not (willing := [worker for worker in worker_threads(client) if worker not in task.refused]):
+        if time.monotonic() >= end:
+            worker, reason = next(iter(task.refused.items()))
+            raise RunError(f"no worker can coordinate this run: {worker}: {reason}")
+        time.sleep(task.options.timing.poll)
+    return willing
 
 
 def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> Refusal | None:
@@ -236,11 +223,3 @@ def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> R
 def _in_words(error: BaseException) -> str:
     """Our own errors speak for themselves; others need their name."""
     return str(error) if isinstance(error, InputError | RunError) else f"{type(error).__name__}: {error}".rstrip(": ")
-
-
-def _value(variable: "Variable", seconds: float) -> str:
-    """What a variable of the scheduler holds, nothing where it is gone."""
-    try:
-        return str(variable.get(timeout=seconds))
-    except TimeoutError:
-        return ""

@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from atlas.service.plan import Plan
@@ -36,9 +36,8 @@ class Summary:
     processor_seconds              of the workers' processors inside the solver, summed: other programs do not count
     periods                        forcing periods simulated
     peak_bytes                     most memory that the process of any worker ever had
-    failures, refused              tiles that raised; workers that got no more of them, and why
-    retried, changed               cells of finished tiles were solved again, and nothing else; those of them that
-                                   came out of another regime
+    failures, refused              tiles that raised; workers that got no more tiles, and why
+    retried, changed               whether cells of finished tiles were solved again; how many changed regime
     """
 
     store: str
@@ -66,11 +65,6 @@ class Summary:
         return self.cells_solved / self.seconds if self.seconds else 0.0
 
     @property
-    def periods_per_second(self) -> float:
-        """Forcing periods simulated a second, by all workers together."""
-        return self.periods / self.seconds if self.seconds else 0.0
-
-    @property
     def efficiency(self) -> float:
         """Share of the workers' time spent solving: the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
@@ -84,7 +78,7 @@ class Summary:
         lines = [
             done,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
-            f"{self.cells_per_second:.3g} cells/s, {self.periods_per_second:.3g} forcing periods/s, "
+            f"{self.cells_per_second:.3g} cells/s, {self.periods / self.seconds:.3g} forcing periods/s, "
             f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "
             f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
             f"{duration(self.processor_seconds)} of processor time, "
@@ -97,22 +91,19 @@ class Summary:
 
 
 class Totals:
-    """Receipts added up: the state of a run between its snapshots."""
+    """The state of a run between its snapshots: its receipts added up."""
 
     def __init__(
-        self, plan: Plan, tiles: int, cells: int, tiles_done: int, cells_done: int, retried: bool = False
+        self, plan: Plan, tiles: int, cells: int, tiles_done: int = 0, cells_done: int = 0, retried: bool = False
     ) -> None:
-        self.plan, self.retried = plan, retried
-        self.workers = plan.workers
+        self.plan, self.retried, self.workers = plan, retried, plan.workers
         self.tiles, self.cells, self.tiles_done, self.cells_done = tiles, cells, tiles_done, cells_done
         self.tiles_solved = self.cells_solved = self.changed = self.periods = self.peak_bytes = 0
-        self.counts: Counter[str] = Counter()
-        self.reasons: Counter[str] = Counter()
-        self.failures: list[TileFailure] = []
+        self.solve_seconds = self.write_seconds = self.processor_seconds = self.seconds = 0.0
+        self.counts, self.reasons = Counter[str](), Counter[str]()
+        self.failures: tuple[TileFailure, ...] = ()
         self.refused: Mapping[str, str] = {}
         self.trouble = ""
-        self.solve_seconds = self.write_seconds = self.processor_seconds = 0.0
-        self.seconds = 0.0
         self.start()
 
     def start(self) -> None:
@@ -123,64 +114,28 @@ class Totals:
         """Count one tile's outcome."""
         self.seconds = time.perf_counter() - self.begin
         if isinstance(outcome, TileFailure):
-            self.failures.append(outcome)
+            self.failures += (outcome,)
             return
         self.tiles_done, self.cells_done = self.tiles_done + 1, self.cells_done + outcome.cells + outcome.taken
         self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
-        self.solve_seconds += outcome.solve_seconds
-        self.processor_seconds += outcome.processor_seconds
-        self.write_seconds += outcome.write_seconds
-        self.periods += outcome.periods
-        self.changed += outcome.changed
+        for name in ("solve_seconds", "processor_seconds", "write_seconds", "periods", "changed"):
+            setattr(self, name, getattr(self, name) + getattr(outcome, name))
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     def progress(self, stage: str) -> Progress:
         """The snapshot of now."""
-        return Progress(
-            stage=stage,
-            plan=self.plan,
-            tiles=self.tiles,
-            cells=self.cells,
-            tiles_done=self.tiles_done,
-            cells_done=self.cells_done,
-            cells_solved=self.cells_solved,
-            seconds=self.seconds,
-            counts=dict(self.counts),
-            failures=len(self.failures),
-        )
+        names = ("plan", "tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds")
+        now = {name: getattr(self, name) for name in names}
+        return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
         """What the run's claim reports to those who ask for the store's status."""
-        return {
-            "workers": threads,
-            "cells": self.cells,
-            "cells_done": self.cells_done,
-            "cells_solved": self.cells_solved,
-            "seconds": self.seconds,
-            "trouble": self.trouble,
-        }
+        names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
+        return {"workers": threads} | {name: getattr(self, name) for name in names}
 
     def summary(self, store: str) -> Summary:
         """The sum, for a store at that path or URL."""
-        return Summary(
-            store=store,
-            tiles=self.tiles,
-            tiles_done=self.tiles_done,
-            tiles_solved=self.tiles_solved,
-            cells_solved=self.cells_solved,
-            counts=dict(self.counts),
-            reasons=dict(self.reasons),
-            seconds=self.seconds,
-            solve_seconds=self.solve_seconds,
-            write_seconds=self.write_seconds,
-            periods=self.periods,
-            workers=self.workers,
-            peak_bytes=self.peak_bytes,
-            failures=tuple(self.failures),
-            refused=dict(self.refused),
-            retried=self.retried,
-            changed=self.changed,
-            processor_seconds=self.processor_seconds,
-        )
+        sums = {each.name: getattr(self, each.name) for each in fields(Summary) if each.name != "store"}
+        return Summary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})

@@ -16,86 +16,50 @@ from functools import lru_cache
 from pathlib import Path
 
 from atlas.errors import InputError
+from atlas.store.place import Place
 
 SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
 """The date of every member, so that equal atlases are equal files."""
 _LARGEST_UNPACKED = 2**28
-"""Bytes that a member may have that is compressed, as none of ours is: its few bytes may say that they are many."""
+"""Largest unpacked size of a compressed member, in bytes. None of ours is compressed: it may be a zip bomb."""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
-"""What zipfile raises for bytes that nobody packed: a wrong checksum, an unknown method, a mark of encryption."""
+"""What zipfile raises for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
 
 
 @dataclass(frozen=True)
-class ZipPlace:
-    """A zip file as a place that is read only: see ``location.Place``. A damaged one raises OSErrors."""
+class ZipPlace(Place):
+    """A zip file as a place that is read only. A damaged one raises OSErrors."""
 
     path: Path
 
     def __str__(self) -> str:
         return str(self.path)
 
-    @property
-    def local(self) -> None:
-        """See Place: it is no folder."""
-
     def get(self, key: str) -> bytes | None:
-        """See Place."""
         archive = self._archive()
         if archive is None:
             return None
         with archive.lock, reading(self.path):
-            try:
-                return archive.file.read(key)
-            except KeyError:
-                return None
-
-    def exists(self, key: str) -> bool:
-        """See Place."""
-        archive = self._archive()
-        return archive is not None and key in archive.keys
-
-    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """See Place."""
-        return {key: data for key in keys if (data := self.get(key)) is not None}
+            return archive.file.read(key) if key in archive.keys else None
 
     def version(self, key: str) -> Hashable:
-        """See Place."""
-        return self.path.stat().st_mtime_ns if self.exists(key) else None
+        archive = self._archive()
+        return self.path.stat().st_mtime_ns if archive is not None and key in archive.keys else None
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """See Place."""
         archive = self._archive()
         yield from (key for key in (archive.keys if archive else ()) if key.startswith(prefix))
 
-    def put(self, key: str, data: bytes) -> None:
-        """See Place: refused."""
-        raise self._read_only()
-
-    def put_new(self, key: str, data: bytes) -> bool:
-        """See Place: refused."""
-        raise self._read_only()
-
-    def remove(self, key: str) -> None:
-        """See Place: refused."""
-        raise self._read_only()
-
-    def remove_all(self, keys: Iterable[str]) -> None:
-        """See Place: refused."""
-        raise self._read_only()
-
     def _archive(self) -> "_Archive | None":
-        """The open file, None where there is none."""
+        """The open file, None if there is none."""
         try:
             found = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
             return None
         with reading(self.path):
             return _opened(self.path, found.st_ino, found.st_size, found.st_mtime_ns, os.getpid())
-
-    def _read_only(self) -> OSError:
-        return OSError(errno.EROFS, "a zip file is read only", str(self.path))
 
 
 @dataclass(frozen=True)
@@ -116,7 +80,7 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """What zipfile raises for a damaged file becomes an OSError that says so: EIO, as of a bad sector."""
+    """Turn what zipfile raises for a damaged file into an OSError that says so: EIO, as of a bad sector."""
     try:
         yield
     except _DAMAGE as error:
@@ -124,27 +88,23 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def refuse_packed(place: object) -> None:
-    """InputError where a place that is to be written is a zip file."""
+    """InputError if a place that is to be written is a zip file."""
     if isinstance(place, ZipPlace):
         raise InputError(f"{place}: a zip file is read only; give a folder such as {place.path.with_suffix('.zarr')}")
 
 
-def _remove_left(target: Path) -> None:
+def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
+    """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
+
+    Nothing is compressed: chunks already are, and metadata are small. Files that killed writers left behind, on which
+    nobody holds a lock, are removed.
+    """
     begin = f".{target.name}"
     for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
         if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
             with suppress(OSError), left.open("rb") as file:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 left.unlink()
-
-
-def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
-    """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
-
-    Nothing is compressed: the chunks of a store are, and its few metadata are small. What writers left behind that were
-    killed is removed: the files that nobody holds a lock on.
-    """
-    _remove_left(target)
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
         with unfinished.open("wb") as file:

@@ -1,6 +1,6 @@
-"""The values of a store's axes, or of the columns of its points: its coordinates have them, and its attributes do not.
+"""The values of a store's axes, or of the columns of its points: they are in its coordinates, not in its attributes.
 
-Those that are not evenly spaced, and so cannot be made again from the attributes, have a copy beside their coordinate.
+Values that are not evenly spaced, and so cannot be made again from the attributes, have a copy beside their coordinate.
 Stores of format version 1 have all values in their attributes too, and no copies.
 """
 
@@ -25,8 +25,8 @@ _DTYPE = np.dtype("<f8")
 def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values:
     """The values of all axes or columns of a spec's outline, bit for bit as its digest was taken.
 
-    In place of a coordinate that is damaged its copy is read, or it is made again where it is evenly spaced; the digest
-    shows whether it was. ChunkError, which names what is damaged, where that does not help.
+    A damaged coordinate is replaced by its copy, or made again if it was evenly spaced, which the digest shows.
+    ChunkError, which names what is damaged, if that does not help.
     """
     faults: dict[str, str] = {}
     found: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}
@@ -59,7 +59,7 @@ def copy_key(name: str) -> str:
 
 
 def _stored(place: Place, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
-    """The values of a coordinate; None where something is wrong with it, which is noted."""
+    """The values of a coordinate; None if it is damaged, and then ``faults`` says why."""
     import zarr
 
     from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load

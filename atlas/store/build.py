@@ -13,6 +13,7 @@ from atlas.store.schema import (
     ALLOWANCES,
     DIMENSIONS,
     Origin,
+    StoredArray,
     coordinates,
     extra_sizes,
     root_attributes,
@@ -33,22 +34,30 @@ def build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, 
     group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
     group.create_group(MACHINES, attributes={"long_name": "processors and software that solved this atlas"})
     for name, coordinate in coordinates(spec).items():
-        array = group.create_array(
-            name,
-            shape=coordinate.values.shape,
-            chunks=coordinate.values.shape,
-            dtype="str" if coordinate.values.dtype.kind == "T" else coordinate.values.dtype,
-            dimension_names=coordinate.dims,
-            compressors=codecs(),
-            attributes=coordinate.attributes,
-        )
-        array[...] = coordinate.values
+        create_whole(group, name, coordinate)
     for key, data in copies(spec).items():
         LocalPlace(path).put(key, data)
     for variable in variables:
         create_variable(group, variable, spec, tiling, variable_attributes(variable, [*spec.parameters, *spec.points]))
     create_arrays(group, (*variables, *ALLOWANCES), spec.dims, tiling.grid, codecs())
     consolidate(group)
+
+
+def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
+    """Make an array of one chunk with its values, in the place of one that is there."""
+    values, dims, attributes = stored
+    array: Any = group.create_array(
+        name,
+        shape=values.shape,
+        chunks=tuple(max(1, size) for size in values.shape),
+        dtype="str" if values.dtype.kind == "T" else values.dtype,
+        dimension_names=dims,
+        compressors=codecs(),
+        attributes=attributes,
+        overwrite=True,
+    )
+    if values.size:
+        array.with_config({"write_empty_chunks": True})[...] = values
 
 
 def create_variable(
@@ -72,7 +81,7 @@ def create_variable(
 
 
 def consolidate(group: "zarr.Group", path: str = "") -> None:
-    """Copy the metadata of all arrays below a group, the root or one in it, into its own, which is all xarray reads."""
+    """Copy the metadata of all arrays below a group into its own metadata, which is all that xarray reads."""
     import zarr
 
     with warnings.catch_warnings():

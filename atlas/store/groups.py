@@ -1,7 +1,7 @@
-"""Groups of arrays beside the results of a store, each written whole.
+"""Groups of arrays beside the results of a store, each written whole, and the tables among them.
 
-A group's own metadata are written last: before them there is none, and a kill at any moment leaves the group whole or
-absent. They have a checksum of all that the group holds. Groups made before there were checksums have none.
+A group's own metadata are written last: a kill at any moment leaves the group whole or absent. They have a checksum of
+all that the group holds, except in groups of earlier versions.
 """
 
 import hashlib
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.store.build import codecs
-from atlas.store.schema import StoredArray
+from atlas.store.build import consolidate, create_whole
+from atlas.store.schema import StoredArray, coordinates
 from atlas.store.store import ROOT, Header, open_group
 
+ATTRACTORS, LABELS = "attractors", "labels"
+"""The tables: attractors whose basins a store has, one entry each; labels of coexisting attractors."""
 ARRAYS, CHECKSUM = "arrays", "checksum"
 """Attributes of a group: the names of its arrays; the checksum."""
 
@@ -24,20 +26,9 @@ ARRAYS, CHECKSUM = "arrays", "checksum"
 def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
     """Write a group, in the place of one that is there."""
     drop_group(header, group)
-    root: Any = open_group(header.place, "r+")
-    for name, (values, dims, described) in arrays.items():
-        array = root.create_array(
-            f"{group}/{name}",
-            shape=values.shape,
-            chunks=tuple(max(1, size) for size in values.shape),
-            dtype="str" if values.dtype.kind == "T" else values.dtype,
-            dimension_names=dims,
-            compressors=codecs(),
-            attributes=described,
-            overwrite=True,
-        )
-        if values.size:
-            array.with_config({"write_empty_chunks": True})[...] = values
+    root = open_group(header.place, "r+")
+    for name, array in arrays.items():
+        create_whole(root, f"{group}/{name}", array)
     own = {**attributes, ARRAYS: list(arrays)}
     whole = {
         "zarr_format": 3,
@@ -47,13 +38,23 @@ def write_group(header: Header, group: str, arrays: Mapping[str, StoredArray], a
     header.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
 
 
+def write_table(header: Header, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+    """Write a table, which xarray opens, with the coordinates of its dimensions, in the place of one that is there."""
+    dims = {dim for column in columns.values() for dim in column.dims}
+    known = {name: each for name, each in coordinates(header.spec).items() if name in dims and each.dims == (name,)}
+    write_group(header, table, known | dict(columns), {**attributes, "digest": header.digest})
+    root = open_group(header.place, "r+")
+    consolidate(root, table)
+    consolidate(root)  # by the root's copy xarray finds the group
+
+
 def drop_group(header: Header, group: str) -> None:
     """Make a group absent."""
     header.place.remove(f"{group}/{ROOT}")
 
 
 def group_attributes(header: Header, group: str) -> dict[str, Any] | None:
-    """The attributes of a group, None where it does not exist. ChunkError where they cannot be read."""
+    """The attributes of a group, None if it does not exist. ChunkError if they cannot be read."""
     key = f"{group}/{ROOT}"
     stored = header.place.get(key)
     try:
@@ -63,9 +64,9 @@ def group_attributes(header: Header, group: str) -> dict[str, Any] | None:
 
 
 def read_group(header: Header, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """The arrays of a group by name, and its attributes; None where it does not exist.
+    """The arrays of a group by name, and its attributes; None if it does not exist.
 
-    ChunkError, which names what is missing or damaged, where they were not written together.
+    ChunkError, which names what is missing or damaged, if they were not written together.
     """
     attributes = group_attributes(header, group)
     if attributes is None:

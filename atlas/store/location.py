@@ -1,23 +1,24 @@
-"""Where a store lies: a folder of this machine or a URL, and what is done there with whole objects.
+"""The place of a store by its path or URL, and what is done with whole objects at a URL.
 
-Zarr reads and writes arrays in any of these places by stores of its own. This is the rest: one listing, one object
-put, removed or looked for, and a write under a condition, which an object store has in place of a rename.
+Zarr reads and writes arrays in any place by stores of its own. This is the rest: one listing, one object put, removed
+or looked for, and a write under a condition, which an object store has in place of a rename.
 """
 
 import os
-import uuid
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import unquote, urlsplit
 
 from atlas.errors import InputError
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
+from atlas.store.place import LocalPlace as LocalPlace
+from atlas.store.place import Place as Place
 
 if TYPE_CHECKING:
     from obstore import PutMode, UpdateVersion
@@ -31,52 +32,16 @@ AT_ONCE = 64
 _T = TypeVar("_T")
 
 
-class Place(Hashable, Protocol):
-    """A root that keys such as ``regime/c/0/1`` lie under. Errors of any network are OSErrors. ``str`` is its name."""
-
-    @property
-    def local(self) -> Path | None:
-        """The folder, None where it is not one of this machine's disks."""
-
-    def get(self, key: str) -> bytes | None:
-        """An object's bytes, None where there is none."""
-
-    def exists(self, key: str) -> bool:
-        """Whether there is such an object."""
-
-    def version(self, key: str) -> Hashable:
-        """A token of an object's present state, without its bytes; None where there is no object."""
-
-    def put(self, key: str, data: bytes) -> None:
-        """Write an object whole, in place of any before it."""
-
-    def put_new(self, key: str, data: bytes) -> bool:
-        """Write an object if there is none of that key; False, and nothing is written, where there is."""
-
-    def remove(self, key: str) -> None:
-        """Remove an object; nothing happens where there is none."""
-
-    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """The bytes of the objects among these that exist, by key: many at once where each takes a while."""
-
-    def remove_all(self, keys: Iterable[str]) -> None:
-        """Remove objects, in no order, many by one request where the place has such requests."""
-
-    def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """All keys, those under a prefix that ends in "/", or all, by one listing."""
-
-
 def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -> Place:
     """The place that a user named by a path or a URL; InputError for a URL that cannot be one.
 
-    A path that ends in .zip is an atlas packed into one file, unless it is a folder.
-
-    A server at a URL that does not answer is waited for ``patience`` seconds.
+    A path that ends in .zip is an atlas packed into one file, unless it is a folder. At a URL, each call waits
+    ``patience`` seconds for a server that does not answer.
     """
-    if isinstance(store, LocalPlace | ObjectPlace | ZipPlace):
+    if isinstance(store, Place):
         return store
     if not isinstance(store, str) or "://" not in store:
-        return _place_at(Path(store).absolute())  # type: ignore[arg-type]
+        return _place_at(Path(store).absolute())
     scheme = store.partition("://")[0]
     if scheme == "file":
         return _place_at(Path(unquote(urlsplit(store.rstrip("/")).path)).absolute())
@@ -102,89 +67,10 @@ def waiting(place: Place, patience: float) -> Place:
 
 
 @dataclass(frozen=True)
-class LocalPlace:
-    """A folder."""
-
-    path: Path
-
-    def __str__(self) -> str:
-        return str(self.path)
-
-    @property
-    def local(self) -> Path:
-        """See Place."""
-        return self.path
-
-    def get(self, key: str) -> bytes | None:
-        """See Place."""
-        try:
-            return (self.path / key).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-
-    def exists(self, key: str) -> bool:
-        """See Place."""
-        return (self.path / key).is_file()
-
-    def version(self, key: str) -> Hashable:
-        """See Place. A write puts another file in its place."""
-        try:
-            found = (self.path / key).stat()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        return found.st_ino, found.st_mtime_ns, found.st_size
-
-    def put(self, key: str, data: bytes) -> None:
-        """See Place."""
-        with self._written(key, data) as written:
-            os.replace(written, self.path / key)
-
-    def put_new(self, key: str, data: bytes) -> bool:
-        """See Place. A link appears with its whole content or not at all, on network disks too."""
-        with self._written(key, data) as written:
-            try:
-                os.link(written, self.path / key)
-            except FileExistsError:
-                return False
-        return True
-
-    def remove(self, key: str) -> None:
-        """See Place."""
-        (self.path / key).unlink(missing_ok=True)
-
-    def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """See Place."""
-        return {key: data for key in keys if (data := self.get(key)) is not None}
-
-    def remove_all(self, keys: Iterable[str]) -> None:
-        """See Place."""
-        for key in keys:
-            self.remove(key)
-
-    def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """See Place. What a killed write left behind is none."""
-        for folder, _, files in os.walk(self.path / prefix):
-            above = Path(folder).relative_to(self.path).as_posix()
-            begin = "" if above == "." else f"{above}/"
-            yield from (begin + name for name in files if not name.endswith(".partial"))
-
-    @contextmanager
-    def _written(self, key: str, data: bytes) -> Iterator[Path]:
-        target = self.path / key
-        target.parent.mkdir(parents=True, exist_ok=True)
-        written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
-        try:
-            written.write_bytes(data)
-            yield written
-        finally:
-            written.unlink(missing_ok=True)
-
-
-@dataclass(frozen=True)
-class ObjectPlace:
+class ObjectPlace(Place):
     """A prefix of an object store, by obstore. Credentials and endpoint come from the environment (AWS_*, ...).
 
-    A server that does not answer is waited for ``patience`` seconds in each call, which then raises NetworkError.
+    Each call waits ``patience`` seconds for a server that does not answer, and then raises NetworkError.
     """
 
     url: str
@@ -192,10 +78,6 @@ class ObjectPlace:
 
     def __str__(self) -> str:
         return self.url
-
-    @property
-    def local(self) -> None:
-        """See Place."""
 
     @cached_property
     def client(self) -> "ObjectStore":
@@ -208,56 +90,43 @@ class ObjectPlace:
         return from_url(self.url, **options)
 
     def get(self, key: str) -> bytes | None:
-        """See Place."""
         found = self.get_tagged(key)
         return None if found is None else found[0]
 
     def get_tagged(self, key: str) -> "tuple[bytes, UpdateVersion] | None":
-        """An object's bytes, and the version that ``put_if`` knows this state of it by."""
+        """An object's bytes, and the version by which ``put_if`` knows this state of it."""
         import obstore
 
-        def once() -> "tuple[bytes, UpdateVersion] | None":
-            try:
-                found = obstore.get(self.client, key)
-            except FileNotFoundError:
-                return None
+        def once() -> "tuple[bytes, UpdateVersion]":
+            found = obstore.get(self.client, key)
             # S3 and Azure compare the tag, Google's store its generation, which is the version.
-            version: UpdateVersion = {}
-            if found.meta["e_tag"] is not None:
-                version["e_tag"] = found.meta["e_tag"]
-            if found.meta["version"] is not None:
-                version["version"] = found.meta["version"]
+            tags = {"e_tag": found.meta["e_tag"], "version": found.meta["version"]}
+            version: Any = {name: tag for name, tag in tags.items() if tag is not None}
             return bytes(found.bytes()), version
 
-        return self._persist(once)
-
-    def exists(self, key: str) -> bool:
-        """See Place."""
-        return self.version(key) is not None
+        try:
+            return self._persist(once)
+        except FileNotFoundError:
+            return None
 
     def version(self, key: str) -> Hashable:
-        """See Place."""
         import obstore
 
-        def once() -> Hashable:
-            try:
-                found = obstore.head(self.client, key)
-            except FileNotFoundError:
-                return None
-            return found["e_tag"], found["version"], found["last_modified"], found["size"]
-
-        return self._persist(once)
+        try:
+            found = self._persist(lambda: obstore.head(self.client, key))
+        except FileNotFoundError:
+            return None
+        return found["e_tag"], found["version"], found["last_modified"], found["size"]
 
     def put(self, key: str, data: bytes) -> None:
-        """See Place."""
         import obstore
 
         self._persist(lambda: obstore.put(self.client, key, data))
 
     def put_new(self, key: str, data: bytes) -> bool:
-        """See Place. HTTP's If-None-Match: * does it: of two at once one succeeds."""
         from obstore.exceptions import AlreadyExistsError
 
+        # HTTP's If-None-Match: * does it: of two at once one succeeds.
         return self._put_under(key, data, "create", (AlreadyExistsError,))
 
     def put_if(self, key: str, data: bytes, version: "UpdateVersion") -> bool:
@@ -267,24 +136,18 @@ class ObjectPlace:
         return self._put_under(key, data, version, (PreconditionError, FileNotFoundError))
 
     def remove(self, key: str) -> None:
-        """See Place."""
         import obstore
 
-        def once() -> None:
-            with suppress(FileNotFoundError):
-                obstore.delete(self.client, key)
-
-        self._persist(once)
+        with suppress(FileNotFoundError):
+            self._persist(lambda: obstore.delete(self.client, key))
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """See Place."""
         wanted = list(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
             found = zip(wanted, pool.map(self.get, wanted), strict=True)
             return {key: data for key, data in found if data is not None}
 
     def remove_all(self, keys: Iterable[str]) -> None:
-        """See Place."""
         import obstore
 
         unwanted = list(keys)
@@ -295,7 +158,6 @@ class ObjectPlace:
                 list(pool.map(self.remove, unwanted))
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """See Place."""
         import obstore
 
         def once() -> list[str]:
@@ -304,7 +166,7 @@ class ObjectPlace:
         yield from self._persist(once)
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
-        """Put under a condition; False where one of these errors says that it does not hold."""
+        """Put under a condition; False if one of these errors says that it does not hold."""
         import obstore
         from obstore.exceptions import BaseError
 

@@ -18,7 +18,7 @@ JIT_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "N
 
 @dataclass(frozen=True)
 class Machine:
-    """A kind of machine: a name made of its facts, and these. Two with one name give the same cell the same bits."""
+    """A kind of machine: a name made of its facts, and the facts. Machines of one name give a cell the same bits."""
 
     name: str
     facts: Mapping[str, str] = field(compare=False)

@@ -29,31 +29,18 @@ def _recorded(place: Place, run_id: str, machine: Machine) -> None:
 
 
 def machines(header: Header) -> tuple[Machine, ...]:
-    """The machines that solved tiles of this store, in no order; empty where no tile is written yet.
-
-    One whose record is damaged, so that its facts are not those that it is named by, has the name UNKNOWN has.
-    """
-    return tuple(_recorded_in(header.place, key) or UNKNOWN for key in _machine_keys(header))
+    """The machines that solved tiles of this store, in no order; UNKNOWN for one whose record is damaged."""
+    return tuple(recorded_machine(header.place, key) or UNKNOWN for key in machine_keys(header))
 
 
-def damaged_machines(header: Header) -> list[str]:
-    """The keys of the records of machines that are damaged."""
-    return [key for key in _machine_keys(header) if _recorded_in(header.place, key) is None]
-
-
-def forget_machine(header: Header, key: str) -> None:
-    """Put an unknown machine in the place of one whose record is damaged: that there was one still counts."""
-    record_machine(header, UNKNOWN)
-    header.place.remove(key)
-
-
-def _machine_keys(header: Header) -> list[str]:
+def machine_keys(header: Header) -> list[str]:
+    """The keys of the records of the machines."""
     keys = header.place.list_keys(f"{MACHINES}/")
     return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
 
 
-def _recorded_in(place: Place, key: str) -> Machine | None:
-    """The machine of a record, None where it is damaged."""
+def recorded_machine(place: Place, key: str) -> Machine | None:
+    """The machine of a record, None if it is damaged."""
     try:
         found = machine_of(json.loads(place.get(key) or b"")["attributes"])
     except (ValueError, KeyError, TypeError, RecursionError):

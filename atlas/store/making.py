@@ -1,5 +1,6 @@
-"""Making a store appear at once or not at all, and whether one may be made or written at a place."""
+"""Making a store appear at once or not at all, and whether a run may make or resume one."""
 
+import errno
 import glob
 import json
 import os
@@ -10,23 +11,29 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from atlas.errors import InputError, NetworkError
+from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
+from atlas.store.archive import refuse_packed
 from atlas.store.axes import ROOT
 from atlas.store.build import build, consolidate
 from atlas.store.location import AT_ONCE, LocalPlace, Place
 from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from atlas.store.store import Header
 
 TRIAL = ".trial-"
 
 
 @contextmanager
 def refused(place: Place, what: str) -> Iterator[None]:
-    """An OSError within it as an InputError, whose cause it is; a server that does not answer stays a NetworkError."""
+    """Turn an OSError into an InputError that it is the cause of; a server that does not answer is a NetworkError."""
     try:
         yield
     except NetworkError:
@@ -35,22 +42,64 @@ def refused(place: Place, what: str) -> Iterator[None]:
         raise InputError(f"{place}: cannot be {what}: {error.strerror or error}") from error
 
 
-def is_free(place: Place, spec: Spec) -> bool:
-    """Whether a store of this spec may be made here: nothing is there, or only what a creation cut short left."""
+def is_free(place: Place) -> bool:
+    """Whether there is no store at a place, and nothing else on a disk."""
     path = place.local
-    if path is not None:
-        return not path.exists() or (path.is_dir() and not any(path.iterdir()))
-    if place.exists(ROOT):
-        return False
+    if path is None:
+        return not place.exists(ROOT)
+    return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+
+
+def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
+    """InputError unless a run of a spec may make the store at a place, or resume the one with that header."""
+    refuse_packed(place)
+    if header is None:
+        with refused(place, "written"):
+            if place.local is None:
+                _refuse_foreign(place, spec)
+            _check_writable(place)
+        return
+    if header.solver_version != SOLVER_VERSION:
+        raise InputError(
+            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
+            "their numbers do not mix: choose another path"
+        )
+    # Without its values where the digest says so, since these may be damaged.
+    if not (header.format_version > 1 and header.digest == spec.digest) and header.spec.digest != spec.digest:
+        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
+    if header.unknown:
+        names = ", ".join(variable.name for variable in header.unknown)
+        raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")
+    with refused(place, "written"):
+        if place.local is not None:
+            if not os.access(place.local, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        elif root := place.get(ROOT):
+            place.put_new(ROOT, root)  # writes nothing, and a missing permission is refused in another way
+
+
+def _refuse_foreign(place: Place, spec: Spec) -> None:
+    """InputError if something lies at a URL that no creation cut short has left there."""
     ours = {MACHINES, TILES, *coordinate_names(spec)} | {variable.name for variable in spec.variables}
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
-    return True
 
 
-def create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result in a folder of this machine; a rename makes it appear."""
+def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
+    """Make a store without a result, which appears at once or not at all.
+
+    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if there are none.
+    """
+    path = place.local
+    if path is None:
+        with tempfile.TemporaryDirectory() as folder:
+            built = LocalPlace(Path(folder) / "store")
+            build(built.path, spec, tile, origin, run_id)
+            _put_all(built, place, [key for key in built.list_keys() if key != ROOT])
+            if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
+                raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+        return
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,21 +109,11 @@ def create_locally(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin
         shutil.rmtree(building, ignore_errors=True)
 
 
-def create_remotely(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result at a URL; its root, which is put last and only if absent, makes it appear."""
-    with tempfile.TemporaryDirectory() as folder:
-        built = LocalPlace(Path(folder) / "store")
-        build(built.path, spec, tile, origin, run_id)
-        _put_all(built, place, [key for key in built.list_keys() if key != ROOT])
-        if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
-            raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
-
-
 @contextmanager
 def metadata_apart(place: Place, group: str) -> Iterator[Any]:
-    """A copy of a store's metadata as a root group, for making a group in it anew: what is made is put many at once.
+    """A copy of a store's metadata as a root group, in which to make a group anew; its objects are then put at once.
 
-    The metadata of the group itself are put last but for the root, which then has a copy of all that is new.
+    The group's own metadata come last but for the root's, which have a copy of all that is new.
     """
     import zarr
 
@@ -100,15 +139,8 @@ def _put_all(built: LocalPlace, place: Place, keys: Iterable[str]) -> None:
         list(pool.map(lambda key: place.put(key, (built.path / key).read_bytes()), keys))
 
 
-def check_replaceable(place: Place) -> None:
-    """Try to write the root if there is none: a missing permission is refused in another way."""
-    root = place.get(ROOT)
-    if root:
-        place.put_new(ROOT, root)
-
-
-def check_writable(place: Place) -> None:
-    """Try it: permission bits do not say all. On a disk, in the nearest folder there is."""
+def _check_writable(place: Place) -> None:
+    """Try it, since permission bits do not say all; on a disk, in the nearest folder that exists."""
     if place.local is None:
         trial = f"{TRIAL}{uuid.uuid4().hex}"
         place.put(trial, b"")
@@ -120,7 +152,7 @@ def check_writable(place: Place) -> None:
 
 
 def remove_half_made(store: Path) -> None:
-    """Remove what runs left behind that were killed while they made this store. For the claim's holder only."""
+    """Remove what killed runs left of this store while they made it. For the claim's holder only."""
     run_id = "[0-9a-f]" * 32
     for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
         shutil.rmtree(leftover, ignore_errors=True)

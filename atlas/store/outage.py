@@ -1,7 +1,7 @@
-"""Waiting for a store at a URL that does not answer: a server or a network that is away comes back, as a rule.
+"""Waiting for a store at a URL that does not answer: as a rule, a server or a network that is away comes back.
 
-obstore's own retries are not used: they count from the beginning of a request, so that one that was under way for long
-before it failed is not made again, and they do not say which conditional write may have had its effect before.
+obstore's own retries are not used. They count from the beginning of a request, so that a request that fails after long
+is not made again, and they do not tell whether a conditional write may have had its effect before.
 """
 
 import asyncio
@@ -16,9 +16,9 @@ from typing import TypeVar
 from atlas.errors import NetworkError
 
 BRIEF = 15.0
-"""Seconds that a store is waited for while somebody waits for the answer: the URL may be wrong."""
+"""Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
 LONG = 180.0
-"""Seconds that a run waits for its store, which it has already reached."""
+"""Seconds that a run waits for its store, which it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)")
 """What obstore says of failures that may pass: no connection, a cut one, an overloaded or broken server."""
@@ -26,10 +26,10 @@ _T = TypeVar("_T")
 
 
 def persist(call: Callable[[], _T], url: str, patience: float) -> _T:
-    """The result of a call to obstore, made again with growing pauses while the store does not answer.
+    """The result of a call to obstore, repeated with growing pauses while the store does not answer.
 
-    Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that waiting
-    does not mend. A call may have had its effect although it failed.
+    Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that do not pass.
+    A call may have had its effect although it failed.
     """
     from obstore.exceptions import BaseError
 
@@ -56,21 +56,21 @@ async def persist_async(call: Callable[[], Awaitable[_T]], url: str, patience: f
 
 
 def first_line(error: Exception) -> str:
-    """The first line of an error, without the server's XML and the library's own account of it."""
+    """The first line of an error, without the server's XML and the library's details."""
     lines = str(error).splitlines()
     text = lines[0].partition("<?xml")[0].rstrip(": ") if lines else ""
     return text or type(error).__name__
 
 
 class _Outage:
-    """The failed attempts at one call; the outage begins with the first, however long that was under way."""
+    """The failed attempts at one call; the outage begins when the first of them fails."""
 
     def __init__(self, url: str, patience: float) -> None:
         self.url, self.patience = url, patience
         self.begin, self.next = math.inf, _FIRST_PAUSE
 
     def pause_after(self, error: Exception) -> float:
-        """Seconds until the next attempt; raises where there is to be none."""
+        """Seconds until the next attempt; raises if there is to be none."""
         from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
         line = first_line(error)

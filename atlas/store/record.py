@@ -1,9 +1,9 @@
-"""The record of a tile: a digest of its place and all that is in it, and its cells by regime and by reason.
+"""The record of a tile: a digest of its place and contents, and the counts of its cells by regime and by reason.
 
-It is a row of numbers, the chunk of its tile in the array ``tiles/record``, so that no exchange of chunks goes
-unnoticed and what an atlas holds is known without reading its cells. Columns have a fixed place, with room for regimes
-and reasons of later versions: a row of a later version that uses that room adds up to no tile here, and its tile is
-counted from its chunks. Stores of earlier versions have digests alone, in ``tiles/digest``.
+It is a row of numbers, the chunk of its tile in the array ``tiles/record``. The digest reveals exchanged chunks; the
+counts say what an atlas holds without reading its cells. Columns have fixed places, with room for regimes and reasons
+of later versions: here a row that uses this room does not add up to its tile, which is then counted from its chunks.
+Stores of earlier versions have digests alone, in ``tiles/digest``.
 """
 
 import hashlib
@@ -23,16 +23,15 @@ from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES, Variable
 TILES = "tiles"
 DIGESTS, RECORD, RECORDS = f"{TILES}/digest", f"{TILES}/record", f"{TILES}/records"
 COVERED = "variables"
-"""The attribute with the names of the variables covered, in the order in which they enter a digest."""
+"""The attribute with the names of the variables in a digest, in their order."""
 ADDED = "added"
-"""The attribute that is set where tiles were finished before the store had records."""
+"""The attribute of a store in which tiles were finished before it had records."""
 _ROOM = {"cells": 16, "area": 16, "reason": 32}
 DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
 AREAS = slice(18, 18 + len(REGIMES))
 BY_REASON = slice(34, 34 + len(REASONS))
-"""Where a row has its digest in two halves, its cells by regime, their areas, and its cells by reason, as the tables
-have them."""
+"""The columns of the digest in two halves, of cells by regime, of their areas, and of cells by reason."""
 WIDTH = 2 + sum(_ROOM.values())
 
 Index = tuple[int, ...]
@@ -55,9 +54,9 @@ def halves(digest: int) -> tuple[int, int]:
 
 
 def counted_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArray[Any]]) -> Rows:
-    """The row of a tile without its digest, from regimes and, where there are any, reasons. Areas in units of the axes.
+    """The row of a tile without its digest, from arrays of regimes and, if there are any, of reasons, one a cell.
 
-    ``arrays`` have one result a cell.
+    Areas are in units of the axes.
     """
     codes = arrays[REGIME.name]
     area = reduce(np.multiply.outer, (width[part] for width, part in zip(widths_along(spec), slices, strict=True)))
@@ -72,13 +71,13 @@ def counted_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDAr
 
 
 def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which rows, the last dimension theirs, account for all cells of their tiles."""
+    """Which rows, along the last dimension, account for all cells of their tiles."""
     by_regime, by_reason = rows[..., CELLS].sum(axis=-1), rows[..., BY_REASON].sum(axis=-1)
     return np.asarray((by_regime == sizes) & (by_reason == sizes))
 
 
 def packed(row: Rows) -> bytes:
-    """A row as the chunk of its tile, which ``create_arrays`` says how to read."""
+    """A row as the chunk of its tile, in the form that ``create_arrays`` declares."""
     data = row.astype("<f8").tobytes()
     return data + google_crc32c.value(data).to_bytes(4, "little")
 
@@ -92,12 +91,12 @@ def unpacked(data: bytes) -> Rows | None:
 
 
 def record_key(index: Index) -> str:
-    """The key of a tile's record. All lie in one folder, of which nothing is left when they are removed."""
+    """The key of a tile's record. All are in one folder, so that removing them leaves no empty folders."""
     return f"{RECORD}/{'.'.join(['c', *map(str, index), '0'])}"
 
 
 def record_index(key: str, grid: Index) -> Index | None:
-    """The tile that a key among the records is of; None for another."""
+    """The tile whose record has this key; None for any other key."""
     begin = f"{RECORD}/c."
     index = chunk_index(key.removeprefix(begin).replace(".", "/"), (*grid, 1)) if key.startswith(begin) else None
     return None if index is None else index[:-1]
@@ -106,7 +105,7 @@ def record_index(key: str, grid: Index) -> Index | None:
 def create_arrays(
     root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any], added: bool = False
 ) -> None:
-    """Make room in a store for its records: one array of a chunk a tile, and one of a chunk for all."""
+    """Make the arrays of a store's records: one with a chunk for each tile, and one with a single chunk."""
     from zarr.codecs import Crc32cCodec
 
     columns = [""] * WIDTH

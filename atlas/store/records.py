@@ -1,37 +1,35 @@
-"""What the finished tiles of a store hold, by their records: one per tile, and one chunk with all.
+"""What the finished tiles of a store hold, by their records: one for each tile, and one chunk with all.
 
 A worker puts the record of a tile right before its ``regime``, with which the tile is done. At the end of a run all
-records are put together in one chunk, the compaction, and the single ones are removed, so that a finished atlas is
-known from a handful of objects. No kill leaves a record that is wrong of a finished tile:
+records are collected in one chunk, the compaction, and the single ones are removed, so that a finished atlas is known
+from a handful of objects. No kill leaves a wrong record of a finished tile:
 
-- A record without a ``regime`` is of an unfinished tile, and is not read.
-- Before a finished tile becomes unfinished, whether to be written again or for good, an empty record is put in place of
-  its own. It wins over the tile's row in the compaction; killed there, the tile is as it was, and is counted from its
-  chunks. The new record is put before the new ``regime``, and is that of all that lies there when that comes.
-- A single record wins over the compaction, so that it does not matter when between writing that and removing these a
-  kill comes. Removed are those of tiles that no worker of the run may still write: of what was due, the tiles with a
-  receipt. Readers list the single ones first, and look again where one is gone when they come to it.
+- A record without a ``regime`` belongs to an unfinished tile, and is not read.
+- Before a finished tile becomes unfinished, an empty record replaces its own, and wins over the tile's row in the
+  compaction. After a kill there the tile is as it was, and is counted from its chunks. The new record comes before the
+  new ``regime``, and describes all that is there when that comes.
+- A single record wins over the compaction, so that a kill between writing that and removing these does no harm. Records
+  are removed of tiles that no worker of the run may still write: of the tiles due, those with a receipt. Readers list
+  the single ones first, and look again if one has gone when they come to it.
 - A compaction that has a row of every tile, with no single record beside it, says that all tiles are done.
 
 Rows that are missing, damaged or do not add up to the cells of their tile count as absent: such tiles are counted from
-their chunks, as all those of a store of an earlier version are.
+their chunks, like all tiles of a store of an earlier version.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, message_of
-from atlas.spec.cells import widths_along
 from atlas.store.record import (
     ADDED,
     BY_REASON,
     CELLS,
-    DIGEST,
     RECORD,
     RECORDS,
     WIDTH,
@@ -44,7 +42,7 @@ from atlas.store.record import (
     unpacked,
 )
 from atlas.store.store import READERS, Header, done_tiles, is_done, open_arrays
-from atlas.store.tiles import EXCHANGED, read_tile
+from atlas.store.tiles import read_tile
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
 _LOOKS = 10
@@ -53,16 +51,14 @@ _LOOKS = 10
 class Records:
     """The records of a store's tiles at one moment, read as far as they are asked for.
 
-    done      which tiles are finished, as an array over the tiles
-    rows      the rows of all tiles, zeros where a tile has none that counts
+    done      which tiles are finished, as an array over the tiles: those ``listed``, by default as the store says
+    rows      the rows of all tiles, zeros for a tile without a valid row
     known     which tiles have one
     damaged   what is wrong with records, by their keys
-    lost      the tiles that were finished by the compaction, and are not
+    lost      the tiles that are finished by the compaction and not by their chunks
     single    the tiles with a record of their own, finished or not
 
     The last three are there as soon as ``rows`` is.
-
-    Which tiles are finished is taken from ``listed`` where that is given, the finished ones by the keys of the store.
     """
 
     def __init__(self, header: Header, listed: Iterable[Index] | None = None) -> None:
@@ -72,7 +68,7 @@ class Records:
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
-        """See the class; from two objects where the atlas is finished, else from a listing."""
+        """See the class; from two objects if the atlas is finished, else from a listing."""
         if self._whole is not None:
             return np.ones(self.header.tiling.grid, dtype=bool)
         done = np.zeros(self.header.tiling.grid, dtype=bool)
@@ -94,13 +90,13 @@ class Records:
         return np.asarray(self.rows.any(axis=-1))
 
     def lack(self, codes: Iterable[int]) -> NDArray[np.bool_]:
-        """The tiles that have no cell of these regimes by their records."""
+        """The tiles that have no cell of these regimes, according to their records."""
         asked = np.isin([regime.code for regime in REGIMES], list(codes))
         return self.known & (self.rows[..., CELLS][..., asked].sum(axis=-1) == 0)
 
     @cached_property
     def _whole(self) -> Rows | None:
-        """The compaction, if it has all tiles and nothing is newer; None on a disk, where listing costs nothing."""
+        """The compaction, if it has all tiles and nothing is newer; None on a disk, where listing is cheap."""
         on_disk = self.header.place.local is not None
         if on_disk or self._listed is not None or self.header.record is None or single_records(self.header):
             return None
@@ -147,38 +143,41 @@ class Records:
 
 
 class RunRecords:
-    """The records of a store during a run, in the coordinator's memory: what was there, and what comes by receipts.
+    """The records of a store during a run, in the coordinator's memory: ``records`` before it, and those of receipts.
 
-    ``records`` are those from before it; ``due`` are the tiles that its workers may write.
+    ``due`` are the tiles that its workers may write.
     """
 
     def __init__(self, header: Header, records: Records, due: NDArray[np.bool_]) -> None:
         self._header, self._rows, self._open = header, records.rows.copy(), due.copy()
         self._new = bool(records.single)
-        self._done, self._known = records.done.copy(), records.known.copy()
+        self._done = records.done.copy()
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)
 
     def add(self, index: Index, row: Sequence[float]) -> None:
-        """A tile is written, and this is its record; an empty one where it is not known."""
+        """Take the record of a tile that is written; empty if it is not known."""
         new = np.array(row) if len(row) == WIDTH else np.zeros(WIDTH)
         self._total += new - self._rows[index]
-        self._rows[index], self._done[index], self._known[index] = new, True, len(row) == WIDTH
-        self._open[index], self._new = False, True
+        self._rows[index], self._done[index], self._open[index], self._new = new, True, False, True
 
     @property
     def counts(self) -> dict[str, Any] | None:
-        """What the store holds: its tiles done, its cells by regime and by reason; None where some are not counted."""
-        if (self._done & ~self._known).any():
+        """What the store holds: tiles done, cells by regime and by reason; None if some are not counted."""
+        if self._uncounted.any():
             return None
         regimes, reasons = by_name(self._total, self._header)
         return {"tiles": int(self._done.sum()), "regimes": regimes, "reasons": reasons}
 
-    def compact(self, held: Callable[[], None], on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Put all records together, after what is uncounted is; ``on_wait`` is called with the number of such tiles.
+    @property
+    def _uncounted(self) -> NDArray[np.bool_]:
+        return self._done & ~self._rows.any(axis=-1)
 
-        ``held`` is called before each write, and raises where another run has the store.
+    def compact(self, held: Callable[[], None], on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
+        """Collect all records in one chunk. Tiles without one are counted; ``on_wait`` is called with their number.
+
+        ``held`` is called before each write, and raises if another run has the store.
         """
-        uncounted = _indices(self._done & ~self._known & ~self._open)
+        uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
         for index, row in zip(uncounted, count_tiles(self._header, uncounted), strict=True):
@@ -189,7 +188,7 @@ class RunRecords:
 
 
 def put_together(header: Header) -> None:
-    """Put all records of a store together on which nobody is at work."""
+    """Collect all records of a store on which no run is at work."""
     none = np.zeros(header.tiling.grid, dtype=bool)
     RunRecords(header, Records(header, done_tiles(header)), none).compact(lambda: None)
 
@@ -197,7 +196,7 @@ def put_together(header: Header) -> None:
 def write_compaction(
     header: Header, rows: Rows, settled: NDArray[np.bool_], held: Callable[[], None] = lambda: None
 ) -> None:
-    """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row there."""
+    """Write all rows as one chunk, then remove the single records of ``settled`` tiles that have a row in it."""
     held()
     _compaction(header, "r+").with_config({"write_empty_chunks": True})[...] = rows
     counts = settled & add_up(rows, header.tiling.sizes())
@@ -206,7 +205,7 @@ def write_compaction(
 
 
 def read_record(header: Header, index: Index) -> Rows | None:
-    """The single record of a tile, None where there is none that is sound."""
+    """The single record of a tile, None if there is none or it is damaged."""
     data = None if header.record is None else header.place.get(record_key(index))
     return None if data is None else unpacked(data)
 
@@ -217,15 +216,10 @@ def single_records(header: Header) -> list[Index]:
     return sorted(index for index in found if index is not None)
 
 
-def done_mask(header: Header) -> NDArray[np.bool_]:
-    """Which tiles are finished, as an array over the tiles."""
-    return Records(header).done
-
-
 def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
-    """The rows of finished tiles from their chunks, read concurrently, without digests; the error of a damaged one.
+    """The rows of finished tiles, without digests, from their chunks; the error of a damaged tile.
 
-    A row of zeros for a tile that is not finished any more.
+    A tile that is no longer finished has a row of zeros.
     """
     if not tiles:
         return
@@ -243,43 +237,11 @@ def count_tiles(header: Header, tiles: Sequence[Index]) -> Iterator[Rows | Chunk
 
 
 def by_name(total: Rows, header: Header) -> tuple[dict[str, int], dict[str, int]]:
-    """The cells of added rows by regime and, where the store keeps any, by reason in words; only those that occur."""
+    """The counts above 0 in a sum of rows, by regime and, if the store keeps any, by reason in words."""
     cells, reasons = total[CELLS].astype(int).tolist(), total[BY_REASON].astype(int).tolist()
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}
     return regimes, named if REASON.name in header.arrays else {}
-
-
-def tile_areas(header: Header) -> NDArray[np.float64]:
-    """The area of every tile in the units of rows, as an array over the tiles."""
-    widths = zip(widths_along(header.spec), header.tile, strict=True)
-    along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
-    return np.asarray(reduce(np.multiply.outer, along))
-
-
-def record_faults(header: Header, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
-    """What is wrong with a store's records as a whole, by the rows that finished tiles have by their cells."""
-    faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
-    told = slice(CELLS.start, None if REASON in header.variables else BY_REASON.start)  # an older store has no reasons
-    wrong = [
-        index
-        for index, row in counted.items()
-        if records.known[index] and not np.allclose(records.rows[index][told], row[told], rtol=1e-9, atol=0)
-    ]
-    return faults + [f"the record of tile {index} contradicts its cells" for index in wrong]
-
-
-def tile_faults(header: Header, records: Records, index: Index, row: Rows) -> list[str]:
-    """Why ``row`` cannot be the record of a finished tile, by its cells."""
-    key = record_key(index)
-    if key in records.damaged:
-        return [f"{key} {records.damaged[key]}"]
-    if records.rows[index][DIGEST].any():
-        return [] if np.array_equal(records.rows[index][DIGEST], row[DIGEST]) else [EXCHANGED]
-    if header.record is None or ADDED in header.record["attributes"]:
-        return []
-    lost = RECORDS not in records.damaged and index not in records.single
-    return [f"{key} is missing"] if lost else []
 
 
 def _compaction(header: Header, mode: Any) -> Any:

@@ -1,7 +1,4 @@
-"""Zarr's own store of a place.
-
-At a URL it waits for a server that does not answer, as the place itself does; of a zip file damage is an OSError.
-"""
+"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file is an OSError."""
 
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -30,18 +27,16 @@ def _again(
 
 
 class RemoteStore(ObjectStore[Any]):
-    """Zarr's ObjectStore of a place. All that it does may be done twice, so that a failed call is simply repeated."""
+    """Zarr's ObjectStore of a place. A failed call is simply repeated, since all that it does may be done twice."""
 
     def __init__(self, place: ObjectPlace, read_only: bool) -> None:
         super().__init__(place.client, read_only=read_only)
         self._place = place
 
     def with_read_only(self, read_only: bool = False) -> Self:
-        """See Zarr's Store."""
         return type(self)(self._place, read_only)
 
     def __str__(self) -> str:
-        """See Zarr's Store."""
         return str(self._place)
 
     get = _again(ObjectStore.get)
@@ -54,21 +49,17 @@ class RemoteStore(ObjectStore[Any]):
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """See Zarr's Store."""
         once, wanted = super().get_partial_values, list(key_ranges)
         return await self._persist(lambda: once(prototype, wanted))
 
     def list(self) -> AsyncGenerator[str, None]:
-        """See Zarr's Store."""
         return self._listed(super().list)
 
     def list_prefix(self, prefix: str) -> AsyncGenerator[str, None]:
-        """See Zarr's Store."""
         once = super().list_prefix
         return self._listed(lambda: once(prefix))
 
     def list_dir(self, prefix: str) -> AsyncGenerator[str, None]:
-        """See Zarr's Store."""
         once = super().list_dir
         return self._listed(lambda: once(prefix))
 
@@ -90,14 +81,12 @@ class PackedStore(ZipStore):
         super().__init__(place.path, mode="r")
 
     async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
-        """See Zarr's Store."""
         with reading(self.path):
             return await super().get(key, prototype, byte_range)
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """See Zarr's Store."""
         with reading(self.path):
             return await super().get_partial_values(prototype, key_ranges)
 

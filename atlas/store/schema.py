@@ -22,20 +22,20 @@ OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
-"""Dimensions that cannot keep their name: xarray takes a variable named like one of its dimensions for a coordinate."""
+"""New names of dimensions: xarray takes a variable that is named like one of its dimensions for a coordinate."""
 
 
 @dataclass(frozen=True)
 class Allowance(Variable):
-    """A variable that says how much of a setting each cell was given: more than the spec's after a retry.
+    """A variable that says how much of a setting each cell was given: after a retry, more than the spec says.
 
-    It is only in stores where cells were given more, where the spec's setting fills it.
+    Only stores in which cells were given more have it; there its fill value is the spec's setting.
     """
 
     setting: str = ""
 
     def of_spec(self, spec: Spec) -> int:
-        """What a cell has that was not retried."""
+        """The amount of a cell that was not retried."""
         return int(getattr(spec.settings, self.setting))
 
 
@@ -78,10 +78,7 @@ def coordinate_names(spec: Spec) -> list[str]:
 
 
 def coordinates(spec: Spec) -> dict[str, StoredArray]:
-    """The coordinates by name: axes, fixed parameters as scalars, and the names of the states.
-
-    Of a table its rows' numbers, and each column along them.
-    """
+    """The coordinates by name: axes, or the rows and columns of a table; fixed parameters; the names of the states."""
     record = spec.record
     names: dict[str, Any] = {"long_name": "component of the physical section state"}
     if spec.points:
@@ -102,9 +99,9 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
 
 
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
-    """What the store as a whole says of itself; a run id is drawn where none is given.
+    """The attributes of a store's root; a run id is drawn if none is given.
 
-    Ten attributes or more: a notebook then shows them folded, and the spec fills no screen.
+    There are at least ten: a notebook then shows them folded, and the spec does not fill the screen.
     """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     references = {"references": spec.record.source} if spec.record.source else {}
@@ -127,7 +124,7 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
 
 
 def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, Any]:
-    """CF attributes of a result variable; ``fixed`` names the coordinates that are no axes."""
+    """CF attributes of a result variable; ``fixed`` names the coordinates that are not axes."""
     attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
     if variable.name == REGIME.name:
         attributes["flag_values"] = [regime.code for regime in REGIMES]
@@ -142,7 +139,7 @@ def variable_attributes(variable: Variable, fixed: Iterable[str]) -> dict[str, A
 
 
 def variable_of(name: str, metadata: Mapping[str, Any], dims: int) -> Variable:
-    """A variable over cells with that number of dimensions, in no table, from the metadata of its array."""
+    """A variable that is in no table, from the metadata of its array; its cells have that number of dimensions."""
     attributes = metadata["attributes"]
     extra = tuple(metadata["dimension_names"][dims:])
     described = str(attributes.get("long_name", name)), str(attributes.get("units", "1"))

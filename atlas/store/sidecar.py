@@ -1,4 +1,7 @@
-"""Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write."""
+"""Notes of a store: small named texts next to it that the processes at work on it share, with a conditional write.
+
+A run claims a store by a note. Notes are files next to a folder, and objects next to a store at a URL.
+"""
 
 import fcntl
 import json
@@ -6,47 +9,44 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Protocol
+from urllib.parse import urlsplit
 
+from atlas.errors import InputError
 from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
-from atlas.store.notes import notes_at_url
 
 CLAIM = "claim"
 """The note by which one run at a time has the store."""
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
-"""How often, and at which distance in seconds, a note is read that its maker has opened and not yet written."""
+"""How often to read a note that its maker has opened and not yet written, and the seconds between two reads."""
 
 
 class Notes(Protocol):
-    """Small named notes of one store that several processes share, with a conditional write.
-
-    An object store gives the same by its conditional puts: If-None-Match: * for an absent note, If-Match with the
-    entity tag that came with the expected bytes to replace one.
-    """
+    """Small named notes of one store that several processes share, with a conditional write."""
 
     def read(self, name: str) -> bytes | None:
-        """A note's bytes, None where there is none."""
+        """A note's bytes, None if there is none."""
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
         """Write a note if it is absent (``expected`` None) or holds the expected bytes; False, unwritten, if not."""
 
     def remove(self, name: str, expected: bytes) -> bool:
-        """Remove a note that holds the expected bytes; False where it does not."""
+        """Remove a note that holds the expected bytes; False if it does not."""
 
     def drop(self, name: str) -> None:
-        """Remove a note, whatever it holds: only for its maker, and where nobody else would put another one."""
+        """Remove a note, whatever it holds: only for its maker, if nobody else would put another one."""
 
     def clear(self, keep: str) -> None:
         """Remove all notes but one: only for who holds that one."""
 
 
 def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
-    """The notes of a store: next to it, not in it, since a claim comes before the store, and Zarr owns its inside.
+    """The notes of a store: next to it, since a claim comes before the store and Zarr owns its inside.
 
-    Of a store that is named by a link they are next to what the link leads to: a store has one claim.
+    If the store's path is a link, they are next to its target, so that a store has one claim.
     """
     place = place_of(store)
     if isinstance(place, ObjectPlace):
@@ -58,7 +58,7 @@ def notes_of(store: str | os.PathLike[str] | Place) -> Notes:
 
 
 def claim_token(notes: Notes) -> str:
-    """The token of the run that has claimed a store, by one read; empty where there is none or it is damaged."""
+    """The token of the run that has claimed a store, by one read; empty if there is none or it is damaged."""
     try:
         return str(json.loads(notes.read(CLAIM) or b"{}").get("token", ""))
     except (ValueError, AttributeError, RecursionError):
@@ -67,9 +67,9 @@ def claim_token(notes: Notes) -> str:
 
 @dataclass(frozen=True)
 class Folder:
-    """Notes as files of a folder. A file's own lock, held for an instant, makes a conditional write whole.
+    """Notes as files of a folder. A lock on the file, held for an instant, makes a conditional write atomic.
 
-    Notes are overwritten in place: that needs no room, so a full disk does not cost a run its claim.
+    Notes are overwritten in place, which needs no room: a run on a full disk keeps its claim.
     """
 
     path: Path
@@ -85,7 +85,6 @@ class Folder:
         return data
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
-        """See Notes."""
         if expected is None:
             return self._create(name, data)
         with self._locked(name, write=True) as file:
@@ -112,7 +111,6 @@ class Folder:
             self.path.rmdir()
 
     def clear(self, keep: str) -> None:
-        """See Notes."""
         for file in self.path.glob("*"):
             if file.name != keep:
                 file.unlink(missing_ok=True)
@@ -135,7 +133,7 @@ class Folder:
 
     @contextmanager
     def _locked(self, name: str, write: bool) -> Iterator[IO[bytes] | None]:
-        """The note's file, locked, and certainly the one of that name; None where there is none."""
+        """The note's file, locked, and certainly the one of that name; None if there is none."""
         while True:
             try:
                 file = open(self.path / name, "r+b" if write else "rb", buffering=0)  # noqa: SIM115
@@ -155,3 +153,40 @@ class Folder:
             return os.path.samestat(os.fstat(file.fileno()), os.stat(self.path / name))
         except FileNotFoundError:
             return False
+
+
+@dataclass(frozen=True)
+class UrlNotes:
+    """Notes as small objects under one prefix.
+
+    An object store makes each write one act (If-None-Match, If-Match). It has no removal under a condition, so that a
+    note that was removed under one is empty, which reads and counts as none.
+    """
+
+    place: ObjectPlace
+
+    def read(self, name: str) -> bytes | None:
+        return self.place.get(name) or None
+
+    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+        if expected is None and self.place.put_new(name, data):
+            return True
+        found = self.place.get_tagged(name)
+        return found is not None and found[0] == (expected or b"") and self.place.put_if(name, data, found[1])
+
+    def remove(self, name: str, expected: bytes) -> bool:
+        return self.put(name, b"", expected)
+
+    def clear(self, keep: str) -> None:
+        self.place.remove_all(name for name in self.place.list_keys() if name != keep)
+
+    def drop(self, name: str) -> None:
+        self.place.remove(name)
+
+
+def notes_at_url(store: ObjectPlace) -> UrlNotes:
+    """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
+    above, _, name = str(store).rpartition("/")
+    if not urlsplit(str(store)).path.strip("/"):
+        raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")
+    return UrlNotes(replace(store, url=f"{above}/.{name}.run"))

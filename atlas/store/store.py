@@ -1,6 +1,5 @@
 """A store: made whole and empty, found again, and what it says about itself."""
 
-import errno
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -11,21 +10,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from atlas.errors import ChunkError, InputError, RunError, message_of, shown
 from atlas.spec.axis import Values
-from atlas.spec.differences import differences
 from atlas.spec.resolved import with_values
 from atlas.spec.spec import Spec
-from atlas.store.archive import ZipPlace, refuse_packed
+from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
 from atlas.store.location import Place, place_of
-from atlas.store.making import (
-    check_replaceable,
-    check_writable,
-    create_locally,
-    create_remotely,
-    is_free,
-    refused,
-)
+from atlas.store.making import is_free, make_store, refused
 from atlas.store.record import DIGESTS, RECORD
 from atlas.store.schema import (
     ALLOWANCES,
@@ -38,7 +29,6 @@ from atlas.store.schema import (
     variable_of,
 )
 from atlas.store.tiling import Tiling, chunk_index
-from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, REGIME, Variable, leading
 
 if TYPE_CHECKING:
@@ -54,8 +44,8 @@ ZOOM = "zoom"
 class Header:
     """What a store says about itself: where it is, what it was made from and by which solver, and what it holds.
 
-    ``outline`` is its spec without the values of axes and points, but with them in format version 1. ``arrays`` are
-    the metadata of its root's arrays, by name, as the root has them; ``record`` are those of the array of the tiles'
+    ``outline`` is its spec, without the values of axes and points except in format version 1. ``arrays`` are the
+    metadata of its root's arrays by name, in the root's copy; ``record``, the metadata of the array of the tiles'
     records, None in a store of an earlier version.
     """
 
@@ -81,7 +71,7 @@ class Header:
         """The spec that the store was made from; what has been added to specs since is at its default.
 
         The values of its axes are read when they are first asked for; ChunkError then where they are damaged.
-        InputError where this version cannot read it, and where the store's cells differ from the spec's.
+        InputError if this version cannot read it, and where the store's cells differ from the spec's.
         """
         try:
             whole = self.format_version == 1
@@ -96,7 +86,7 @@ class Header:
 
     @cached_property
     def values(self) -> Values:
-        """The values of the axes, or of the columns of the points, by name. ChunkError where they are damaged."""
+        """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
         if self.format_version == 1:
             return self.spec.points or {axis.name: axis.values for axis in self.spec.axes}
         return read_values(self.place, self.outline, self.digest)
@@ -108,12 +98,12 @@ class Header:
 
     @property
     def resolved(self) -> Mapping[str, Any]:
-        """The resolved spec as the store has it. ChunkError where its values are damaged."""
+        """The resolved spec as the store has it. ChunkError if its values are damaged."""
         return self.outline if self.format_version == 1 else with_values(self.outline, self.values)
 
     @property
     def tile(self) -> tuple[int, ...]:
-        """Cells of a tile along each dimension. ValueError where the metadata have no such numbers."""
+        """Cells of a tile along each dimension. ValueError if the metadata have no such numbers."""
         regime = self.arrays[REGIME.name]
         sizes = regime["chunk_grid"]["configuration"]["chunk_shape"]
         cells = zip(regime["dimension_names"], sizes, regime["shape"], strict=True)
@@ -138,12 +128,12 @@ class Header:
         return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
 
     def leading(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
-        """Arrays of cells with one result each: where there are those of all attractors, that of the first."""
+        """Arrays with one result for each cell: of all attractors, the first."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @cached_property
     def writable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of the cells and of digests for writing, by name, opened once; RunError for another store."""
+        """The Zarr arrays of cells and digests for writing, by name, opened once; RunError if it is another store."""
         group: Any = open_group(self.place, "r+", consolidated=True)  # one request for all arrays
         if group.attrs.get("run_id") != self.run_id:
             raise RunError(f"{self.place}: not the store of run {self.run_id}; is the path the same on all hosts?")
@@ -181,24 +171,20 @@ def create(
     origin: Origin | None = None,
     run_id: str = "",
 ) -> Header:
-    """Make a whole store without a result: metadata, coordinates, attributes. It appears at once or not at all.
+    """Make a store without a result, see ``making.make_store``, and return its header.
 
-    On a disk a rename does that; at a URL the root's metadata do, which are put last and only if no other run has put
-    them meanwhile. ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
+    ``origin`` is the store that it is to copy cells from. Without a ``run_id`` one is drawn.
     """
     place = place_of(store)
     with refused(place, "written"):
-        if place.local is None:
-            create_remotely(place, spec, tile, origin, run_id)
-        else:
-            create_locally(place.local, spec, tile, origin, run_id)
+        make_store(place, spec, tile, origin, run_id)
     return read_header(place)
 
 
 def read_header(store: str | os.PathLike[str] | Place) -> Header:
-    """The header of a store; InputError where there is none, or it is not ours, or of an unknown format.
+    """The header of a store; InputError if there is none, or it is not ours, or of an unknown format.
 
-    Where the disk or the server refused, its OSError is that InputError's cause. NetworkError where the server does
+    Where the disk or the server refused, its OSError is that InputError's cause. NetworkError if the server does
     not answer.
     """
     place = place_of(store)
@@ -252,38 +238,12 @@ def _array_metadata(place: Place, consolidated: Any) -> Mapping[str, Mapping[str
     return {name: node for name, node in nodes if node["node_type"] == "array" and "/" not in name}
 
 
-def find(store: str | os.PathLike[str] | Place, spec: Spec) -> Header | None:
-    """The header of a store that a run of this spec may resume, None where there is none yet; else InputError."""
+def find(store: str | os.PathLike[str] | Place) -> Header | None:
+    """The header of a store, None if there is none yet; InputError if there is something else."""
     place = place_of(store)
-    refuse_packed(place)
     with refused(place, "written"):
-        if is_free(place, spec):
-            check_writable(place)
-            return None
-    header = read_header(place)
-    if header.solver_version != SOLVER_VERSION:
-        raise InputError(
-            f"{place}: made by solver version {header.solver_version}, this is version {SOLVER_VERSION}; "
-            "their numbers do not mix: choose another path"
-        )
-    if not _is_of(header, spec):
-        raise InputError(f"{place}: has another spec: {'; '.join(differences(header.spec, spec))}")
-    if header.unknown:
-        names = ", ".join(variable.name for variable in header.unknown)
-        raise InputError(f"{place}: has {names}, unknown to this version: resume it with the version that made it")
-    with refused(place, "written"):
-        if place.local is None:
-            check_replaceable(place)
-        elif not os.access(place.local, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    return header
-
-
-def _is_of(header: Header, spec: Spec) -> bool:
-    """Whether a store is of a spec; without its values where its digest says so, since these may be damaged."""
-    if header.format_version > 1 and header.digest == spec.digest:
-        return True
-    return header.spec.digest == spec.digest
+        free = is_free(place)
+    return None if free else read_header(place)
 
 
 def done_tiles(header: Header, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
@@ -309,7 +269,7 @@ def open_arrays(header: Header, consolidated: bool = False) -> dict[str, Any]:
     """All Zarr arrays of the store's root by name, results and coordinates, for reading.
 
     Each as its own metadata describe it, or as the root's consolidated copy does, which xarray goes by.
-    ChunkError where they are damaged.
+    ChunkError if they are damaged.
     """
     group = open_group(header.place, "r", consolidated)
     results = (*header.spec.variables, *header.unknown, *ALLOWANCES)
@@ -331,14 +291,10 @@ def open_digests(header: Header, consolidated: bool = False) -> Any | None:
     return group.get(DIGESTS, None)
 
 
-def _zarr_store(place: Place, mode: str) -> Any:
-    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
-
-    return zarr_store(place, read_only=mode == "r")
-
-
 def open_group(place: Place, mode: Literal["r", "r+"], consolidated: bool = False) -> "zarr.Group":
     """The root group of a store, its metadata read anew: of each array its own, or the root's copy of them."""
     import zarr
 
-    return zarr.open_group(_zarr_store(place, mode), mode=mode, use_consolidated=consolidated, zarr_format=3)
+    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+
+    return zarr.open_group(zarr_store(place, mode == "r"), mode=mode, use_consolidated=consolidated, zarr_format=3)

@@ -33,19 +33,18 @@ from workers.results import REGIME, Variable
 
 REPLACED = f"{REGIME.name}/replaced/"
 """Where the new contents of finished tiles lie, each as one object, until their chunks are written."""
-EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
 
 
 def write_tile(
     header: Header, index: tuple[int, ...], arrays: Mapping[str, np.ndarray], held: Callable[[], None] = lambda: None
 ) -> Rows:
-    """Write all variables that the store has of one tile as whole chunks, ``regime`` last: with it the tile is done.
+    """Write a tile as whole chunks and return its record. ``regime`` is last, and with it the tile is done.
 
-    Its record is written right before, and returned. A finished tile that is written again stays as it is until all
-    that is new lies beside it in one object. It is unfinished while its chunks are written, so that a kill leaves no
-    mixture of two solutions; then ``finish_replacement`` writes them from that object.
+    The record comes right before. A finished tile that is written again stays as it is until its new contents lie
+    beside it in one object. It is unfinished while its chunks are written, so that a kill leaves no mixture of two
+    solutions; then ``finish_replacement`` writes them from that object.
 
-    ``held`` raises where another run has the store. It is called before the first write and before the last; of a
+    ``held`` raises if another run has the store. It is called before the first write and before the last; of a
     finished tile before each, since another run may give its cells other results.
     """
     to = header.writable
@@ -54,25 +53,20 @@ def write_tile(
     arrays = {each.name: _as_in_spec(header, index, each) for each in ALLOWANCES} | dict(arrays)
     row = record_of(header, index, arrays)
     replaced = is_done(header, index)
+    check = held if replaced else lambda: None
     if replaced:
         header.place.put(_replacement_key(index), _packed(arrays))
         held()
         drop_tile(header, index)
-    for each in ALLOWANCES:
-        if each.name in to:
-            _check(held, replaced)
-            _write(header.place, to[each.name], index, arrays[each.name], sparse=True)
-    digests = to.get(DIGESTS)
-    if digests is not None:  # as stores of earlier versions have it
-        _check(held, replaced)
-        _write(
-            header.place, digests, index, np.uint64(digest_of(index, covered_variables(header, digests.attrs), arrays))
-        )
-    for variable in header.variables:
-        _check(held, replaced or variable.name == REGIME.name)
+    if DIGESTS in to:  # a store of an earlier version
+        check()
+        digest = digest_of(index, covered_variables(header, to[DIGESTS].attrs), arrays)
+        _write(header.place, to[DIGESTS], index, np.uint64(digest))
+    for variable in (*(each for each in ALLOWANCES if each.name in to), *header.variables):
         if variable.name == REGIME.name:
+            held()
             put_record(header, index, row)
-            _check(held, replaced)
+        check()
         _write(header.place, to[variable.name], index, arrays[variable.name], variable.sparse)
     if replaced:
         header.place.remove(_replacement_key(index))
@@ -95,7 +89,7 @@ def put_record(header: Header, index: tuple[int, ...], row: Rows) -> None:
 
 
 def finish_replacement(header: Header, index: tuple[int, ...], held: Callable[[], None] = lambda: None) -> bool:
-    """Write a tile from what ``write_tile`` put beside it and did not live to write; False where there is nothing."""
+    """Write a tile from what ``write_tile`` put beside it and did not live to write; False if there is nothing."""
     key = _replacement_key(index)
     packed = header.place.get(key)
     arrays = _unpacked(packed) if packed is not None else None
@@ -125,36 +119,31 @@ def drop_tile(header: Header, index: tuple[int, ...]) -> None:
 def read_tile(
     header: Header, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: dict[str, Any] | None = None
 ) -> dict[str, np.ndarray]:
-    """Arrays of a finished tile: those named, or all results and ``ALLOWANCES``, what each cell was given.
+    """Arrays of a finished tile: the named ones, or all results and ``ALLOWANCES``.
 
-    They are read from ``arrays`` as ``open_arrays`` gives them. Names of results that the store has not are left out.
+    They are read from ``arrays``, see ``open_arrays``. Names of results that the store lacks are left out.
 
-    Raises ChunkError, which names every bad chunk; OSError where the place cannot be read at all.
+    Raises ChunkError, which names every bad chunk; OSError if the place cannot be read at all.
     """
     arrays = open_arrays(header) if arrays is None else arrays
     wanted = {each.name for each in (*header.variables, *ALLOWANCES)} if names is None else set(names)
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
-    for variable in (*header.variables, *header.unknown):
+    for variable in (*header.variables, *header.unknown, *ALLOWANCES):
         if variable.name not in wanted:
             continue
-        key = chunk_key(variable, index)
-        found = _read(arrays[variable.name], index)
+        if isinstance(variable, Allowance) and variable.name not in arrays:
+            values[variable.name] = _as_in_spec(header, index, variable)
+            continue
+        key, array = chunk_key(variable, index), arrays[variable.name]
+        found = read_chunk(array, index)
         if isinstance(found, str):
             faults[key] = found
         # A missing chunk reads as fill values, so that only a chunk of nothing else has to be looked for.
-        elif not variable.sparse and is_blank(found, variable) and (lost := _lost(header, arrays[variable.name], key)):
+        elif not variable.sparse and is_blank(found, variable) and (lost := _lost(header, array, key)):
             faults[key] = lost
         else:
             values[variable.name] = found
-    for each in ALLOWANCES:
-        if each.name not in wanted:
-            continue
-        found = _read(arrays[each.name], index) if each.name in arrays else _as_in_spec(header, index, each)
-        if isinstance(found, str):
-            faults[chunk_key(each, index)] = found
-        else:
-            values[each.name] = found
     if faults:
         raise ChunkError(header.place, faults)
     return values
@@ -166,19 +155,6 @@ def covered_variables(header: Header, attributes: Mapping[str, Any]) -> list[Var
     return [known[name] for name in attributes[COVERED]]
 
 
-def digest_faults(
-    header: Header, digests: Any, index: tuple[int, ...], values: dict[str, np.ndarray]
-) -> tuple[str, ...]:
-    """Why ``values``, of all variables, cannot belong to that tile, by an older store's digests."""
-    stored = _read(digests, index)
-    key = "/".join([digests.path, "c", *map(str, index)])
-    if isinstance(stored, str):
-        return (f"{key} {stored}",)
-    if int(stored.item()) == digest_of(index, covered_variables(header, digests.attrs), values):
-        return ()
-    return (EXCHANGED,) if header.place.exists(key) else (f"{key} is missing",)
-
-
 def block(array: Any, index: tuple[int, ...]) -> Slices:
     """The cells of a tile in an array, from the array's own objects, so that no write can be misaligned."""
     sides = object_shape(array)
@@ -188,11 +164,6 @@ def block(array: Any, index: tuple[int, ...]) -> Slices:
 def object_shape(array: Any) -> tuple[int, ...]:
     """The cells of an array in one object: a shard, or a chunk where there are no shards."""
     return tuple(array.shards or array.chunks)
-
-
-def _check(held: Callable[[], None], wanted: bool) -> None:
-    if wanted:
-        held()
 
 
 def _write(place: Place, array: Any, index: tuple[int, ...], values: Any, sparse: bool = False) -> None:
@@ -214,7 +185,7 @@ def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def _unpacked(data: bytes) -> dict[str, np.ndarray] | None:
-    """The inverse; None where the bytes are damaged, which the checksums of the archive's members show."""
+    """The inverse; None if the bytes are damaged, which the checksums of the archive's members show."""
     try:
         with np.load(io.BytesIO(data)) as arrays:
             return dict(arrays)
@@ -226,7 +197,7 @@ def _as_in_spec(header: Header, index: tuple[int, ...], allowance: Allowance) ->
     return np.full(header.tiling.at(index).shape, allowance.of_spec(header.spec), allowance.dtype)
 
 
-def _read(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
+def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
     """A tile's part of an array, or what is wrong with its chunk."""
     try:
         return np.asarray(array[block(array, index)])

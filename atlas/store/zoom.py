@@ -1,12 +1,12 @@
-"""What was explored and is kept: the group ``zoom`` of a store, beside its arrays.
+"""What explorers keep: the group ``zoom`` of a store, beside its arrays.
 
-``zoom/PLANE/SHEET`` is a store of its own within the store: a block of a level's cells with their own spec, digest and
-commit rule, so that whatever reads an atlas reads it. Sheets are written by explorers under the store's claim.
+``zoom/PLANE/SHEET`` is a store within the store: a block of a level's cells with a spec, a digest and a commit rule of
+its own, so that whatever reads an atlas reads it. Explorers write sheets under the store's claim.
 """
 
 import json
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -17,9 +17,9 @@ from atlas.store.store import ROOT, ZOOM, Header
 from workers.results import REGIME
 
 _SEEN = "seen"
-_ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
+ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
 FILE_BLOCK = 4096
-"""Bytes that an object takes at least, where nobody tells its size."""
+"""Bytes that an object takes at least, if its size is unknown."""
 
 
 def sheet_place(header: Header, plane: str, sheet: str) -> Place:
@@ -34,7 +34,7 @@ def sheet_place(header: Header, plane: str, sheet: str) -> Place:
 
 def make_plane(header: Header, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, where there are none."""
-    for key, attributes in ((ZOOM, _ABOUT), (f"{ZOOM}/{plane}", dict(described))):
+    for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
         group = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
         if not header.place.exists(f"{key}/{ROOT}"):
             header.place.put_new(f"{key}/{ROOT}", json.dumps(group).encode())
@@ -44,8 +44,12 @@ def sheets(header: Header) -> list[tuple[str, str]]:
     """The planes and the names of all sheets; none of a packed store, whose sheets are read as parts of it alone."""
     if isinstance(header.place, ZipPlace):
         return []
-    parts = [key.split("/") for key in _roots(header)]
-    return sorted((each[1], each[2]) for each in parts)
+    local = header.place.local
+    if local is not None:  # without a look at what lies in them
+        keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
+    else:
+        keys = [key for key in header.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
+    return sorted((key.split("/")[1], key.split("/")[2]) for key in keys)
 
 
 def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
@@ -61,7 +65,7 @@ def sheet_bytes(header: Header, plane: str, sheet: str) -> int:
 
 
 def seen_sheets(header: Header) -> dict[tuple[str, str], float]:
-    """When each sheet was looked at last, in seconds since 1970, as far as it was noted."""
+    """When each sheet was last looked at, in seconds since 1970, if that was noted."""
     found: dict[tuple[str, str], float] = {}
     for plane in {plane for plane, _ in sheets(header)}:
         noted = _plane_group(header, plane).get("attributes", {}).get(_SEEN, {})
@@ -70,7 +74,7 @@ def seen_sheets(header: Header) -> dict[tuple[str, str], float]:
 
 
 def note_seen(header: Header, seen: Mapping[tuple[str, str], float]) -> None:
-    """Note when sheets were looked at last. For the claim's holder only."""
+    """Note when sheets were last looked at. For the claim's holder only."""
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
         group = _plane_group(header, plane)
@@ -92,51 +96,10 @@ def drop_sheet(header: Header, plane: str, sheet: str) -> None:
         shutil.rmtree(header.place.local / root, ignore_errors=True)
 
 
-def plane_faults(header: Header) -> dict[str, str]:
-    """What is wrong with the metadata of planes, and of sheets that are not whole, by the keys of these metadata."""
-    found: dict[str, str] = {}
-    folders = {tuple(key.split("/")[1:-1][:2]) for key in header.place.list_keys(f"{ZOOM}/")}
-    whole = (folder for folder in folders if not any(name.startswith(".") for name in folder))  # not half made ones
-    for parts in sorted({folder[:n] for folder in whole for n in range(len(folder) + 1)}):
-        key = "/".join([ZOOM, *parts, ROOT])
-        try:
-            group = json.loads(header.place.get(key) or b"")
-            own = group["attributes"]
-            wrong = {0: own != _ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
-            if wrong or (group["zarr_format"], group["node_type"]) != (3, "group"):
-                found[key] = "is damaged"
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            found[key] = "is missing or damaged"
-    return found
-
-
-def drop_zoom(header: Header, folders: Iterable[tuple[str, ...]]) -> None:
-    """Remove sheets, each given as (plane, sheet), and planes with all their sheets, as (plane,).
-
-    Of the group of all planes, (), the metadata alone go, which the next plane makes anew.
-    """
-    for folder in folders:
-        if len(folder) == 2:
-            drop_sheet(header, *folder)
-            continue
-        header.place.remove("/".join([ZOOM, *folder, ROOT]))
-        keys = header.place.list_keys(f"{ZOOM}/{folder[0]}/") if folder else ()
-        for sheet in sorted({key.split("/")[2] for key in keys}):
-            drop_sheet(header, folder[0], sheet)
-
-
 def _plane_group(header: Header, plane: str) -> dict[str, Any]:
-    """The metadata of a plane, empty where there are none that can be read."""
+    """The metadata of a plane, empty if there are none that can be read."""
     try:
         found = json.loads(header.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
         return found if isinstance(found.get("attributes"), dict) else {}
     except (ValueError, AttributeError, RecursionError):
         return {}
-
-
-def _roots(header: Header) -> list[str]:
-    """The keys of the roots of all sheets; on a disk without a look at what lies in them."""
-    local = header.place.local
-    if local is not None:
-        return [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
-    return [key for key in header.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]

@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.store.groups import group_attributes
-from atlas.store.record import Rows
+from atlas.store.groups import ATTRACTORS, group_attributes, write_table
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import Header, done_tiles
-from atlas.store.tables import ATTRACTORS, write_table
 from atlas.store.tiles import read_tile, write_tile
 from workers.attractors.starts import wilson
 from workers.results import ATTRACTOR, BEYOND_TABLE, INVALID, LABEL, REGIME, UNKNOWN_LABEL
@@ -22,16 +20,12 @@ POINTS = 256
 """Section states of each attractor in the table."""
 
 
-def complete_basins(
-    header: Header,
-    held: Callable[[], None] = lambda: None,
-    written: Callable[[tuple[int, ...], Rows], None] = lambda _index, _row: None,
-) -> None:
+def complete_basins(header: Header, held: Callable[[], None] = lambda: None) -> None:
     """Give every initial state its last label, and write the table of the attractors.
 
-    Cells are gone through in the order of the plane, so that neither the tiles nor the workers, nor an interruption,
-    decide a label. Nothing is done while tiles are missing, or where all of it is done. ``held`` is called before each
-    write, and raises where another run has the store; ``written`` is given each tile that is written, and its record.
+    Cells are labelled in the order of the plane, so that tiles, workers and interruptions decide no label. Nothing is
+    done while tiles are missing, or if all is done. ``held`` is called before each write, and raises if another run has
+    the store.
     """
     from workers.attractors.basins import Table, added, fixed_values
 
@@ -56,9 +50,10 @@ def complete_basins(
             if beyond[part].any():
                 arrays = read_tile(header, index)
                 arrays[LABEL.name][beyond[part]] = labels[part][beyond[part]]
-                written(index, write_tile(header, index, arrays, held))
-    solved = np.concatenate([_solved(header, index) for index in tiles])
-    columns = _columns(header, table, labels, int(solved.sum()))
+                write_tile(header, index, arrays, held)
+    regimes = (read_tile(header, index, [REGIME.name])[REGIME.name] for index in tiles)
+    solved = sum(int((regime != INVALID).sum()) for regime in regimes)
+    columns = _columns(header, table, labels, solved)
     held()
     write_table(header, ATTRACTORS, columns, {"title": "attractors by their labels"})
 
@@ -73,10 +68,6 @@ def _states(header: Header, tiles: list[tuple[int, ...]], wanted: NDArray[np.boo
     return states[wanted]
 
 
-def _solved(header: Header, index: tuple[int, ...]) -> NDArray[np.bool_]:
-    return np.ravel(read_tile(header, index, [REGIME.name])[REGIME.name] != INVALID)
-
-
 def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: int) -> Mapping[str, StoredArray]:
     """The table's variables. Shares are of the initial states of the plane that are not beyond a stop."""
     from workers.attractors.basins import section_points
@@ -84,21 +75,18 @@ def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: 
     count = len(table.attractors)
     hits = np.array([np.count_nonzero(labels == k) for k in range(count)], dtype=np.int64)
     low, high = wilson(hits, max(solved, 1))
-    mirror = table.mirrors().astype(np.int32)
-    cells = _described("initial states of the plane that reach it")
+    columns: dict[str, tuple[NDArray[Any], str]] = {
+        "cells": (hits, "initial states of the plane that reach it"),
+        "share": (hits / max(solved, 1), "share of the plane that reaches it"),
+        "share_low": (low, "lower end of the 95 % Wilson interval of the share"),
+        "share_high": (high, "upper end of the 95 % Wilson interval of the share"),
+        "mirror": (table.mirrors().astype(np.int32), "label of its mirror image; itself where symmetric; or -1"),
+        "points": (section_points(table, POINTS), "section states; of an orbit each once"),
+    }
+    axes = (ATTRACTOR, "point", DIMENSIONS["state"])
     made = {
-        "cells": StoredArray(hits, (ATTRACTOR,), cells),
-        "share": StoredArray(hits / max(solved, 1), (ATTRACTOR,), _described("share of the plane that reaches it")),
-        "share_low": StoredArray(low, (ATTRACTOR,), _described("lower end of the 95 % Wilson interval of the share")),
-        "share_high": StoredArray(high, (ATTRACTOR,), _described("upper end of the 95 % Wilson interval of the share")),
-        "mirror": StoredArray(
-            mirror, (ATTRACTOR,), _described("label of its mirror image; itself where symmetric; or -1")
-        ),
-        "points": StoredArray(
-            section_points(table, POINTS),
-            (ATTRACTOR, "point", DIMENSIONS["state"]),
-            _described("section states; of an orbit each once"),
-        ),
+        name: StoredArray(values, axes[: values.ndim], {"long_name": meaning, "units": "1"})
+        for name, (values, meaning) in columns.items()
     }
     for variable in table.record.variables(table.settings):
         values: list[Any] = [each.result[variable.name] for each in table.attractors]
@@ -107,7 +95,3 @@ def _columns(header: Header, table: "Table", labels: NDArray[np.int64], solved: 
         array = np.array(values, dtype=variable.dtype).reshape(count, *shape)
         made[variable.name] = StoredArray(array, dims, variable_attributes(variable, []))
     return made
-
-
-def _described(meaning: str) -> dict[str, Any]:
-    return {"long_name": meaning, "units": "1"}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
-    """Run code in a child process, pass on each line that it writes; its exit status. It ends where ``told`` raises."""
+    """The exit status of code run in a child process; each line that it writes goes to ``told``, which may raise."""
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         env=_environment(),

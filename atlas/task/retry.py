@@ -47,8 +47,8 @@ class Retry:
     def selects(self, stored: dict[str, np.ndarray]) -> np.ndarray:
         """Mask of the cells of a stored tile that are to be solved again.
 
-        A cell comes out the same with what it had: an undetermined one needs a larger budget, a chaotic or aperiodic
-        one a longer survival. So an interrupted retry resumes where it stopped.
+        Only more of a setting changes a result: an undetermined cell needs a larger budget, a chaotic or aperiodic one
+        a longer survival. So an interrupted retry resumes where it stopped.
         """
         regime = stored[REGIME.name]
         chosen = np.isin(regime, self.regimes)
@@ -65,7 +65,7 @@ class Retry:
 
 
 def checked_retry(spec: Spec, names: str, max_periods: int | None = None, survival: int | None = None) -> Retry:
-    """The retry that a user asked for, as ``failed,undetermined``; InputError where it could not change a cell."""
+    """The retry that a user asked for, as ``failed,undetermined``; InputError if it could not change a cell."""
     chosen = [name.strip() for name in names.split(",") if name.strip()]
     check_names("regime to retry", chosen, RETRIABLE)
     if not chosen:
@@ -93,11 +93,11 @@ def checked_retry(spec: Spec, names: str, max_periods: int | None = None, surviv
 
 def solve_again(
     spec: Spec, cells: dict[str, np.ndarray], stored: dict[str, np.ndarray], retry: Retry
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """A stored tile with the selected cells solved again: its arrays, and the mask of those cells.
+) -> dict[str, np.ndarray]:
+    """The arrays of stored cells, with the selected ones solved again.
 
     ``cells`` holds the parameters of every cell of the tile, each in the tile's shape. Cells are solved from their
-    beginning, so that they have the bits of an atlas whose spec gives them as much.
+    beginning, so that they have the bits of an atlas whose spec has these settings.
     """
     from workers.tile import solve_tile
 
@@ -113,4 +113,4 @@ def solve_again(
             arrays[name][chosen] = values
         for each, n in amount.items():
             arrays[each.name][chosen] = n
-    return arrays, mask
+    return arrays

@@ -15,7 +15,6 @@ from atlas.store.outage import LONG
 from atlas.store.schema import ALLOWANCES, extra_sizes
 from atlas.store.store import Header, is_done, open_arrays, read_header
 from atlas.store.tiles import read_tile
-from atlas.task.solving import solve_block
 from workers.results import FAILED, INVALID, PENDING, REASON, REGIME, empty_results
 
 
@@ -26,30 +25,10 @@ class Shared(NamedTuple):
     there: NDArray[np.intp]
 
 
-def solve_unknown(
-    spec: Spec, slices: Slices, arrays: dict[str, np.ndarray], unknown: NDArray[np.bool_]
-) -> dict[str, np.ndarray]:
-    """The results of a tile: ``arrays`` with the unknown cells solved.
-
-    A cell's numbers depend on nothing but its parameters, the settings and the solver, so that those known from the
-    store's origin are those it would get here.
-    """
-    from workers.tile import solve_tile
-
-    if unknown.all():
-        return solve_block(spec, slices)
-    if unknown.any():
-        params = spec.cell_params(slices)
-        cells = {name: np.broadcast_to(values, unknown.shape)[unknown] for name, values in params.items()}
-        for name, values in solve_tile(spec.record, cells, spec.settings).items():
-            arrays[name][unknown] = values
-    return arrays
-
-
 def known_cells(header: Header, slices: Slices) -> tuple[dict[str, np.ndarray], NDArray[np.bool_]]:
     """A tile's arrays with what the store's origin has of it, and the mask of the cells that are still to be solved.
 
-    Cells that failed there are to be solved again. RunError where the origin no longer exists.
+    Cells that failed there are to be solved again. RunError if the origin no longer exists.
     """
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
@@ -119,7 +98,7 @@ def _origin_of(header: Header) -> Header:
 
 
 def absent_results(origin: Header) -> list[str]:
-    """Results that cells of an atlas have today and those of an older store do not: none of its cells can be copied."""
+    """Results that an older store lacks and new cells have, so that none of its cells can be copied."""
     present = {variable.name for variable in origin.variables}
     return [variable.name for variable in origin.spec.variables if variable.name not in present and not variable.sparse]
 

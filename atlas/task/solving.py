@@ -35,8 +35,7 @@ def solve_apart(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "R
 def solve_block(spec: Spec, slices: Slices) -> "Results":
     """Results of the cells in these slices.
 
-    Where an axis is continued a cell depends on all before it in its line: a part of a line has no results of its own,
-    and RunError is raised for one.
+    Along a continued axis a cell depends on all cells before it in its line: RunError for a part of a line.
     """
     params = spec.cell_params(slices)
     if spec.continuation is None:

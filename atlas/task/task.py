@@ -18,23 +18,31 @@ from atlas.overview.pyramid import opened
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import Place, place_of
 from atlas.store.outage import BRIEF, LONG
-from atlas.store.records import read_record
+from atlas.store.records import read_record, single_records
 from atlas.store.schema import extra_sizes
 from atlas.store.sidecar import claim_token, notes_of
 from atlas.store.store import ROOT, Header, is_done, read_header
 from atlas.store.tiles import finish_replacement, read_tile, write_tile
 from atlas.store.tiling import PART, Tiling
+from atlas.task.basins import complete_basins
 from atlas.task.compile import compile_once
 from atlas.task.retry import Retry, solve_again
-from atlas.task.reuse import known_cells, solve_unknown
-from atlas.task.solving import kernels_of
+from atlas.task.reuse import known_cells
+from atlas.task.solving import kernels_of, solve_block
 from workers import SOLVER_VERSION
 from workers.results import REASON, REGIME, REGIMES, empty_results, reason_counts
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
+Arrays = dict[str, np.ndarray]
+Solver = Callable[[Slices, Arrays, np.ndarray], Arrays]
+"""Solves the cells of a mask in some slices, where it is given what is known of all of them."""
 _headers: dict[tuple[str, str, float], tuple[Hashable, Header]] = {}
 """Headers of the stores of runs that this process works for, each with the state of the store's root."""
+
+
+LABELS = -1
+"""The level of the job that labels basins."""
 
 
 class RefusedError(RunError):
@@ -47,12 +55,13 @@ class StoreFullError(RunError):
 
 @dataclass(frozen=True)
 class Job:
-    """Which tile of which store. All that crosses the scheduler; ``attempt.run_job`` redoes it by hand.
+    """Which tile of which store. All that crosses the scheduler; ``attempt.do_job`` does it by hand.
 
-    Where ``index`` begins with a negative number, it is a chunk of the overviews: minus its level, and its index there.
-    ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one; ``patience`` is for how
-    many seconds a store at a URL that does not answer is waited for. ``claim`` is the token of the run's claim of the
-    store: a job whose run has lost it writes nothing. A job done by hand has none.
+    With a ``level`` above 0 it is the chunk of that level of the overviews that has this index; at level LABELS, the
+    last labels of basins. ``retry`` solves some cells of a finished tile again, in place of all of an unfinished one.
+    ``replaced`` says that a killed attempt left the tile's new contents beside it. ``patience`` is how many seconds to
+    wait for a store at a URL that does not answer. ``claim`` is the token of the run's claim of the store: a job whose
+    run has lost the claim writes nothing. A job done by hand has none.
     """
 
     index: tuple[int, ...]
@@ -62,21 +71,22 @@ class Job:
     retry: Retry | None = None
     patience: float = LONG
     claim: str = ""
+    level: int = 0
+    replaced: bool = False
 
 
 @dataclass(frozen=True)
 class Receipt:
     """What a finished tile reports.
 
-    cells, counts, reasons          solved, in all and of each regime; those without a certain result by the reason
+    cells, counts, reasons          cells solved; by regime; by the reason why they have no certain result
     taken                           cells copied from the store that this one extends
     solve_seconds, write_seconds    inside the solver; inside the store
     processor_seconds               of the solver's thread
     periods                         forcing periods simulated
-    peak_bytes                      most memory that the worker's process ever had
-    changed                         cells solved again that came out of another regime
-    record                          of the whole tile, see ``store.record``; empty where it is not known
-    overview                        whether the chunk of level 1 of the overviews over it alone is made too
+    peak_bytes                      peak memory of the worker's process
+    changed                         cells solved again whose regime changed
+    record                          of the whole tile, see ``store.record``; empty if unknown
     """
 
     index: tuple[int, ...]
@@ -91,121 +101,133 @@ class Receipt:
     processor_seconds: float = 0.0
     changed: int = 0
     record: tuple[float, ...] = ()
-    overview: bool = False
 
 
 @dataclass(frozen=True)
-class MadeChunk:
-    """What a job for a chunk of the overviews reports: its index, as the job has it, and why it could not be made.
-
-    What lies below it may be damaged, which is not the worker's fault.
-    """
+class Made:
+    """What a job reports that is no tile: new records of tiles, and what it could not make."""
 
     index: tuple[int, ...]
+    records: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
     fault: str = ""
 
 
-def make_chunk(job: Job) -> MadeChunk:
-    """Make a chunk of the overviews, here and now."""
+def make_chunk(job: Job) -> Made:
+    """Make a chunk of the overviews."""
     with file_errors(job.store):
-        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+        header = header_of(job)
         try:
-            opened(header, job.claim).make(-job.index[0], job.index[1:], held(header, job))
+            opened(header, job.claim).make(job.level, job.index, held(header, job))
         except RefusedError:
             raise
-        except (RunError, ValueError) as error:
-            return MadeChunk(job.index, str(error))
-    return MadeChunk(job.index)
+        except (RunError, ValueError) as error:  # damage below is not the worker's fault
+            return Made(job.index, fault=str(error))
+    return Made(job.index)
 
 
-def solve_and_write(job: Job) -> Receipt:
-    """Solve a tile and write it, here and now."""
+def label_basins(job: Job) -> Made:
+    """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
     with file_errors(job.store):
-        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+        header = header_of(job)
+        complete_basins(header, held(header, job))
+        # All of them: an attempt that died may have written a tile again.
+        return Made(job.index, tuple((index, stored_record(header, index)) for index in single_records(header)))
+
+
+def solve_and_write(job: Job, solver: Solver | None = None) -> Receipt:
+    """Solve a tile and write it. ``solver`` solves its parts, by default in this thread."""
+    with file_errors(job.store):
+        header = header_of(job)
         slices = header.tiling.at(job.index).slices
         stored, solved = stored_cells(header, job, slices)
     compile_once(*kernels_of(header.spec))  # its own disk may be full, which is not the store's
     begin, busy = time.perf_counter(), time.thread_time()
-    arrays = solve_cells(header.spec, job, slices, stored, solved)
+    arrays = solve_cells(header.spec, job, slices, stored, solved, solver)
     middle, processor = time.perf_counter(), time.thread_time() - busy
     with file_errors(job.store):
         # Another attempt may have finished meanwhile: what is stored then stays.
         if solved.any() if job.retry is not None else not is_done(header, job.index):
-            record, overview = commit(header, job, arrays)
+            record = commit(header, job, arrays)
         else:
-            arrays, record, overview = stored_tile(header, job.index), stored_record(header, job.index), False
+            arrays, record = stored_tile(header, job.index), stored_record(header, job.index)
+    changed = (header.leading(arrays)[REGIME.name] != header.leading(stored)[REGIME.name])[solved]
     return replace(
-        receipt_of(header, job.index, arrays, solved),
-        record=record,
-        overview=overview,
+        receipt_of(header, job.index, arrays, solved, record),
         taken=int((~solved).sum()) if job.retry is None else 0,
-        changed=0 if job.retry is None else int((arrays[REGIME.name] != stored[REGIME.name])[solved].sum()),
+        changed=0 if job.retry is None else int(changed.sum()),
         solve_seconds=middle - begin,
         processor_seconds=processor,
         write_seconds=time.perf_counter() - middle,
     )
 
 
-def stored_cells(header: Header, job: Job, slices: Slices) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """What is known of the cells of the job's tile, as arrays, and the mask of the cells to solve."""
+def stored_cells(header: Header, job: Job, slices: Slices) -> tuple[Arrays, np.ndarray]:
+    """What is known of some cells of the job's tile, as arrays, and the mask of the cells to solve."""
     if job.retry is None:
         return known_cells(header, slices)
-    within = tuple(
-        slice(part.start - tile.start, part.stop - tile.start)
-        for part, tile in zip(slices, header.tiling.at(job.index).slices, strict=True)
-    )
+    begins = [each.start for each in header.tiling.at(job.index).slices]
+    within = tuple(slice(part.start - b, part.stop - b) for part, b in zip(slices, begins, strict=True))
     stored = {name: values[within] for name, values in finished_tile(header, job).items()}
     return stored, job.retry.selects(stored)
 
 
 def solve_cells(
-    spec: Spec, job: Job, slices: Slices, stored: dict[str, np.ndarray], solved: np.ndarray
-) -> dict[str, np.ndarray]:
-    """The arrays of ``stored_cells``, with the cells of its mask solved: part by part, so that memory stays small."""
-    if spec.continuation is not None or max(solved.shape) <= PART:
-        return _solve_part(spec, job, slices, stored, solved)
+    spec: Spec, job: Job, slices: Slices, stored: Arrays, solved: np.ndarray, solver: Solver | None = None
+) -> Arrays:
+    """The arrays of ``stored_cells``, with the cells of its mask solved: part by part, which limits the memory."""
+    solver = solver or partial(_solve_part, spec, job)
+    if spec.continuation is not None or max(solved.shape) <= PART:  # a part of a line has no results of its own
+        return solver(slices, stored, solved)
     arrays = {name: values.copy() for name, values in stored.items()}
     for part in Tiling(solved.shape, (PART,) * solved.ndim).tiles():
         at = part.slices
-        if not solved[at].any():
-            continue
-        cells = tuple(slice(s.start + p.start, s.start + p.stop) for s, p in zip(slices, at, strict=True))
-        known = {name: values[at] for name, values in stored.items()}
-        for name, values in _solve_part(spec, job, cells, known, solved[at]).items():
-            arrays[name][at] = values
+        if solved[at].any():
+            cells = tuple(slice(s.start + p.start, s.start + p.stop) for s, p in zip(slices, at, strict=True))
+            known = {name: values[at] for name, values in stored.items()}
+            for name, values in solver(cells, known, solved[at]).items():
+                arrays[name][at] = values
     return arrays
 
 
-def _solve_part(
-    spec: Spec, job: Job, slices: Slices, stored: dict[str, np.ndarray], solved: np.ndarray
-) -> dict[str, np.ndarray]:
-    if job.retry is None:
-        return solve_unknown(spec, slices, stored, solved)
-    shape = stored[REGIME.name].shape
-    cells = {name: np.broadcast_to(value, shape) for name, value in spec.cell_params(slices).items()}
-    return solve_again(spec, cells, stored, job.retry)[0]
+def _solve_part(spec: Spec, job: Job, slices: Slices, stored: Arrays, solved: np.ndarray) -> Arrays:
+    """The arrays of some cells with those of the mask solved.
 
-
-def commit(header: Header, job: Job, arrays: dict[str, np.ndarray]) -> tuple[tuple[float, ...], bool]:
-    """Write a tile, unless the run of the job has lost its claim of the store, and the overview of it alone.
-
-    Returns its record, and whether there is such an overview.
-
-    What is not excluded is a worker that stands still between a look at the claim and the write that follows, for so
-    long that another run replaces the claim: in a retry it writes one chunk then, else the bits of the other run.
+    A cell depends on nothing but its parameters, the settings and the solver, so that cells known from the store's
+    origin have the values that they would get here.
     """
-    header = checked_header(job.store, job.run_id, job.solver_version, job.patience)  # it may be another store by now
+    from workers.tile import solve_tile
+
+    if job.retry is None and solved.all():
+        return solve_block(spec, slices)
+    cells = {name: np.broadcast_to(value, solved.shape) for name, value in spec.cell_params(slices).items()}
+    if job.retry is not None:
+        return solve_again(spec, cells, stored, job.retry)
+    if solved.any():
+        params = {name: values[solved] for name, values in cells.items()}
+        for name, values in solve_tile(spec.record, params, spec.settings).items():
+            stored[name][solved] = values
+    return stored
+
+
+def commit(header: Header, job: Job, arrays: Arrays) -> tuple[float, ...]:
+    """Write a tile, unless the job's run has lost its claim, and the overview over it alone; return its record.
+
+    One case is not excluded: a worker that stands still between a look at the claim and the write that follows, until
+    another run has replaced the claim. In a retry it then writes one chunk, else the bits of the other run.
+    """
+    header = header_of(job)  # it may be another store by now
     record = write_tile(header, job.index, arrays, held(header, job))
-    return tuple(record.tolist()), opened(header, job.claim).make_over(job.index, arrays, held(header, job))
+    opened(header, job.claim).make_over(job.index, arrays, held(header, job))
+    return tuple(record.tolist())
 
 
 def held(header: Header, job: Job) -> Callable[[], None]:
-    """Raises RefusedError where the run of the job has lost its claim of the store; one read each time."""
+    """A function that raises RefusedError if the job's run has lost its claim of the store, by one read a call."""
     return partial(check_claim, header.place, job.claim)
 
 
 def check_claim(place: Place, token: str) -> None:
-    """Raise RefusedError where the claim of a store is not the one of that token; one read, none for no token."""
+    """Raise RefusedError if another token has the claim of a store; one read, none for an empty token."""
     if token and claim_token(notes_of(place)) != token:
         raise RefusedError(f"{place}: the run of this tile has lost its claim of the store; nothing more is written")
 
@@ -213,8 +235,13 @@ def check_claim(place: Place, token: str) -> None:
 def prepare(job: Job) -> None:
     """Check what any job of a run needs of this worker, and see to it that its kernels are compiled."""
     with file_errors(job.store):
-        header = checked_header(job.store, job.run_id, job.solver_version, job.patience)
+        header = header_of(job)
     compile_once(*kernels_of(header.spec))
+
+
+def header_of(job: Job) -> Header:
+    """The header of a job's store, see ``checked_header``."""
+    return checked_header(job.store, job.run_id, job.solver_version, job.patience)
 
 
 def forget(store: str, run_id: str, patience: float) -> None:
@@ -225,7 +252,7 @@ def forget(store: str, run_id: str, patience: float) -> None:
 def checked_header(store: str, run_id: str, solver_version: int, patience: float = BRIEF) -> Header:
     """The header of the store that a run asks this worker to work on: read once, and again where it has changed.
 
-    Raises RefusedError where this worker has another solver, or sees no store or another one at the path; OSError
+    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError
     where the store's disk or server refused.
     """
     check_solver(solver_version)
@@ -253,10 +280,7 @@ def check_solver(version: int) -> None:
 
 @contextmanager
 def file_errors(store: str) -> Iterator[None]:
-    """Errors of the file system by what they mean for the run: no room for anybody, or not for this worker.
-
-    Others pass as they are: the tile may be tried again.
-    """
+    """Turn errors of the file system into what they mean: no room for anybody, or not for this worker; others pass."""
     try:
         yield
     except OSError as error:
@@ -268,8 +292,8 @@ def file_errors(store: str) -> Iterator[None]:
         raise
 
 
-def finished_tile(header: Header, job: Job) -> dict[str, np.ndarray]:
-    """``stored_tile`` of a tile that is to be solved again; an attempt that died may have left its new contents."""
+def finished_tile(header: Header, job: Job) -> Arrays:
+    """``stored_tile`` of a tile to be solved again; an attempt that died may have left its new contents."""
     try:
         return stored_tile(header, job.index)
     except ChunkError:
@@ -278,7 +302,7 @@ def finished_tile(header: Header, job: Job) -> dict[str, np.ndarray]:
         return stored_tile(header, job.index)
 
 
-def stored_tile(header: Header, index: tuple[int, ...]) -> dict[str, np.ndarray]:
+def stored_tile(header: Header, index: tuple[int, ...]) -> Arrays:
     """All arrays of a finished tile: of results that an older store does not have, their fill values."""
     shape = header.tiling.at(index).shape
     blank = empty_results(header.spec.variables, shape, extra_sizes(header.spec))
@@ -291,20 +315,23 @@ def stored_record(header: Header, index: tuple[int, ...]) -> tuple[float, ...]:
     return () if found is None else tuple(found.tolist())
 
 
-def receipt_of(header: Header, index: tuple[int, ...], arrays: dict[str, np.ndarray], solved: np.ndarray) -> Receipt:
-    """The receipt of a tile with these arrays, whose cells ``solved`` count; without times and record."""
-    arrays = header.leading(arrays)
-    codes = arrays[REGIME.name][solved]
+def receipt_of(
+    header: Header, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
+) -> Receipt:
+    """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
+    leading = header.leading(arrays)
+    codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(
         index=index,
         cells=int(solved.sum()),
         counts={name: count for name, count in counts.items() if count},
-        reasons=reason_counts(arrays[REASON.name][solved]),
+        reasons=reason_counts(leading[REASON.name][solved]),
         solve_seconds=0.0,
         write_seconds=0.0,
-        periods=int(arrays["periods_used"][solved].sum(dtype="int64")),
+        periods=int(leading["periods_used"][solved].sum(dtype="int64")),
         peak_bytes=peak_memory(),
+        record=record,
     )
 
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, RunError
+from atlas.explore.patch import Patch, solve_patch
 from atlas.service.cluster import LOST, loss_reported, worker_threads
 from atlas.service.timing import TIMING, Timing
-from atlas.task.patch import Patch, solve_patch
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -39,7 +39,7 @@ Arrays = dict[str, NDArray[Any]]
 class State:
     """How the work is going.
 
-    trouble   why nothing is solved, empty where nothing is wrong
+    trouble   why nothing is solved, empty if nothing is wrong
     workers   threads of the cluster
     rate      cells solved per second, of late
     """
@@ -53,7 +53,7 @@ class State:
 class Events:
     """The callbacks, called from a thread of this service.
 
-    make      the patch of a key, just before it is sent; None where it is known meanwhile
+    make      the patch of a key, just before it is sent; None if it is known meanwhile
     solved    the cells of a patch
     failed    a patch that was tried ATTEMPTS times, and what it raised
     dropped   a patch that was sent and failed: ``make`` is called for it again if it is still wanted

@@ -1,7 +1,6 @@
-"""The group ``curves`` of a store: arrays written whole, and what is kept while they are still being found.
+"""The group ``curves`` of a store: its arrays, and the finished parts of a search that is still at work.
 
-The group's attributes have the digest of its arrays. Finished parts of a search are objects of their own beside it,
-each with a checksum before it.
+The group's attributes have the digest of its arrays. Each part is an object that begins with its checksum.
 """
 
 import hashlib
@@ -29,7 +28,7 @@ def write_arrays(header: Header, arrays: Mapping[str, StoredArray], attributes: 
 
 
 def read_arrays(header: Header) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """The arrays of the group by name, and its attributes; None where there is none. ChunkError where it is damaged."""
+    """The arrays of the group by name, and its attributes; None if there is no group. ChunkError if it is damaged."""
     found = read_group(header, GROUP)
     if found is None or found[1].get("version") != _VERSION:
         return None
@@ -44,7 +43,7 @@ def put_part(header: Header, name: str, data: bytes) -> None:
 
 
 def get_part(header: Header, name: str) -> bytes | None:
-    """A part, None where there is none, or it is damaged: it is found again."""
+    """A part; None if it does not exist or is damaged, and has to be found again."""
     stored = header.place.get(f"{GROUP}/{PARTS}/{name}") or b""
     checksum, data = stored[:_CHECKSUM_BYTES], stored[_CHECKSUM_BYTES:]
     return data if hashlib.sha256(data).digest() == checksum else None

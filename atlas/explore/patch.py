@@ -48,7 +48,7 @@ def packed(mask: NDArray[np.bool_]) -> bytes:
 
 
 def solve_patch(patch: Patch) -> dict[str, NDArray[Any]]:
-    """Results of the wanted cells, row by row in arrays (N, ...); RefusedError where this worker has another solver."""
+    """Results of the wanted cells, row by row in arrays (N, ...); RefusedError if this worker has another solver."""
     check_solver(patch.solver_version)
     compile_once(*kernels_for(patch.system, *(() if patch.starts is None else (ATTRACTORS,))))
     rows, columns = np.nonzero(patch.mask)

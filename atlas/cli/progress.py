@@ -1,0 +1,94 @@
+"""Where a run is, as a terminal and a log show it."""
+
+import time
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import IO
+
+from atlas.service.progress import LOG_INTERVAL, Progress
+
+
+def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
+    """A progress bar where the stream is a terminal, a plain line every few seconds otherwise."""
+    return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
+
+
+class LogReporter(AbstractContextManager["LogReporter"]):
+    """Plain lines: every new stage at once, then one line every few seconds in which something has come."""
+
+    def __init__(self, stream: IO[str], interval: float = LOG_INTERVAL) -> None:
+        self._stream, self._interval = stream, interval
+        self._stage, self._line, self._planned, self._last = "", "", False, 0.0
+
+    def __call__(self, progress: Progress) -> None:
+        """Print the snapshot where it is new enough."""
+        if progress.passing:
+            return
+        if progress.plan and not self._planned:
+            self._planned = True
+            self._print(str(progress.plan))
+        if progress.stage != self._stage:
+            self._stage, self._last = progress.stage, time.monotonic()
+            self._print(progress.stage)
+        elif time.monotonic() - self._last >= self._interval:
+            self._last = time.monotonic()
+            if progress.line != self._line:
+                self._line = progress.line
+                self._print(self._line)
+
+    def _print(self, text: str) -> None:
+        print(text, file=self._stream, flush=True)
+
+    def __exit__(self, *error: object) -> None:
+        """Nothing to clear away."""
+
+
+class TerminalReporter(AbstractContextManager["TerminalReporter"]):
+    """A progress bar that keeps moving between tiles: cells a second and time left, and below it the regimes."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        from rich.console import Console, Group
+        from rich.live import Live
+        from rich.progress import BarColumn, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+        from rich.text import Text
+
+        self._bar = Bar(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=16),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[speed]}"),
+        )
+        self._task = self._bar.add_task("starting", total=None, speed="")
+        self._regimes = Text("", overflow="ellipsis", no_wrap=True)
+        self._live = Live(Group(self._bar, self._regimes), console=Console(file=stream))
+        self._planned = False
+
+    def __call__(self, progress: Progress) -> None:
+        """Update the bar."""
+        plan = progress.plan
+        if plan and not self._planned:
+            self._planned = True
+            self._live.console.print(str(plan), highlight=False)
+        self._bar.update(
+            self._task,
+            description=progress.stage,
+            total=progress.cells if progress.cells_done else None,
+            completed=progress.cells_done,
+            speed=progress.speed,
+        )
+        self._regimes.plain = progress.outcome
+
+    def __enter__(self) -> "TerminalReporter":
+        """Show the bar."""
+        self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bar away: what was done is in the summary or in the error that follows."""
+        self._live.transient = True
+        self._live.stop()
