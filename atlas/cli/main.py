@@ -3,6 +3,8 @@
 Heavy imports wait until a command needs them, so that help comes at once.
 """
 
+import sys
+from io import TextIOWrapper
 from typing import Any
 
 import click
@@ -35,6 +37,13 @@ def _bad_usage(error: click.UsageError) -> _BadInput:
 
 class _Group(click.Group):
     """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        for stream in (sys.stdout, sys.stderr):
+            # Windows gives a pipe or a file the code page of the language.
+            if isinstance(stream, TextIOWrapper) and not stream.isatty():
+                stream.reconfigure(encoding="utf-8")
+        return super().main(*args, **kwargs)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args:  # click shows the help

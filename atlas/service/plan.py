@@ -1,7 +1,6 @@
 """The plan: how an atlas is cut into tiles and what it will cost, as a value."""
 
 import math
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.overview.coarsen import overview_bytes
+from atlas.platform import processors
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
@@ -123,18 +123,13 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 
     Raises InputError where a tile is too large for a store.
     """
-    count = default_workers() if workers is None else workers
+    count = processors() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
     _check_chunks(spec, chosen)
     tiling = Tiling(spec.shape, chosen)
     note = NO_BASINS if spec.of_states and spec.attractors is None else ""
     return Plan(spec.dims, spec.described, tiling, count, _bytes_needed(spec, tiling), note=note)
-
-
-def default_workers() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def disk_shortage(plan: Plan, target: Path, tiles: int | None = None) -> str:

@@ -13,12 +13,13 @@ import numpy as np
 from atlas.errors import InputError, RunError
 from atlas.overview.pyramid import drop
 from atlas.overview.upkeep import Overviews
+from atlas.platform import processors
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Workers, tile_outcomes
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
-from atlas.service.plan import Plan, default_workers, disk_shortage, make_plan
+from atlas.service.plan import Plan, disk_shortage, make_plan
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Due
 from atlas.service.summary import Summary, Totals
@@ -223,7 +224,7 @@ def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "C
 def worker_count(client: "Client | None", options: RunOptions) -> int:
     """Threads of the cluster that a run works on, or the processes that it is going to start."""
     if client is None:
-        return options.workers or default_workers()
+        return options.workers or processors()
     waiting = Progress("waiting for the scheduler's first worker")
     return count_threads(client, lambda: options.report(waiting), options.timing)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import NetworkError, RunError
+from atlas.platform import ORDERLY
 from atlas.spec.spec import Slices
 from atlas.task.child import python
 from atlas.task.retry import Retry
@@ -27,9 +28,6 @@ from atlas.task.task import (
 )
 
 ATTEMPTS = 2
-_ORDERLY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals by which somebody ends a process; the tile has no part in that."""
-
 _KINDS = {kind.__name__: kind for kind in (RefusedError, StoreFullError, NetworkError)}
 
 
@@ -81,7 +79,7 @@ def _answer(function: str, job: Job, more: str) -> dict[str, Any] | str:
     """What a function of this module prints in a process of its own, or in words how that process died."""
     code = f"from atlas.task.isolated import {function}; {function}()"
     ended = python(code, json.dumps(asdict(job)), more, own_session=True)
-    if -ended.returncode in _ORDERLY:
+    if -ended.returncode in ORDERLY:  # by somebody: the tile has no part in that
         raise RunError(f"the process of tile {job.index} was ended by {signal.Signals(-ended.returncode).name}")
     if ended.returncode != 0:
         return _how(ended.returncode)
