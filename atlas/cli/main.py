@@ -13,13 +13,14 @@ from atlas.cli.branch import branch
 from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
 from atlas.cli.curves import curves
+from atlas.cli.demo import demo
 from atlas.cli.explore import explore
 from atlas.cli.labels import label
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
 from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
-from atlas.cli.store import pack, status, verify
+from atlas.cli.store import cite, pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
 
@@ -95,6 +96,7 @@ def main() -> None:
 
 
 for command in (
+    demo,
     example,
     plan,
     run,
@@ -106,6 +108,7 @@ for command in (
     status,
     verify,
     pack,
+    cite,
     query,
     regions,
     extremes,

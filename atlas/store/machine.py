@@ -16,7 +16,8 @@ MACHINES = "machines"
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
 """Settings of the processor that Numba compiles for, if not for this machine's own."""
-JIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT")
+BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
+"""All settings of the environment that change last bits, see scripts/compare_processors.py."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def this_machine() -> Machine:
         "architecture": platform.machine(),
         "compiled_for": binding.get_host_cpu_name(),
         "instructions": " ".join(sorted(name for name, there in binding.get_host_cpu_features().items() if there)),
-        "compiler_settings": _settings(JIT_VARIABLES),
+        "compiler_settings": _settings(BIT_VARIABLES),
         "library": " ".join(platform.libc_ver()),
         "software": "; ".join(
             [f"python {platform.python_version()}", *(f"{package} {package_version(package)}" for package in PACKAGES)]
