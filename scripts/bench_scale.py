@@ -33,6 +33,7 @@ from unittest import mock
 import psutil
 
 import atlas
+from atlas.platform import peak_memory
 from atlas.service.plan import make_plan
 from atlas.service.progress import Progress
 from atlas.service.status import Census
@@ -41,7 +42,6 @@ from atlas.store.record import record_key
 from atlas.store.schema import extra_sizes
 from atlas.store.store import Header, chunk_key, create, read_header
 from atlas.store.tiles import write_tile
-from atlas.task.task import peak_memory
 from scripts.measured import parsed, print_table
 from tests.loopback import ObjectStore, object_store
 from workers.results import PERIODIC, REGIME, empty_results

@@ -18,10 +18,10 @@ import workers
 from atlas.cli.main import main
 from atlas.cli.progress import LogReporter, reporter
 from atlas.errors import InputError, RunError
+from atlas.platform import peak_memory
 from atlas.service.probe import CELLS, with_time
 from atlas.service.progress import Progress
 from atlas.store.store import done_tiles, read_header
-from atlas.task.task import peak_memory
 from tests.planes import plane_of
 from workers import tile as solving
 
@@ -273,6 +273,6 @@ def test_a_script_without_a_main_guard_is_refused_with_the_remedy(tmp_path: Path
 @pytest.mark.slow
 def test_the_memory_of_a_worker_is_its_own_and_not_that_of_the_process_that_started_it() -> None:
     ballast = np.ones(100_000_000)
-    child = [sys.executable, "-c", "from atlas.task.task import peak_memory; print(peak_memory())"]
+    child = [sys.executable, "-c", "from atlas.platform import peak_memory; print(peak_memory())"]
     own = int(subprocess.run(child, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
     assert 20e6 < own < ballast.nbytes < peak_memory()

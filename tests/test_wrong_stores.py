@@ -3,7 +3,6 @@
 Truth is what was done to them.
 """
 
-import fcntl
 import json
 import os
 import shutil
@@ -19,6 +18,7 @@ from click.testing import CliRunner, Result
 import atlas
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
+from atlas.platform import file_lock
 from atlas.query.attractors import one
 from atlas.service.lease import CLAIM, claimed
 from atlas.service.pack import pack
@@ -138,10 +138,10 @@ def test_what_a_killed_pack_left_is_removed_by_the_next_and_a_living_ones_is_not
     other = tmp_path / ".a.zip.zip.0123456789abcdef0123456789abcdef.partial"
     for file in (left, living, other):
         file.write_bytes(b"half")
-    with living.open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with file_lock(living.with_suffix(".lock")):
         pack(plane, tmp_path / "a.zip")
     assert [file.exists() for file in (left, living, other)] == [False, True, True]
+    assert not left.with_suffix(".lock").exists()
 
 
 # Claims and what is half made

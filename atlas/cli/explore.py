@@ -1,7 +1,7 @@
 """The command that opens the explorer."""
 
 import sys
-import threading
+import time
 import webbrowser
 
 import click
@@ -87,7 +87,8 @@ def explore(
                 click.echo(running.url)
                 if browser:
                     webbrowser.open(running.url)
-                threading.Event().wait()
+                while True:
+                    time.sleep(3600)  # which Ctrl-C ends on every system
             finally:
                 running.stop()
     except KeyboardInterrupt:

@@ -3,6 +3,8 @@
 Heavy imports wait until a command needs them, so that help comes at once.
 """
 
+import sys
+from io import TextIOWrapper
 from typing import Any
 
 import click
@@ -11,13 +13,14 @@ from atlas.cli.branch import branch
 from atlas.cli.cell import example, point, portrait, systems
 from atlas.cli.compare import compare
 from atlas.cli.curves import curves
+from atlas.cli.demo import demo
 from atlas.cli.explore import explore
 from atlas.cli.labels import label
 from atlas.cli.options import INTERRUPTED, examples
 from atlas.cli.pictures import figures, render
 from atlas.cli.query import basin_measures, export, extremes, query, regions
 from atlas.cli.run import basins, cancel, extend, plan, retry, run, submit
-from atlas.cli.store import pack, status, verify
+from atlas.cli.store import cite, pack, status, verify
 from atlas.errors import InputError, RunError, one_line
 
 
@@ -35,6 +38,13 @@ def _bad_usage(error: click.UsageError) -> _BadInput:
 
 class _Group(click.Group):
     """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        for stream in (sys.stdout, sys.stderr):
+            # Windows gives a pipe or a file the code page of the language.
+            if isinstance(stream, TextIOWrapper) and not stream.isatty():
+                stream.reconfigure(encoding="utf-8")
+        return super().main(*args, **kwargs)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args:  # click shows the help
@@ -86,6 +96,7 @@ def main() -> None:
 
 
 for command in (
+    demo,
     example,
     plan,
     run,
@@ -97,6 +108,7 @@ for command in (
     status,
     verify,
     pack,
+    cite,
     query,
     regions,
     extremes,

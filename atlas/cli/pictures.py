@@ -1,5 +1,6 @@
 """Commands that draw an atlas, and the figures of the paper."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,7 @@ def render(
         other = None if against is None else selected(open_atlas(against), at)
         say("drawing")
         if len(atlases) > 1:
-            stems = [store.rstrip("/").rpartition("/")[2] for store in stores]
+            stems = [os.path.basename(store.rstrip("/" + os.sep)) for store in stores]
             draw(atlases, out, kind, bounds, titles=stems, **look)
         else:
             draw(

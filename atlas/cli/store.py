@@ -1,5 +1,6 @@
 """Commands about a store as a whole: status, verify, pack."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -9,8 +10,10 @@ from atlas.check.verify import verify as verify_store
 from atlas.cli.options import examples, interruptible, json_option, store_argument, timing_of
 from atlas.cli.output import to_json
 from atlas.cli.progress import reporter
+from atlas.query.open import open_atlas
 from atlas.service.pack import pack as pack_store
 from atlas.service.status import Census, read_status, watch
+from atlas.spec.citation import bibtex
 from atlas.store.store import read_header
 
 WATCH_SECONDS = 2.0
@@ -67,3 +70,12 @@ def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool)
     with interruptible(), reporter(sys.stderr) as show:
         packed = pack_store(store, file, force, show, timing_of(ctx))
     click.echo(to_json(packed.as_dict()) if as_json else str(packed))
+
+
+@click.command(epilog=examples("atlas cite plane.zarr > atlas.bib"))
+@store_argument
+def cite(store: str) -> None:
+    """Print BibTeX of what to cite for STORE: the software that computed it, the method, the sources of its machine."""
+    header = read_header(store)
+    computed_by = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", str(open_atlas(store).attrs.get("software", "")))
+    click.echo(bibtex(header.spec.record, computed_by[1] if computed_by else "unknown", header.solver_version))

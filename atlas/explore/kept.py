@@ -15,6 +15,7 @@ from atlas.explore.subject import Plane, Subject
 from atlas.explore.tiles import Arrays
 from atlas.explore.view import TileKey
 from atlas.service.lease import claimed
+from atlas.store.archive import ZipPlace
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import Header, done_tiles
 from atlas.store.tiles import write_tile
@@ -50,7 +51,7 @@ class Keeper:
         self._sizes: dict[tuple[str, str], int] = {}
         self.header = subject.header if wanted else None
         self.trouble = "" if self.header is not None else "nothing is kept"
-        if self.header is not None and self.header.place.local is None and "://" not in str(self.header.place):
+        if self.header is not None and isinstance(self.header.place, ZipPlace):
             self.header, self.trouble = None, "nothing is kept: a packed atlas is read only"
         self.sheets = None if self.header is None else Sheets(subject, self.header)
         self._thread = threading.Thread(target=self._write_on, name="atlas-keeper", daemon=True)

@@ -11,9 +11,9 @@ from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
+from atlas.platform import processors
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.cluster import connected, local_cluster
-from atlas.service.plan import default_workers
 from atlas.service.timing import TIMING, Timing
 from atlas.store.store import read_header
 
@@ -85,7 +85,7 @@ def explore(
     if not tolerance > 0:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
-    connect = _connection(client, scheduler, workers or default_workers(), timing)
+    connect = _connection(client, scheduler, workers or processors(), timing)
     explorer = Explorer(subject, connect, keep, most_bytes, timing)
     query = urlencode([(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()], safe=":")
     try:

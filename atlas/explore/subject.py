@@ -18,7 +18,7 @@ from atlas.query.window import select
 from atlas.spec.axis import admitted
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MOST_AXES, Spec
-from atlas.store.location import place_of
+from atlas.store.location import is_url, place_of
 from atlas.store.store import Header, read_header
 from workers import SOLVER_VERSION, Settings
 from workers.attractors.starts import Starts
@@ -161,7 +161,7 @@ def subject_of(given: str, chosen: Mapping[str, float] | None = None, tolerance:
     ``chosen`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
     """
     place = None if given.endswith(".toml") else place_of(given)
-    if place is not None and (place.exists("zarr.json") or "://" in given or place.local is None):
+    if place is not None and (place.exists("zarr.json") or is_url(given) or place.local is None):
         header = read_header(place)
         ds = open_atlas(given)
         return _subject(header.spec, header, ds, chosen or {}, tolerance)

@@ -4,7 +4,6 @@ import asyncio
 import logging
 import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError, RunError
+from atlas.platform import interrupts_blocked
 from atlas.service.timing import TIMING, Timing
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def local_cluster(count: int) -> Iterator["Client"]:
 
     with _quiet(), ExitStack() as stack:
         try:
-            with _interrupts_blocked(), dask.config.set({"distributed.worker.profile.enabled": False}):
+            with interrupts_blocked(), dask.config.set({"distributed.worker.profile.enabled": False}):
                 cluster = LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
@@ -157,21 +157,6 @@ def leave_if_bootstrapping() -> None:
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise SystemExit(1)
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Ctrl-C reaches every process of a terminal; those started within do not hear it, and their parent ends them.
-
-    Blocked is what threads and processes inherit, from whichever thread this is; ignoring is for the main thread alone.
-    """
-    # Multiprocessing starts its resource tracker with the first lock, and unblocks these signals then: so not within.
-    multiprocessing.get_context("spawn").Lock()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """The plan: how an atlas is cut into tiles and what it will cost, as a value."""
 
 import math
-import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from atlas.errors import InputError
 from atlas.overview.coarsen import level_variables
 from atlas.overview.levels import Levels
+from atlas.platform import processors
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.store.schema import extra_sizes
 from atlas.store.tiling import Tiling
@@ -126,7 +126,7 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
 
     Raises InputError if a tile is too large for a store.
     """
-    count = default_workers() if workers is None else workers
+    count = processors() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
     name, size = max(_chunks(spec, chosen).items(), key=lambda item: item[1])
@@ -137,11 +137,6 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
         )
     tiling = Tiling(spec.shape, chosen)
     return Plan(spec, tiling, count, _bytes_needed(spec, tiling))
-
-
-def default_workers() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:

@@ -1,7 +1,10 @@
 """Processes of this machine by a name that nothing else ever has, so that a dead one is known for certain."""
 
 import os
-from pathlib import Path
+
+import psutil
+
+from atlas.platform import machine_name, process_start
 
 
 def this_process() -> str:
@@ -10,10 +13,9 @@ def this_process() -> str:
 
 
 def process_name(pid: int) -> str:
-    """Boot, process namespace, process and the moment it began; empty if that cannot be found out."""
+    """Machine (two words), process and the moment it began; empty if that cannot be found out."""
     try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        return f"{boot} {os.readlink('/proc/self/ns/pid')} {pid} {_began(pid)}"
+        return f"{machine_name()} {pid} {process_start(pid)}"
     except OSError:
         return ""
 
@@ -28,19 +30,9 @@ def is_running(pid: int, name: str) -> bool | None:
     here, there = this_process().split(), name.split()
     if not here or here[:2] != there[:2]:
         return None
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+    if not psutil.pid_exists(pid):
         return False
-    except PermissionError:
-        pass
     try:
-        return _began(pid) == there[3]
+        return process_start(pid) == there[3]
     except OSError:
         return None
-
-
-def _began(pid: int) -> str:
-    """Clock ticks from boot to the start of a process; "dead" for one that only waits to be collected."""
-    state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return "dead" if state in "ZX" else rest[18]

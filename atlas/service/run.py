@@ -11,12 +11,13 @@ import numpy as np
 
 from atlas.errors import InputError, RunError
 from atlas.overview.upkeep import Overviews
+from atlas.platform import processors
 from atlas.service.cluster import connected, count_threads, leave_if_bootstrapping, local_cluster
 from atlas.service.dispatch import Workers, Workforce, tile_labour, workforce
 from atlas.service.lease import Claim, claimed
 from atlas.service.notebook import reporting
 from atlas.service.options import DEFAULTS, RunFields, RunOptions
-from atlas.service.plan import default_workers, make_plan, refuse_shortage
+from atlas.service.plan import make_plan, refuse_shortage
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.service.schedule import Order
 from atlas.service.summary import Summary, TileFailure, Totals
@@ -274,7 +275,7 @@ def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "C
 def worker_count(client: "Client | None", options: RunOptions) -> int:
     """Threads of the cluster that a run works on, or the processes that it is going to start."""
     if client is None:
-        return options.workers or default_workers()
+        return options.workers or processors()
     waiting = Progress("waiting for the scheduler's first worker")
     return count_threads(client, lambda: options.report(waiting), options.timing)
 

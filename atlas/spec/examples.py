@@ -1,5 +1,6 @@
 """The packaged examples of specs."""
 
+import os
 from importlib import resources
 
 from atlas.errors import InputError
@@ -24,7 +25,7 @@ def example_text(name: str) -> str:
 
 def packaged_text(name: str) -> str:
     """The packaged example that was named in place of a file; InputError where there is neither."""
-    if name.endswith(".toml") or "/" in name:
+    if name.endswith(".toml") or "/" in name or os.sep in name:
         raise InputError("no such file")
     try:
         return example_text(name)

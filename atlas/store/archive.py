@@ -1,7 +1,6 @@
 """An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, so that xarray opens it too."""
 
 import errno
-import fcntl
 import glob
 import os
 import re
@@ -10,12 +9,13 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Hashable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from atlas.errors import InputError
+from atlas.platform import file_lock
 from atlas.store.place import Place
 
 SUFFIX = ".zip"
@@ -93,6 +93,21 @@ def refuse_packed(place: object) -> None:
         raise InputError(f"{place}: a zip file is read only; give a folder such as {place.path.with_suffix('.zarr')}")
 
 
+@contextmanager
+def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
+    """Hold the lock of an unfinished file, which goes with it; an OSError where another process does."""
+    path = unfinished.with_suffix(".lock")
+    path.touch()  # the lock would make a missing folder
+    lock = file_lock(path)
+    lock.acquire(timeout=timeout)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
 def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
     """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
 
@@ -102,23 +117,23 @@ def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
     begin = f".{target.name}"
     for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
         if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
-            with suppress(OSError), left.open("rb") as file:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with suppress(OSError), _held(left, timeout=0):
                 left.unlink()
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
-    try:
-        with unfinished.open("wb") as file:
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(file, fcntl.LOCK_EX)
-            with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
-                for key, data in members:
-                    member = zipfile.ZipInfo(key, _SINCE)
-                    member.external_attr = 0o644 << 16
-                    archive.writestr(member, data)
-            file.flush()
-            os.fsync(file.fileno())  # or a rename could outlive the content
-        size = unfinished.stat().st_size
-        os.replace(unfinished, target)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with ExitStack() as held:
+        with suppress(OSError):  # a file system without locks
+            held.enter_context(_held(unfinished))
+        try:
+            with unfinished.open("wb") as file:
+                with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
+                    for key, data in members:
+                        member = zipfile.ZipInfo(key, _SINCE)
+                        member.external_attr = 0o644 << 16
+                        archive.writestr(member, data)
+                file.flush()
+                os.fsync(file.fileno())  # or a rename could outlive the content
+            size = unfinished.stat().st_size
+            os.replace(unfinished, target)
+        finally:
+            unfinished.unlink(missing_ok=True)
     return size

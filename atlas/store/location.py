@@ -11,8 +11,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-from urllib.parse import unquote, urlsplit
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from atlas.errors import InputError
 from atlas.store.archive import SUFFIX, ZipPlace
@@ -40,11 +41,11 @@ def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -
     """
     if isinstance(store, Place):
         return store
-    if not isinstance(store, str) or "://" not in store:
+    if not is_url(store):
         return _place_at(Path(store).absolute())
     scheme = store.partition("://")[0]
     if scheme == "file":
-        return _place_at(Path(unquote(urlsplit(store.rstrip("/")).path)).absolute())
+        return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
     place = ObjectPlace(store.rstrip("/"), patience)
@@ -55,6 +56,11 @@ def place_of(store: "str | os.PathLike[str] | Place", patience: float = BRIEF) -
     except Exception as error:
         raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
     return place
+
+
+def is_url(store: object) -> TypeGuard[str]:
+    """Whether a name of a store is a URL; a scheme has two letters or more: C: is a disk of Windows."""
+    return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
 def _place_at(path: Path) -> Place:

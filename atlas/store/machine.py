@@ -4,16 +4,20 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+
+from atlas.platform import processor_name
 
 MACHINES = "machines"
 """The group of a store with the machines that solved its tiles, each an empty group with attributes."""
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
-JIT_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_DISABLE_JIT", "NUMBA_OPT", "NUMBA_ENABLE_AVX")
+CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
+"""Settings of the processor that Numba compiles for, if not for this machine's own."""
+BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
+"""All settings of the environment that change last bits, see scripts/compare_processors.py."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +46,11 @@ def this_machine() -> Machine:
     from llvmlite import binding
 
     facts = {
-        "processor": _processor(),
+        "processor": processor_name(),
         "architecture": platform.machine(),
         "compiled_for": binding.get_host_cpu_name(),
         "instructions": " ".join(sorted(name for name, there in binding.get_host_cpu_features().items() if there)),
-        "compiler_settings": "; ".join(f"{name}={os.environ[name]}" for name in JIT_VARIABLES if name in os.environ),
+        "compiler_settings": _settings(BIT_VARIABLES),
         "library": " ".join(platform.libc_ver()),
         "software": "; ".join(
             [f"python {platform.python_version()}", *(f"{package} {package_version(package)}" for package in PACKAGES)]
@@ -55,19 +59,21 @@ def this_machine() -> Machine:
     return machine_of(facts)
 
 
+def compiled_for() -> str:
+    """The kind of processor that kernels are compiled for, as a part of a file's name."""
+    from llvmlite import binding
+
+    name, settings = binding.get_host_cpu_name(), _settings(CPU_VARIABLES)
+    return f"{name}-{hashlib.sha256(settings.encode()).hexdigest()[:16]}" if settings else name
+
+
+def _settings(names: Iterable[str]) -> str:
+    return "; ".join(f"{name}={os.environ[name]}" for name in names if name in os.environ)
+
+
 def package_version(package: str) -> str:
     """The installed version of a distribution, or "unknown"."""
     try:
         return version(package)
     except PackageNotFoundError:
         return "unknown"
-
-
-def _processor() -> str:
-    """The processor's name, as the system's own list of processors has it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, platform.processor() or platform.machine())

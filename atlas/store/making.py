@@ -24,6 +24,7 @@ from atlas.store.machine import MACHINES
 from atlas.store.record import TILES
 from atlas.store.schema import Origin, coordinate_names
 from workers import SOLVER_VERSION
+from workers.model.names import NAMES
 
 if TYPE_CHECKING:
     from atlas.store.store import Header
@@ -80,7 +81,7 @@ def check_run(place: Place, spec: Spec, header: "Header | None") -> None:
 
 def _refuse_foreign(place: Place, spec: Spec) -> None:
     """InputError if something lies at a URL that no creation cut short has left there."""
-    ours = {MACHINES, TILES, *coordinate_names(spec)} | {variable.name for variable in spec.variables}
+    ours = {MACHINES, TILES} | _names(spec)
     for key in place.list_keys():
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
             raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove what is there")
@@ -103,10 +104,27 @@ def make_store(place: Place, spec: Spec, tile: tuple[int, ...], origin: Origin |
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        building.mkdir()
+        if building.with_name(building.name.swapcase()).exists():
+            refuse_equal_names(path, spec)
         build(building, spec, tile, origin, run_id)
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)
+
+
+def refuse_equal_names(path: Path, spec: Spec) -> None:
+    """InputError where names of arrays differ by case alone: a disk that ignores case would mix their chunks."""
+    seen: dict[str, str] = {}
+    for name in (*NAMES, *_names(spec)):
+        other = seen.setdefault(name.casefold(), name)
+        if other != name:
+            raise InputError(f"{path}: the disk takes {name} and {other} for one name; rename {name} in the system")
+
+
+def _names(spec: Spec) -> set[str]:
+    """Names of the arrays of cells and of their coordinates."""
+    return {*coordinate_names(spec)} | {variable.name for variable in spec.variables}
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 A run claims a store by a note. Notes are files next to a folder, and objects next to a store at a URL.
 """
 
-import fcntl
 import json
 import os
 import time
@@ -11,15 +10,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Protocol
 from urllib.parse import urlsplit
 
 from atlas.errors import InputError
+from atlas.platform import file_lock
 from atlas.store.archive import ZipPlace
 from atlas.store.location import ObjectPlace, Place, place_of
 
 CLAIM = "claim"
 """The note by which one run at a time has the store."""
+_LOCK = ".lock"
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
 """How often to read a note that its maker has opened and not yet written, and the seconds between two reads."""
 
@@ -67,7 +68,7 @@ def claim_token(notes: Notes) -> str:
 
 @dataclass(frozen=True)
 class Folder:
-    """Notes as files of a folder. A lock on the file, held for an instant, makes a conditional write atomic.
+    """Notes as files of a folder. The folder's lock, held for an instant, makes a conditional write atomic.
 
     Notes are overwritten in place, which needs no room: a run on a full disk keeps its claim.
     """
@@ -77,8 +78,10 @@ class Folder:
     def read(self, name: str) -> bytes | None:
         """See Notes. An empty file is a note being made: it is waited for, unless its maker was killed there."""
         for _ in range(_LOOKS):
-            with self._locked(name, write=False) as file:
-                data = None if file is None else file.read()
+            if not (self.path / name).exists():
+                return None
+            with self._locked():
+                data = self._bytes(name)
             if data != b"":
                 break
             time.sleep(_BETWEEN_LOOKS)
@@ -87,72 +90,77 @@ class Folder:
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
         if expected is None:
             return self._create(name, data)
-        with self._locked(name, write=True) as file:
-            if file is None or file.read() != expected:
+        if not (self.path / name).exists():
+            return False
+        with self._locked():
+            if self._bytes(name) != expected:
                 return False
-            os.pwrite(file.fileno(), data, 0)
-            os.ftruncate(file.fileno(), len(data))
+            with open(self.path / name, "r+b", buffering=0) as file:
+                file.write(data)
+                file.truncate()
             return True
 
     def remove(self, name: str, expected: bytes) -> bool:
-        """See Notes. The folder goes with its last note."""
-        with self._locked(name, write=True) as file:
-            if file is None or file.read() != expected:
+        """See Notes."""
+        if not (self.path / name).exists():
+            return False
+        with self._locked():
+            if self._bytes(name) != expected:
                 return False
-            os.unlink(self.path / name)
-        with suppress(OSError):
-            self.path.rmdir()
-        return True
+            (self.path / name).unlink()
+            return True
 
     def drop(self, name: str) -> None:
-        """See Notes. The folder goes with its last note."""
-        (self.path / name).unlink(missing_ok=True)
-        with suppress(OSError):
-            self.path.rmdir()
+        """See Notes."""
+        if (self.path / name).exists():
+            with self._locked():
+                (self.path / name).unlink(missing_ok=True)
 
     def clear(self, keep: str) -> None:
         for file in self.path.glob("*"):
-            if file.name != keep:
+            if file.name not in (keep, _LOCK):
                 file.unlink(missing_ok=True)
+
+    def _bytes(self, name: str) -> bytes | None:
+        try:
+            return (self.path / name).read_bytes()
+        except FileNotFoundError:
+            return None
 
     def _create(self, name: str, data: bytes) -> bool:
         while True:
             self.path.mkdir(parents=True, exist_ok=True)
-            with suppress(FileNotFoundError):  # another has just removed the folder with its last note
+            with suppress(FileNotFoundError), self._locked():  # another may just have removed the folder
                 try:
-                    handle = os.open(self.path / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+                    file = open(self.path / name, "xb", buffering=0)  # noqa: SIM115
                 except FileExistsError:
                     return False
-                with os.fdopen(handle, "wb", buffering=0) as file:
-                    try:
+                try:
+                    with file:
                         file.write(data)
-                    except OSError:
-                        os.unlink(self.path / name)
-                        raise
+                except OSError:
+                    (self.path / name).unlink()
+                    raise
                 return True
 
     @contextmanager
-    def _locked(self, name: str, write: bool) -> Iterator[IO[bytes] | None]:
-        """The note's file, locked, and certainly the one of that name; None if there is none."""
-        while True:
-            try:
-                file = open(self.path / name, "r+b" if write else "rb", buffering=0)  # noqa: SIM115
-            except FileNotFoundError:
-                yield None
-                return
-            with file:
-                with suppress(OSError):  # a file system without locks: a race of microseconds remains
-                    fcntl.flock(file, fcntl.LOCK_EX if write else fcntl.LOCK_SH)
-                if self._is_still(file, name):
-                    yield file
-                    return
-            # Between open and lock the note was removed, and perhaps made anew: look again.
+    def _locked(self) -> Iterator[None]:
+        """Alone with the notes; on a file system without locks a race of microseconds remains.
 
-    def _is_still(self, file: IO[bytes], name: str) -> bool:
+        The folder goes with its last note, and its lock with it.
+        """
+        lock = file_lock(self.path / _LOCK)
+        with suppress(OSError):
+            lock.acquire()
         try:
-            return os.path.samestat(os.fstat(file.fileno()), os.stat(self.path / name))
-        except FileNotFoundError:
-            return False
+            yield
+        finally:
+            with suppress(OSError):
+                if lock.is_locked and [file.name for file in self.path.iterdir()] == [_LOCK]:
+                    (self.path / _LOCK).unlink()
+            lock.release()
+            with suppress(OSError):
+                self.path.rmdir()
 
 
 @dataclass(frozen=True)

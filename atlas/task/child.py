@@ -14,7 +14,7 @@ def watched(code: str, *arguments: str, told: Callable[[str], None]) -> int:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        text=True,
+        encoding="utf-8",
     ) as child:
         try:
             for line in child.stdout or ():
@@ -33,10 +33,10 @@ def python(code: str, *arguments: str, own_session: bool = False) -> subprocess.
         start_new_session=own_session,
         stdin=subprocess.DEVNULL,
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         check=False,
     )
 
 
 def _environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONIOENCODING": "utf-8"}

@@ -1,6 +1,5 @@
 """The kernels' compilation: once on a machine, by whichever process is first."""
 
-import fcntl
 import gc
 import json
 import os
@@ -10,10 +9,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
+from filelock import FileLock, Timeout
 
+from atlas.platform import file_lock
+from atlas.store.machine import compiled_for
 from atlas.task.child import watched
 from workers.model.system import DEFAULT, System
 from workers.settings import Settings
@@ -114,12 +116,15 @@ def compile_once(*more: str, report: Report | None = None) -> None:
     folder = _cache()
     if folder is None or not _missing(more):
         return
-    with (folder / "compiling.lock").open("w") as lock:
+    lock = file_lock(folder / "compiling.lock")
+    try:
         _wait_for(lock, report)
         missing = _missing(more)
         if missing and warm_up_in_child(missing, report):
             for part in missing:
                 _marker(folder, part).touch()
+    finally:
+        lock.release()
 
 
 def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
@@ -232,16 +237,15 @@ def _follow_an_orbit() -> None:
     motion_of(family.model(np.array([[value]])), many_orbits([orbit])).at(orbit.times[None] + 0.1)
 
 
-def _wait_for(lock: IO[str], report: Report | None) -> None:
+def _wait_for(lock: FileLock, report: Report | None) -> None:
     """Hold the lock; until then, as long as another process does, say so."""
     begin = time.monotonic()
     while True:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            lock.acquire(timeout=TICK)
+        except Timeout:
             if report is not None:
                 report(Compilation(0, 0, time.monotonic() - begin))
-            time.sleep(TICK)
             continue
         except OSError:  # a file system without locks: each for itself
             pass
@@ -255,11 +259,9 @@ def _missing(more: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _marker(folder: Path, part: str) -> Path:
-    """The file that says that a part has been compiled for this kind of processor."""
-    import llvmlite.binding
-
+    """The file that says that a part has been compiled for this kind of processor, and by these settings of Numba."""
     name = f"compiled-{part}-" if part else "compiled-"
-    return folder / f"{name}{llvmlite.binding.get_host_cpu_name()}"
+    return folder / f"{name}{compiled_for()}"
 
 
 def _cache() -> Path | None:

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import NetworkError, RunError
+from atlas.platform import ORDERLY
 from atlas.spec.spec import Slices
 from atlas.task.child import python
 from atlas.task.retry import Retry
 from atlas.task.task import Job, RefusedError, StoreFullError, file_errors, header_of, solve_cells, stored_cells
 
 ATTEMPTS = 2
-_ORDERLY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals by which somebody ends a process; the tile has no part in that."""
 _KINDS = {kind.__name__: kind for kind in (RefusedError, StoreFullError, NetworkError)}
 
 
@@ -32,7 +31,7 @@ def solve_isolated(job: Job, slices: Slices) -> dict[str, np.ndarray] | str:
         for _ in range(ATTEMPTS):
             # In a session of its own, so that Ctrl-C on this terminal spares it.
             ended = python("from atlas.task.isolated import main; main()", json.dumps(given), own_session=True)
-            if -ended.returncode in _ORDERLY:
+            if -ended.returncode in ORDERLY:  # by somebody: the tile has no part in that
                 raise RunError(f"the process of tile {job.index} was ended by {signal.Signals(-ended.returncode).name}")
             if ended.returncode == 0:
                 break

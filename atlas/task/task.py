@@ -1,20 +1,17 @@
 """One tile: what is to be done, doing it here and now, and the receipt for it."""
 
 import errno
-import re
-import resource
-import sys
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from atlas.errors import ChunkError, InputError, RunError
 from atlas.overview.pyramid import opened
+from atlas.platform import peak_memory
 from atlas.spec.spec import Slices, Spec
 from atlas.store.location import Place, place_of
 from atlas.store.outage import BRIEF, LONG
@@ -333,17 +330,3 @@ def receipt_of(
         peak_bytes=peak_memory(),
         record=record,
     )
-
-
-def peak_memory() -> int:
-    """Most bytes of memory that this process ever had.
-
-    Linux has it in /proc; its getrusage would count what the parent had when it started this process.
-    """
-    try:
-        found = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(encoding="ascii"), re.MULTILINE)
-    except OSError:
-        found = None
-    if found:
-        return 1024 * int(found[1])
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

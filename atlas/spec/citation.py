@@ -1,0 +1,70 @@
+"""What to cite for an atlas, as BibTeX: the software, the method, and the sources of its machine."""
+
+import re
+
+from workers.model.system import System
+
+METHOD = """@article{li-tan-2011,
+  author  = {Li, Q.-H. and Tan, J.-Y.},
+  title   = {Lyapunov exponent calculation of a two-degree-of-freedom
+             vibro-impact system with symmetrical rigid stops},
+  journal = {Chinese Physics B},
+  volume  = {20},
+  pages   = {040505},
+  year    = {2011},
+  doi     = {10.1088/1674-1056/20/4/040505},
+}"""
+_METHOD_SOURCE = "Chin. Phys. B 20 (2011) 040505"
+_REFERENCE = re.compile(
+    r"(?:[a-z ]+: )?(?P<authors>.+?), (?P<journal>[A-Z][^,()]+) (?P<volume>\d+) \((?P<year>\d{4})\) (?P<pages>\w+)"
+)
+
+
+def software(version: str, solver_version: int) -> str:
+    """The entry of the software; a paper needs the solver version to be repeated."""
+    return f"""@software{{impact-atlas,
+  author  = {{{{impact-atlas contributors}}}},
+  title   = {{impact-atlas: maps of chaos in vibro-impact oscillators}},
+  version = {{{version}}},
+  note    = {{solver version {solver_version}}},
+}}"""
+
+
+def sources(system: System) -> list[str]:
+    """An entry for each reference in a system's ``source``; what is no journal article becomes a note.
+
+    References are separated by semicolons: "Shaw S. W. & Holmes P. J., J. Sound Vib. 90 (1983) 129". The packaged
+    systems give no titles of articles. The paper of the method has an entry of its own.
+    """
+    entries, notes = [], []
+    for part in (part.strip() for part in system.source.split(";")):
+        if _METHOD_SOURCE in part:
+            continue
+        found = _REFERENCE.fullmatch(part)
+        if found:
+            entries.append(_article(found))
+        elif part:
+            notes.append(part)
+    if notes and not entries:
+        text = re.sub(r"([&%$#_])", r"\\\1", re.sub(r"[{}\\]", "", "; ".join(notes)))
+        return [f"@misc{{{_key(system.name)},\n  note = {{{text}}},\n}}"]
+    return entries
+
+
+def bibtex(system: System, version: str, solver_version: int) -> str:
+    """All entries for an atlas of a system that a version of the package computed."""
+    return "\n\n".join([software(version, solver_version), METHOD, *sources(system)])
+
+
+def _article(found: re.Match[str]) -> str:
+    names = re.split(r", | & ", found["authors"])
+    authors = " and ".join("{}, {}".format(*name.split(" ", 1)) if " " in name else name for name in names)
+    return (
+        f"@article{{{_key(names[0].split()[0])}-{found['year']},\n"
+        f"  author  = {{{authors}}},\n  journal = {{{found['journal']}}},\n  volume  = {{{found['volume']}}},\n"
+        f"  pages   = {{{found['pages']}}},\n  year    = {{{found['year']}}},\n}}"
+    )
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "system"
