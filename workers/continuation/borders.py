@@ -17,9 +17,9 @@ from workers.continuation.events import (
 )
 from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition
 from workers.continuation.legs import ACT, EVENT, SLOWS
-from workers.continuation.oscillator import Array
 from workers.continuation.walk import Step
 from workers.model.hybrid_modes import SIGNALS
+from workers.model.oscillator import Array
 
 HALVINGS = 14
 """Halvings of a step that help to locate where an orbit ceases to be admissible."""

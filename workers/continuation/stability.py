@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.continuation.equations import ImpactMotion, Motion
-from workers.continuation.oscillator import Array
 from workers.kernel.contact import saltation
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.jit import kernel
 from workers.kernel.motion import axes
+from workers.model.oscillator import Array
 from workers.orbit.map import copy_into, jacobian_of
 
 
