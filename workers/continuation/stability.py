@@ -60,7 +60,7 @@ def multipliers(motion: Motion) -> NDArray[np.complex128]:
     finite = np.isfinite(maps).all(axis=(1, 2))
     found[finite] = np.linalg.eigvals(maps[finite])
     found = np.take_along_axis(found, np.argsort(-np.abs(found), axis=1, kind="stable"), axis=1)
-    if not isinstance(motion, ImpactMotion) and motion.lost:
+    if motion.lost:
         found[:, -motion.lost :] = 0.0
     return found
 

@@ -51,6 +51,11 @@ class TurnMotion:
         """One turn from the state just before the first event."""
         raise NotImplementedError
 
+    @property
+    def lost(self) -> int:
+        """How many multipliers are zero since dimensions are lost on the way."""
+        return 0
+
     def linearised(self, z: complex = 1) -> Table:
         """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
 
