@@ -41,7 +41,8 @@ def _settled(rows: Rows, oscillators: Oscillator, *given: Any) -> Mask:
     def settle(tried: Rows) -> None:
         proved[tried] = settle_each(oscillators, *asked, tried, orbits, spent)
 
-    oscillators.with_modes(settle, rows)
+    if len(rows):
+        oscillators.with_modes(settle, rows)
     return proved[rows]
 
 

@@ -263,12 +263,12 @@ class Oscillator(NamedTuple):
     def with_modes(self, act: Callable[[Rows], Any], rows: Rows) -> Any:
         """Do ``act`` for these rows of many machines, and again for those that missed a mode, which is built first.
 
-        A kernel leaves a motion as it was where a mode is missing. The result is that of the last call.
+        A kernel leaves a motion as it was where a mode is missing. The result is that of the last call. There is one
+        without rows too, which compiles what ``act`` calls.
         """
-        found = None
-        while len(rows):
+        found = act(rows)
+        while self.table is not None and len(rows := self.table.build_missing(rows)):
             found = act(rows)
-            rows = rows[:0] if self.table is None else self.table.build_missing(rows)
         return found
 
     @property
